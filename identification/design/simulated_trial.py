@@ -36,7 +36,7 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     nothing = Pinned(dict.fromkeys(names, math.inf))
     try:
         result = identify(
-            Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages)))
+            Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages))), rng=rng
         )
     except RecordingError:
         return nothing

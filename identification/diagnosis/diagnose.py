@@ -105,7 +105,7 @@ def diagnose(
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)
     verdict, where, drawn = judged(found, chance)
-    effects = effects_of(found, verdict) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else baseline
     fits = _fits(baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
@@ -115,7 +115,7 @@ def diagnose(
     places = (
         *standing((*here, *aside), unit),
         *(crowded(traces) if alarm else ()),
-        *too_little(found, verdict),
+        *too_little(found, verdict, chance),
     )
     return Diagnosis(
         verdict=verdict,

@@ -52,7 +52,8 @@ def identify(
         at the end.
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what
         each bears.
-        rng: Draws the segments of the bootstrap.
+        rng: Draws the noises of the simulated replicates and the segments of the bootstrap; seed 0
+            where it is None.
         progress: Called with a stage's name and the share done.
         profile: Whether to profile the likelihood of every parameter as well, which takes several
         times as long.
@@ -63,6 +64,7 @@ def identify(
     """
     started = perf_counter()
     tell = progress or (lambda _stage, _share: None)
+    chance = rng or np.random.default_rng(0)
     fitted = dataset.part("fit")
     if not fitted:
         raise RecordingError("no recording has role 'fit'; at least one is needed")
@@ -78,10 +80,10 @@ def identify(
     values, stages = solve_stages(stage_of["unloaded"], stage_of["loaded"], model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
-    found = refine(fitted, active, values, names, model, bandwidth_Hz)
+    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance)
     values, units, warnings = found.values, units_of(active), list(found.warnings)
     stages += found.stages
-    curves, resampled, notes = _asked(found, units, profile, draws, rng, tell)
+    curves, resampled, notes = _asked(found, units, profile, draws, chance, tell)
     warnings += notes
     tell("joint", 1.0)
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
@@ -121,7 +123,7 @@ def _asked(
     units: Mapping[str, str],
     profile: bool,
     draws: int,
-    rng: np.random.Generator | None,
+    rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
     """Return profiles and bootstrap as far as asked for, and why not where there are none."""
@@ -145,7 +147,6 @@ def _asked(
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
     if draws:
-        rng = rng or np.random.default_rng(0)
         drawn = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
         resampled = tuple(d.moved(moved[d.name]) for d in drawn)
     return curves, resampled, []

@@ -72,7 +72,7 @@ def climb(
     Args:
         dataset: Unloaded recordings; rungs that bear a load need a pendulum.
         bandwidth_Hz: Of torque and regressors; None chooses as the identification does.
-        rng: Draws the recordings.
+        rng: Draws the recordings, and the noises of simulated replicates.
         replicates: Draws.
         progress: Called with what is being done and the share done.
 
@@ -101,7 +101,8 @@ def climb(
     for k, name in enumerate(names):
         model = replace(dataset.model, friction=name)
         tell(f"{name}: fit", k / len(names))
-        results.append(identify(replace(dataset, model=model), bandwidth_Hz=bandwidth_Hz))
+        one = replace(dataset, model=model)
+        results.append(identify(one, bandwidth_Hz=bandwidth_Hz, rng=rng))
         redraw = Redraw(model, fitted, scored, results[-1].fitted.get("omega_sf", 1.0), simulated)
         found.append([])
         for n, draw in enumerate(draws):

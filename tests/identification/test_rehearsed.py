@@ -61,6 +61,10 @@ def sticky(seed: int) -> list[Recording]:
     return [seen(logged(simulated(2 * seed + int(w > 0.0), w, machine), w)) for w in (0.0, 30.6)]
 
 
+def chance(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
 def at(
     values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES
 ) -> Point:
@@ -81,7 +85,7 @@ def sticky_with_bias(seed: int) -> tuple[Point, Bias]:
     point = at(STICKY, sticky(seed))
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(replicates, "_TURNS", 1)  # the true values are at hand
-        bias = likelihood_bias(point, NAMES)
+        bias = likelihood_bias(point, NAMES, chance())
     assert bias is not None
     return point, bias
 
@@ -93,6 +97,16 @@ def silent(point: Point) -> Replicate:
         np.zeros((rows, len(point.free))), np.zeros(rows), point.owners, point.breakaways
     )
     return Replicate(point, nothing, np.zeros(rows), 0)
+
+
+class Order:
+    """Numbers seeds in the order in which they come."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[int, int] = {}
+
+    def __call__(self, seed: int) -> int:
+        return self._numbers.setdefault(seed, len(self._numbers))
 
 
 def slopes(point: Point) -> BlockArrow:
@@ -129,14 +143,18 @@ def test_a_rehearsal_is_the_same_each_time_and_changes_nothing() -> None:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     point = at(TRUTH, recordings, names)
     before = point.vector.copy(), [b.copy() for b in point.breakaway_times]
-    bias = likelihood_bias(point, names)
+    bias = likelihood_bias(point, names, chance())
     assert bias is not None
     assert bias.shifts["J"] == bias.variances["J"] == 0.0
     assert all(v > 0.0 for n, v in bias.variances.items() if n != "J")
     assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in names)
     assert np.array_equal(point.vector, before[0])
     assert all(np.array_equal(a, b) for a, b in zip(point.breakaway_times, before[1], strict=True))
-    assert likelihood_bias(point, names) == bias
+    assert likelihood_bias(point, names, chance()) == bias
+    other = likelihood_bias(point, names, chance(1))
+    assert other is not None
+    assert all(other.shifts[n] != bias.shifts[n] for n in names if n != "J")
+    assert {r.noise for r in other.replicates}.isdisjoint({r.noise for r in bias.replicates})
 
 
 def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
@@ -146,7 +164,7 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
     likely = identify(dataset, profile=True, draws=20)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
     bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
-    monkeypatch.setattr(refinement, "likelihood_bias", lambda _joint, _names: bias)
+    monkeypatch.setattr(refinement, "likelihood_bias", lambda _joint, _names, _rng: bias)
     moved = identify(dataset, profile=True, draws=20)
     for name, shift in shifts.items():
         assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
@@ -192,7 +210,7 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
     }
     heard = replace(played, recording=replace(played.recording, channels=channels))
     again = replace(point, filter=Filter(Experiment((heard,))))
-    assert logged_share(again, loop) == pytest.approx(share, abs=0.1)
+    assert logged_share(again, loop, chance()) == pytest.approx(share, abs=0.1)
 
 
 def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged() -> None:
@@ -201,7 +219,7 @@ def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged() ->
     loop = replicates._loop(point.motions)
     assert loop is not None
     for quiet in (0.0, 1e-4):  # the drive answers to its encoder's steps too
-        assert logged_share(replace(point, noise=Noise(quiet)), loop) == 0.5
+        assert logged_share(replace(point, noise=Noise(quiet)), loop, chance()) == 0.5
 
 
 def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off(
@@ -211,7 +229,7 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
     values = {name: TRUTH[name] for name in names}
     found = Found(values, Spread(names, 1e-6 * np.eye(5), math.inf))
-    bias = likelihood_bias(point, names)
+    bias = likelihood_bias(point, names, chance())
     assert bias is not None
     before = point.vector.copy(), [b.copy() for b in point.breakaway_times]
     there: list[Array] = []
@@ -233,11 +251,11 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
 def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
     recordings = [logged(simulated(0, 0.0), 0.0)]
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    assert likelihood_bias(at(TRUTH, recordings, names), names) is None  # no command
+    assert likelihood_bias(at(TRUTH, recordings, names), names, chance()) is None  # no command
     known = [seen(recordings[0])]
-    assert likelihood_bias(at(TRUTH, known, (*names, "offset")), names) is None
+    assert likelihood_bias(at(TRUTH, known, (*names, "offset")), names, chance()) is None
     hanging = [replace(known[0], pendulum=Pendulum(0.1, 0.1))]
-    assert likelihood_bias(at(TRUTH, hanging, names), names) is None
+    assert likelihood_bias(at(TRUTH, hanging, names), names, chance()) is None
 
 
 def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
@@ -256,22 +274,23 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
 def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
-    failing = {0}
+    failing, order = {0}, Order()
 
     def step(_joint: Point, _loop: object, _share: float, seed: int, sign: float) -> _Scored | None:
-        if seed in failing and sign < 0.0:
+        number = order(seed)
+        if number in failing and sign < 0.0:
             return None
         out = np.zeros(len(point.free))
-        out[point.free.index(INDEX["Ms"])] = 1e-3 * (seed + 2.0 * sign)
+        out[point.free.index(INDEX["Ms"])] = 1e-3 * (number + 2.0 * sign)
         return _Scored(out, np.ones(len(point.free)), silent(point))
 
     monkeypatch.setattr(replicates, "_step", step)
-    bias = likelihood_bias(point, names)
+    bias = likelihood_bias(point, names, chance())
     assert bias is not None
     assert bias.shifts["Ms"] == pytest.approx(1e-3 * (1 + 2 + 3) / 3)
     assert bias.variances["Ms"] == pytest.approx(1e-6 / 3)
     failing |= set(range(9)) - {3}  # one pair tells no variance
-    assert likelihood_bias(point, names) is None
+    assert likelihood_bias(point, names, chance()) is None
 
 
 @pytest.mark.parametrize(("spread", "noises"), [(0.1, 3), (0.5, 6)])
@@ -280,16 +299,16 @@ def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
 ) -> None:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
-    taken: list[int] = []
+    taken, order = [], Order()
 
     def step(_joint: Point, _loop: object, _share: float, seed: int, _sign: float) -> _Scored:
-        taken.append(seed)
+        taken.append(order(seed))
         out = np.zeros(len(point.free))
-        out[point.free.index(INDEX["Ms"])] = spread * (-1.0) ** seed
+        out[point.free.index(INDEX["Ms"])] = spread * (-1.0) ** taken[-1]
         return _Scored(out, np.ones(len(point.free)), silent(point))
 
     monkeypatch.setattr(replicates, "_step", step)
-    assert likelihood_bias(point, names) is not None
+    assert likelihood_bias(point, names, chance()) is not None
     assert taken == [k for k in range(noises) for _ in range(2)]
 
 
@@ -310,7 +329,7 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(
     whole = point.origin()[place]
     found = {}
     for deviation in (1e-3, 1e3):
-        bias = likelihood_bias(point, names)
+        bias = likelihood_bias(point, names, chance())
         assert bias is not None
         found[deviation] = bias.shifts["Ms"] / whole
     assert found[1e3] == pytest.approx(0.1)

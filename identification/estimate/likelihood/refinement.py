@@ -58,6 +58,7 @@ def refine(
     names: Sequence[str],
     model: Model,
     bandwidth_Hz: float,
+    rng: np.random.Generator,
 ) -> Found:
     """Refine equation-error values by prediction errors, test them, and correct their bias.
 
@@ -68,6 +69,7 @@ def refine(
         names: Parameters to fit.
         model: Declared terms and fixed values.
         bandwidth_Hz: Bandwidth of the equation error.
+        rng: Spawns the noises of the simulated replicates.
     """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
@@ -80,7 +82,7 @@ def refine(
         starts = () if refined is None else refined.starts
         kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
-    bias = likelihood_bias(refined.joint, refined.names)
+    bias = likelihood_bias(refined.joint, refined.names, rng)
     found = Found(
         dict(refined.values),
         spread_of(refined),

@@ -54,8 +54,8 @@ at most.
 """
 _UNSEEN = 0.5
 """Logged share of the noise variance where the recordings do not show it (M34)."""
-_DRAW = 1000
-"""Seed of the noise for the drive's answer to noise."""
+_SEEDS = 1 << 63
+"""Seeds of the noises are drawn below this."""
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
 _FARTHEST = 20.0
@@ -79,7 +79,7 @@ class Bias:
     replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
 
 
-def likelihood_bias(joint: Point, names: Sequence[str]) -> Bias | None:
+def likelihood_bias(joint: Point, names: Sequence[str], rng: np.random.Generator) -> Bias | None:
     """Return the bias of the likelihood at a point (M35); none for the inertia.
 
     None where the experiment cannot be simulated: the recordings do not show the drive's loop, a
@@ -88,15 +88,18 @@ def likelihood_bias(joint: Point, names: Sequence[str]) -> Bias | None:
     Args:
         joint: The estimate.
         names: Of the fitted parameters.
+        rng: Spawns the source of all noises; its own stream stays where it is.
     """
     loop = _loop(joint.motions)
     if loop is None or OFFSET in joint.free:
         return None
-    share = logged_share(joint, loop)
+    (source,) = rng.spawn(1)
+    seeds = source.integers(_SEEDS, size=_TRIED).tolist()
+    share = logged_share(joint, loop, source)
     there, found = joint, None
     replicates: tuple[Replicate, ...] = ()
     for turn in range(1, _TURNS + 1):
-        noises = iter(range(_TRIED))
+        noises = iter(seeds)
         pairs = list(islice(_pairs(there, loop, share, noises), PAIRS))
         if len(pairs) < _ENOUGH:
             break
@@ -127,7 +130,7 @@ def likelihood_bias(joint: Point, names: Sequence[str]) -> Bias | None:
     )
 
 
-def logged_share(joint: Point, loop: Loop) -> float:
+def logged_share(joint: Point, loop: Loop, rng: np.random.Generator) -> float:
     """Return the share of the torque noise's variance that is in the logged torque and not in the
     true one (M34).
 
@@ -138,11 +141,11 @@ def logged_share(joint: Point, loop: Loop) -> float:
     Args:
         joint: The estimate.
         loop: The drive.
+        rng: Of the noise that the simulated drive answers to.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
         return _UNSEEN
-    rng = np.random.default_rng(_DRAW)
     answers = [
         _response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque
         for m in joint.motions

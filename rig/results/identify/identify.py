@@ -154,7 +154,7 @@ def identify_source(
     if other is not None:
         progress("scoring", 0.0)
         try:
-            carried = transfer(results[0], dataset, other)
+            carried = transfer(results[0], dataset, other, np.random.default_rng(seed))
         except RecordingError as error:
             raise InputError(f"{score}: {error}") from error
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
