@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.signals import signals_of
-from identification.diagnosis.view import View, views
+from identification.diagnosis.rows.view import View, views
 from identification.estimate.default import identify
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification

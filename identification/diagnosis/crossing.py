@@ -17,9 +17,10 @@ import numpy as np
 
 from identification.diagnosis.contest import Contender, Round, preference
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.marks import QUICK_SAMPLES
-from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
+from identification.diagnosis.rows.marks import QUICK_SAMPLES
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import (
     ROTOR_SHARE,
@@ -29,7 +30,6 @@ from identification.diagnosis.terms.transmission import (
     count_of_twist,
     lead,
 )
-from identification.diagnosis.view import View
 from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")

@@ -28,6 +28,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
+from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.search import Progress, search
 from identification.diagnosis.stack import stacked
 from identification.diagnosis.stretches import crowded, standing
@@ -35,7 +36,6 @@ from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.unsought import unsought
-from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import title
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit

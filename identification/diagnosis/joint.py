@@ -12,11 +12,11 @@ import numpy as np
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.linear import STEP, Solved, directions, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
-from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
+from identification.diagnosis.rows.nominal import STATICS, Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Shape
-from identification.diagnosis.view import View
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 

@@ -13,8 +13,8 @@ import numpy as np
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import COORDINATES, LINEAR_UNITS, Coordinate, edges
 from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Stack
-from identification.diagnosis.view import View
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 

@@ -29,9 +29,9 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import EXCESS, alike, judging, pruned, revisited
 from identification.diagnosis.quiet import quieter
 from identification.diagnosis.result import Step
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Candidate, Stack, surprise
 from identification.diagnosis.terms.term import Context, Term
-from identification.diagnosis.view import View
 from identification.recording import Array
 
 LEVEL = 0.01
