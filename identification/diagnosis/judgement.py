@@ -18,7 +18,8 @@ from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
 from identification.diagnosis.remembered import remembered
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
-from identification.diagnosis.search import EXCESS_OF_ONE, LEVEL, Search
+from identification.diagnosis.search import Search
+from identification.diagnosis.significance import EXCESS_OF_ONE, LEVEL
 from identification.diagnosis.wording import finding, title
 from identification.recording import Bench
 

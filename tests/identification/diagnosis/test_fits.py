@@ -19,7 +19,7 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.promise import promise
 from identification.diagnosis.rows.nominal import STATICS, Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context

@@ -15,7 +15,7 @@ from identification.diagnosis.further import groups
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import alike, hopeless, left_beyond_noise
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS

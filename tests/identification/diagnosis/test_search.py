@@ -20,7 +20,7 @@ from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.search import DRAWS, chance, flipped
+from identification.diagnosis.significance import DRAWS, chance, flipped
 from identification.diagnosis.stack import Candidate, surprise, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context

@@ -23,7 +23,7 @@ from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate, Stack, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
