@@ -35,14 +35,15 @@ from identification.estimate.default import identify
 from identification.estimate.equation_error import variable_projection as varpro
 from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
 from identification.estimate.paper_method.stage_problem import StageProblem
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.experiment import Experiment, Filter
+from identification.filter.likelihood import static_crossings
 from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import motion
 from identification.model.parameters import pack
 from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare
-from identification.recording import Array, Bench, Dataset, Model, Recording
+from identification.recording import Array, Bench, Dataset, Recording
 from rig.common.tables import table
 from rig.runs.truth import true_parameters
 
@@ -207,7 +208,7 @@ def likelihood_race(
     spent_s, spent = process_time() - began, default.evaluations
     target = _worst(default.values(), truth)
     motions = [m for m in map(motion, pair) if m is not None]
-    likelihood = Problem(motions, pack(truth, 2.0), (), Model(), Noise(0.0))
+    likelihood = Filter(Experiment(tuple(motions)))
     noise = Noise(torque_noise(motions))
 
     def named(x: Array) -> dict[str, float]:
@@ -218,8 +219,7 @@ def likelihood_race(
         out = np.empty(len(points))
         for k, x in enumerate(points):
             p = pack(named(x), 2.0)
-            begins = [m.static_crossing(static_limit(p, m)) for m in motions]
-            errors, deviations = likelihood.run(p, begins, noise)
+            errors, deviations = likelihood.run(p, static_crossings(p, motions), noise)
             value = 2.0 * float(
                 np.sum(np.log(deviations) + huber(errors / deviations, HUBER_THRESHOLD))
             )

@@ -259,19 +259,7 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         bandwidth_Hz = default_bandwidth(recording)
     grid = uniform_grid(recording)
     rate = 1.0 / recording.period
-    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
-        raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for "
-            f"more than 0 and at most "
-            f"half the rate, {0.5 * rate:.4g} Hz"
-        )
-    _, half = reach(rate, bandwidth_Hz)
-    if len(grid) < 2 * half + 8:
-        raise RecordingError(
-            f"{recording.name}: {len(grid)} samples are fewer than the {2 * half + 8} that a "
-            f"bandwidth of "
-            f"{bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer recording"
-        )
+    _require_reach(recording, len(grid), rate, bandwidth_Hz)
     low_pass = decimator(rate, bandwidth_Hz)
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, still = _motion(recording, grid, rate, cutoff)
@@ -306,6 +294,27 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         raw_velocity=velocity,
         raw_load=np.abs(hanging),
     )
+
+
+def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz: float) -> None:
+    """Refuse a bandwidth that rate or length cannot bear.
+
+    Raises:
+        RecordingError: It is more than the rate can carry, or the filter is longer than the
+            recording.
+    """
+    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
+        raise RecordingError(
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for "
+            f"more than 0 and at most half the rate, {0.5 * rate:.4g} Hz"
+        )
+    _, half = reach(rate, bandwidth_Hz)
+    if samples < 2 * half + 8:
+        raise RecordingError(
+            f"{recording.name}: {samples} samples are fewer than the {2 * half + 8} that a "
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer "
+            f"recording"
+        )
 
 
 def _motion(

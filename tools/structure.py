@@ -66,6 +66,27 @@ ARGUED: Mapping[tuple[str, str], str] = {
         "arguments",
         "drivers.mock.plant.record:record_cycles",
     ): "compiled kernel: all vectors of `advance_loaded`, and where the latches go",
+    ("files", "identification/diagnosis"): (
+        "one chain of steps on one stack of equations; folders would each need most of the others"
+    ),
+    ("arguments", "identification.corrected.arrays:signals"): (
+        "is exported as source for users' own scripts, which pass plain arrays by name"
+    ),
+    ("arguments", "identification.filter.kalman:_predict"): (
+        "inlined into a compiled kernel, which takes numbers and arrays and no records"
+    ),
+    ("arguments", "identification.filter.kalman:innovations"): (
+        "compiled kernel: takes numbers and arrays and no records; Filter is its only caller"
+    ),
+    ("long function", "identification.filter.kalman:innovations"): (
+        "a third documents its arrays; parts of the loop would each take the state and all arrays"
+    ),
+    ("arguments", "identification.simulate.closed_loop_kernel:closed_loop"): (
+        "compiled kernel: takes numbers and arrays and no records"
+    ),
+    ("arguments", "identification.simulate.servo_loop:_follow"): (
+        "compiled kernel: takes numbers and arrays and no records"
+    ),
 }
 """Bound and place, as they are printed, to why the break stays, in one line.
 

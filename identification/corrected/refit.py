@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.signals import signals_of
-from identification.diagnosis.view import View, views
+from identification.diagnosis.rows.view import View, views
 from identification.estimate.default import identify
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
@@ -38,15 +38,20 @@ def without_effects(
     ]
 
 
-def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+def refit(
+    dataset: Dataset,
+    model: CorrectedModel,
+    bandwidth_Hz: float,
+    rng: np.random.Generator | None = None,
+) -> Identification:
     """Return the nominal model of a dataset without its effects, with intervals, and None where
-    nothing pins it.
+    nothing pins it; ``rng`` as of :func:`identify`.
 
     Raises:
         RecordingError: The recordings cannot pin the model.
     """
     fitted = without_effects(dataset.part("fit"), model, bandwidth_Hz)
-    return identify(dataclasses.replace(dataset, recordings=tuple(fitted)))
+    return identify(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
 
 
 def _without(recording: Recording, view: View, model: CorrectedModel) -> Recording:

@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.signals import signals_of
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.view import View
 from identification.numerics.arrays import Array
 
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.device import label_kg
-from identification.diagnosis.view import View
 
 
 def signals_of(view: View) -> dict[str, Any]:

@@ -23,7 +23,7 @@ from identification.design.simulated import Nominal, PlannedStage, at_the_truth
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.uncertainty.cramer_rao import matching_means, replicate_information
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, LOAD_PARAMETERS, LOGARITHMIC, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
@@ -108,7 +108,7 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
     runs = []
     for number, nominal in enumerate(nominals):
         run = at_the_truth([stage], nominal, names, number, whole=False)
-        if run is None or run.problem.breakaways < LEAST_BREAKAWAYS:
+        if run is None or run.point.breakaways < LEAST_BREAKAWAYS:
             return NOTHING
         runs.append(run)
     turn = _turn(names, nominals[0])
@@ -124,10 +124,10 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
     """Return the information of a run by replicates of it, with its segments' variance inflation,
     shape (p, p).
     """
-    problem, jacobian = run.problem, run.sensitivities
-    alike = matching_means(jacobian, instruments(problem, jacobian), problem.matching_count)
-    by_segment = replicate_information(problem, alike, others)
-    return np.asarray(np.sum(by_segment / problem.inflation[:, None, None] ** 2, axis=0))
+    point, jacobian = run.point, run.sensitivities
+    alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
+    by_segment = replicate_information(point, alike, others)
+    return np.asarray(np.sum(by_segment / point.inflation[:, None, None] ** 2, axis=0))
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
@@ -172,8 +172,8 @@ def _bounded(information: Array, power: Array) -> Array:
     return np.asarray((half * np.clip(shares, 0.0, 1.0)) @ half.T * np.outer(scale, scale))
 
 
-def likelihood_slope(problem: Problem) -> float:
-    """Return how steep the likelihood is at a problem's start.
+def likelihood_slope(point: Point) -> float:
+    """Return how steep the likelihood is at a point.
 
     Where noise decides what the joint does next, the errors of the filter, which is linear about
     its prediction, have a mean. Values other than those simulated are then far likelier, and the
@@ -181,14 +181,14 @@ def likelihood_slope(problem: Problem) -> float:
     the parameters, in the metric of their information, over their number: chi-squared, about 1
     under noise alone. The inertia does not count, as it is not estimated by likelihood.
     """
-    x, count = problem.origin(), len(problem.free)
-    errors, deviations = problem.predictions(x)
-    jacobian, widening = problem.derivatives(x, errors, deviations)
+    x, count = point.origin(), len(point.free)
+    errors, deviations = point.predictions(x)
+    jacobian, widening = point.derivatives(x, errors, deviations)
     residual = np.clip(errors / deviations, -HUBER_THRESHOLD, HUBER_THRESHOLD)
     score = jacobian.back(residual) + widening.back(1.0 - residual**2)
     known = jacobian.product() + 2.0 * widening.product()
     times = list(range(count, len(score)))
-    sought = [k for k in range(count) if problem.free[k] != INDEX["J"]]
+    sought = [k for k in range(count) if point.free[k] != INDEX["J"]]
     steepness = _squared(score, known, [*sought, *times]) - _squared(score, known, times)
     return steepness / max(len(sought), 1)
 

@@ -14,7 +14,7 @@ from identification.estimate.inertia.estimating_equations import inflation_by
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.likelihood.acceptance import WHITE
 from identification.filter.breakaway_times import optimise_breakaway_times
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
 from identification.filter.segments import motion
@@ -169,20 +169,20 @@ def at_the_truth(
         return None
     free = [INDEX[n] for n in names]
     noise_level = Noise(torque_noise(known) if whole else nominal.sensors.torque_noise)
-    problem = Problem(known, pack(nominal.values, nominal.alpha), free, Model(), noise_level)
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in known]
-    optimise_breakaway_times(problem, HUBER_THRESHOLD)
+    vector = pack(nominal.values, nominal.alpha)
+    begun = Point.of(known, vector, free, Model(), noise_level)
+    point = optimise_breakaway_times(begun, HUBER_THRESHOLD)
     if whole:
-        problem.noise = likeliest_noise(problem)
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    inside = residual[: len(residual) - problem.breakaways]
+        point = replace(point, noise=likeliest_noise(point))
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    inside = residual[: len(residual) - point.breakaways]
     if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
         return None
-    jacobian = problem.jacobian(x, residual)
-    problem.inflation = inflation_by(problem, jacobian.without(free.index(INDEX["J"])))
-    return Replicate(problem, jacobian, residual, noise)
+    jacobian = held.jacobian(x, residual)
+    inflation = inflation_by(point.experiment, jacobian.without(free.index(INDEX["J"])))
+    return Replicate(replace(point, inflation=inflation), jacobian, residual, noise)
 
 
 def followed(

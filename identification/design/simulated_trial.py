@@ -36,7 +36,7 @@ def attained(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     nothing = Pinned(dict.fromkeys(names, math.inf))
     try:
         result = identify(
-            Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages)))
+            Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages))), rng=rng
         )
     except RecordingError:
         return nothing
@@ -75,12 +75,12 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
     for run in runs:
         try:
             achieved = covariances(
-                run.problem, [other for other in runs if other is not run]
+                run.point, [other for other in runs if other is not run]
             ).achieved
         except np.linalg.LinAlgError:
             return nothing
         spread = Spread(names, turn @ achieved @ turn.T, math.inf)
         found.append([spread.half_width(n) / nominals[0].values[n] for n in names])
     widths = np.where(np.all(np.isfinite(found), axis=0), np.median(found, axis=0), np.inf)
-    slopes = [math.sqrt(max(likelihood_slope(run.problem), 1.0)) for run in runs]
+    slopes = [math.sqrt(max(likelihood_slope(run.point), 1.0)) for run in runs]
     return Pinned(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))

@@ -11,8 +11,8 @@ import numpy as np
 
 from identification.diagnosis.contest import broken
 from identification.diagnosis.joint import Joint, fit
-from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import View, views
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View, views
 from identification.estimate.default import free_names, solve_stages
 from identification.model.ladder import LADDER, bears_load
 from identification.prepare import default_bandwidth, prepare, torque_unit

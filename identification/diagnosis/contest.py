@@ -14,8 +14,8 @@ from scipy import stats
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.promise import promise, risen, unkept
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import View
 
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""

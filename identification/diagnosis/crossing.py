@@ -17,9 +17,10 @@ import numpy as np
 
 from identification.diagnosis.contest import Contender, Round, preference
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.marks import QUICK_SAMPLES
-from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
+from identification.diagnosis.rows.marks import QUICK_SAMPLES
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import (
     ROTOR_SHARE,
@@ -29,7 +30,6 @@ from identification.diagnosis.terms.transmission import (
     count_of_twist,
     lead,
 )
-from identification.diagnosis.view import View
 from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")
@@ -157,17 +157,7 @@ def told_apart(
     )
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
-    loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
-    prefers_loop = (
-        _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
-    )
-    prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
-    if _falls(views, joint.nominal):
-        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's
-        # sum.
-        prefers_other = (prefers_other - preference(joint, beside)) / (
-            1.0 if seen is None else math.sqrt(2.0)
-        )
+    prefers_other = _preference(views, own, joint, beside, seen)
     best, loser, name = (
         (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
     )
@@ -187,6 +177,33 @@ def told_apart(
         for taken in rounds
     ]
     return best, out
+
+
+def _preference(
+    views: Sequence[View], own: Added, joint: Joint, beside: Joint, seen: Crossing | None
+) -> float:
+    """Return how far the other of the pair is preferred to the one that was named, in standard
+    errors.
+
+    Args:
+        views: Recordings.
+        own: The one that was named.
+        joint: Fit with it.
+        beside: Fit with the other in its place, which is its last effect.
+        seen: What the crossings say; None where none lasts long enough.
+    """
+    loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
+    prefers_loop = (
+        _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
+    )
+    prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
+    if _falls(views, joint.nominal):
+        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's
+        # sum.
+        prefers_other = (prefers_other - preference(joint, beside)) / (
+            1.0 if seen is None else math.sqrt(2.0)
+        )
+    return prefers_other
 
 
 def _gap_and_rotor(effect: Added) -> tuple[float, float]:

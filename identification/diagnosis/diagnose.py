@@ -28,18 +28,19 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.search import Progress, search
+from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.search import Progress, Search, search
 from identification.diagnosis.stack import stacked
 from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.unsought import unsought
-from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import title
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
-from identification.recording import Bench, Dataset, RecordingError
+from identification.recording import Bench, Dataset, Recording, RecordingError
 
 GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint
@@ -70,53 +71,33 @@ def diagnose(
         bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
-        onlooker: Shown the nominal model's fit before anything is sought, for other methods on the
-            same rows.
+        onlooker: Shown the nominal model's fit before anything is sought.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be
-            granted.
+        RecordingError: The recordings cannot pin the nominal model or bear a declared term.
     """
     clock = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
     chance = rng or np.random.default_rng(0)
-    fitted, held = dataset.part("fit"), dataset.part("validate")
-    if not fitted:
-        raise RecordingError("no recording with role fit")
-    bandwidth = bandwidth_Hz or common_bandwidth(fitted)
+    fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
     here, first = begun(dataset, bandwidth)
-    hidden, why = unsought(fitted, here)
-    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ()), *hidden}
-    terms = [t for t in TERMS if t.name not in left_out]
+    terms, why = _sought(dataset, here)
     if onlooker is not None:
         onlooker(first)
-    found = search(here, unit, first, terms, chance, tell, GIVING, dataset.model.fixed)
-    gives = any(e.term.name in GIVING for e in found.final.effects)
-    if gives:
-        tell("the same on the valve's side", 0.0)
-        here = views(fitted, bandwidth, True, dataset.recordings)
-        again = started(here, unit, first.nominal, dataset.model)
-        found = search(
-            here, unit, again, on_the_joint(terms), chance, tell, fixed=dataset.model.fixed
-        )
+    here, found, gives = _searched(dataset, (here, first), terms, bandwidth, chance, tell)
     baseline = found.baseline
-    aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
+    aside = _aside(dataset, bandwidth, gives)
     tell("locating", 0.95)
     verdict, where, drawn = judged(found, chance)
-    effects = effects_of(found, verdict) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else baseline
     fits = _fits(baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
-    unseen = taken_up(baseline, terms)
-    traces = _traces(baseline, scored)
-    alarm = verdict is not Verdict.NOTHING_MISSING
-    places = (
-        *standing((*here, *aside), unit),
-        *(crowded(traces) if alarm else ()),
-        *too_little(found, verdict),
-    )
+    unseen, traces = taken_up(baseline, terms), _traces(baseline, scored)
+    crowds = crowded(traces) if verdict is not Verdict.NOTHING_MISSING else ()
+    places = (*standing((*here, *aside), unit), *crowds, *too_little(found, verdict, chance))
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -135,6 +116,62 @@ def diagnose(
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
+
+
+def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recording, ...], float]:
+    """Return the recordings to fit, and the bandwidth of every error, Hz.
+
+    Raises:
+        RecordingError: There are none.
+    """
+    fitted = dataset.part("fit")
+    if not fitted:
+        raise RecordingError("no recording with role fit")
+    return fitted, bandwidth_Hz or common_bandwidth(fitted)
+
+
+def _searched(
+    dataset: Dataset,
+    begun_at: tuple[tuple[View, ...], Joint],
+    terms: Sequence[Term],
+    bandwidth: float,
+    rng: np.random.Generator,
+    tell: Progress,
+) -> tuple[tuple[View, ...], Search, bool]:
+    """Search the effects, and once more on the valve's side where the transmission is found to
+    give; return the recordings as searched last, how the search ended, and whether it gives.
+
+    Args:
+        dataset: What is diagnosed.
+        begun_at: Its recordings and the nominal model's fit of them.
+        terms: Effects to choose from.
+        bandwidth: Of every error, Hz.
+        rng: Of the tests by sign flips.
+        tell: Told what is being done.
+    """
+    (here, first), fitted, fixed = begun_at, dataset.part("fit"), dataset.model.fixed
+    unit = torque_unit(fitted[0])
+    found = search(here, unit, first, terms, rng, tell, GIVING, fixed)
+    if not any(e.term.name in GIVING for e in found.final.effects):
+        return here, found, False
+    tell("the same on the valve's side", 0.0)
+    here = views(fitted, bandwidth, True, dataset.recordings)
+    again = started(here, unit, first.nominal, dataset.model)
+    return here, search(here, unit, again, on_the_joint(terms), rng, tell, fixed=fixed), True
+
+
+def _sought(dataset: Dataset, here: Sequence[View]) -> tuple[list[Term], tuple[str, ...]]:
+    """Return the effects that are sought, and why others are not."""
+    fitted = dataset.part("fit")
+    hidden, why = unsought(fitted, here)
+    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ()), *hidden}
+    return [t for t in TERMS if t.name not in left_out], why
+
+
+def _aside(dataset: Dataset, bandwidth: float, gives: bool) -> tuple[View, ...]:
+    """Return the recordings that took no part."""
+    fitted, held = dataset.part("fit"), dataset.part("validate")
+    return views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
 
 
 def _slides(bench: Bench) -> bool:

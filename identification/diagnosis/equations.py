@@ -15,9 +15,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.marks import RISE_SAMPLES
-from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.marks import RISE_SAMPLES
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.recording import Array
 from identification.signals import BoolArray, Decimator, central_difference, quantum
 

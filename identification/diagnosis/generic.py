@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.equations import Equation
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 BINS = 8

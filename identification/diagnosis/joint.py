@@ -12,11 +12,11 @@ import numpy as np
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.linear import STEP, Solved, directions, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
-from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
+from identification.diagnosis.rows.nominal import STATICS, Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Shape
-from identification.diagnosis.view import View
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array, RecordingError
 
@@ -99,16 +99,7 @@ def fit(
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
         _require_motion(rows)
         here = stack = stacked(rows, nominal, stack)
-        if k < len(REACHES):
-            for place in range(len(effects)):
-                effects = (
-                    *effects[:place],
-                    _reshaped(here, effects, place, REACHES[k]),
-                    *effects[place + 1 :],
-                )
-        else:
-            for place in range(len(effects)):
-                effects = (*effects[:place], _polished(here, effects, place), *effects[place + 1 :])
+        effects = _shaped(here, effects, k)
         solved = solve(here, effects)
         effects = solved.effects
         settled = solved.cost >= (1.0 - SETTLED) * least
@@ -135,6 +126,19 @@ def fit(
     # contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, directions(left, best.effects)))
+
+
+def _shaped(stack: Stack, effects: tuple[Added, ...], round_: int) -> tuple[Added, ...]:
+    """Return effects with their shapes sought, one after the other: on a grid in the first rounds,
+    by Gauss-Newton steps after them.
+    """
+    for place in range(len(effects)):
+        if round_ < len(REACHES):
+            shaped = _reshaped(stack, effects, place, REACHES[round_])
+        else:
+            shaped = _polished(stack, effects, place)
+        effects = (*effects[:place], shaped, *effects[place + 1 :])
+    return effects
 
 
 def _require_motion(rows: Sequence[Equation]) -> None:

@@ -18,7 +18,8 @@ from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
 from identification.diagnosis.remembered import remembered
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
-from identification.diagnosis.search import EXCESS_OF_ONE, LEVEL, Search
+from identification.diagnosis.search import Search
+from identification.diagnosis.significance import EXCESS_OF_ONE, LEVEL
 from identification.diagnosis.wording import finding, title
 from identification.recording import Bench
 
@@ -107,7 +108,7 @@ def judged(
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
 
 
-def too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
+def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tuple[str, ...]:
     """Say what effects of the catalogue explain a part of a mismatch that has no name, or one way
     of motion only.
     """
@@ -122,7 +123,7 @@ def too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
     if broken(found.final):
         return ()
     share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
-    words = "; and ".join(e.statement for e in effects_of(found, verdict))
+    words = "; and ".join(e.statement for e in effects_of(found, rng))
     return (
         f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be "
         f"explained if {words}",
@@ -179,17 +180,21 @@ def _open(taken: Round) -> tuple[str, ...]:
     return tuple(r.name for r in taken.rivals if r.preference < REJECTED)
 
 
-def effects_of(found: Search, verdict: Verdict) -> tuple[Effect, ...]:
+def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Return every effect that was kept, with its parameters, rivals and confidence.
 
     In the order in which the search came upon them, each having explained most of what was left
     then: what another took the place of since stands last in the fit.
+
+    Args:
+        found: The search.
+        rng: Of the bands of the maps.
     """
     sizes = estimates(found.final)
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
     excess = {e.equation: e for e in _excess(found)}
     return tuple(
-        _effect(found, places[r.name], r.name, sizes[places[r.name]], r, excess)
+        _effect(found, places[r.name], sizes[places[r.name]], r, excess, rng)
         for r in found.rounds
         if r.name in places
     )
@@ -203,12 +208,12 @@ def own_bench(found: Search) -> Bench:
 def _effect(
     found: Search,
     k: int,
-    name: str,
     sizes: Mapping[str, Estimate],
     taken: Round,
     excess: Mapping[str, _Excess],
+    rng: np.random.Generator,
 ) -> Effect:
-    entry = ENTRIES[name]
+    entry = ENTRIES[taken.name]
     linear, amperes = own_bench(found).motion == "linear", found.baseline.equations[0].unit == "A"
     units = {
         q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters
@@ -223,7 +228,7 @@ def _effect(
     )
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
-    drawn = maps(stack, own, before, after, np.random.default_rng(0))
+    drawn = maps(stack, own, before, after, rng)
     where = location(own, placed(drawn, entry.coordinate.split(":")[0]), before)
     place = found.final.effects[k].term.place
     if place is not None:
@@ -243,8 +248,8 @@ def _effect(
         for r in taken.rivals
     )
     return Effect(
-        name=name,
-        alias_group=(name, *open_names),
+        name=taken.name,
+        alias_group=(taken.name, *open_names),
         confidence=confidence,
         statement=finding(entry, parameters, where.recordings),
         assumption_broken=entry.assumption,

@@ -22,9 +22,9 @@ from identification.diagnosis.contest import (
 )
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
-from identification.diagnosis.view import View
 
 EXCESS = 1.5
 """Mean square of the mismatch over that of the noise, up to which the noise may have been taken too

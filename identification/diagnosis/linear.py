@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.nominal import SPEEDS
+from identification.diagnosis.rows.nominal import SPEEDS
 from identification.diagnosis.stack import Stack, bound
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.numerics.least_squares import least_squares

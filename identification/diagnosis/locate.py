@@ -5,7 +5,7 @@ everywhere.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -13,8 +13,8 @@ import numpy as np
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import COORDINATES, LINEAR_UNITS, Coordinate, edges
 from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Stack
-from identification.diagnosis.view import View
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
@@ -27,6 +27,21 @@ same.
 """
 OWN_RECORDING = 2.0
 """Mean square of a recording's mismatch over the noise, from which on the mismatch shows in it."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A coordinate of some rows.
+
+    Attributes:
+        name: Of the coordinate.
+        unit: Of its values.
+        values: Of each row, shape (n,).
+    """
+
+    name: str
+    unit: str
+    values: Array
 
 
 def maps(
@@ -50,23 +65,12 @@ def maps(
         values = equation.rows(partial(_known, coordinate))[:, 0]
         linear = equation.views[0].recording.bench.motion == "linear"
         unit = LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit
-        made = mapped(
-            equation, coordinate.name, unit, values, before, after, block, stack.blocks, rng
-        )
+        axis = Axis(coordinate.name, unit, values)
+        made = mapped(equation, axis, before, after, block, stack.blocks, rng)
         if made is None:
             continue
         if coordinate.by_direction:
-            sided = mapped(
-                equation,
-                coordinate.name,
-                unit,
-                values,
-                sense * before,
-                sense * after,
-                block,
-                stack.blocks,
-                rng,
-            )
+            sided = mapped(equation, axis, sense * before, sense * after, block, stack.blocks, rng)
             if sided is not None and sided.share > made.share:
                 made = replace(sided, against_motion=True)
         found.append(made)
@@ -134,9 +138,7 @@ def _known(coordinate: Coordinate, view: View) -> Array:
 
 def mapped(
     equation: Equation,
-    coordinate: str,
-    unit: str,
-    values: Array,
+    axis: Axis,
     before: Array,
     after: Array,
     block: np.ndarray,
@@ -148,15 +150,14 @@ def mapped(
 
     Args:
         equation: Whose mismatch.
-        coordinate: Its name.
-        unit: Of its values.
-        values: Of each row, shape (n,).
+        axis: The coordinate.
         before: Mismatch before correction, shape (n,).
         after: The same after, shape (n,).
         block: Of each row, shape (n,).
         blocks: How many there are.
         rng: For the bands.
     """
+    values = axis.values
     grid = edges(values, BINS)
     if len(grid) < 3:
         levels = np.unique(values)
@@ -181,8 +182,8 @@ def mapped(
     share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
     return Map(
         equation=equation.name,
-        coordinate=coordinate,
-        unit=unit,
+        coordinate=axis.name,
+        unit=axis.unit,
         residual_unit=equation.unit,
         centre=centre,
         mean=mean,

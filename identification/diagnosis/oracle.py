@@ -15,12 +15,12 @@ import numpy as np
 
 from identification.diagnosis.diagnose import GIVING, held_out
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.search import screened
+from identification.diagnosis.rows.view import views
+from identification.diagnosis.significance import screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.view import views
 from identification.prepare import torque_unit
 from identification.recording import Dataset
 

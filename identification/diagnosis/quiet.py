@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from identification.diagnosis.equations import Equation, least_noise, noise, without_tones
 from identification.diagnosis.joint import Joint, fit
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 QUICK = ("cogging", "torque_ripple", "gear_mesh_ripple")

@@ -4,12 +4,11 @@ needed at the end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy import stats
 
 from identification.diagnosis.begin import or_kept, or_raised
 from identification.diagnosis.contest import (
@@ -24,37 +23,24 @@ from identification.diagnosis.contest import (
 )
 from identification.diagnosis.crossing import told_apart
 from identification.diagnosis.further import groups
-from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.kept import EXCESS, alike, judging, pruned, revisited
+from identification.diagnosis.kept import alike, judging, pruned, revisited
 from identification.diagnosis.quiet import quieter
 from identification.diagnosis.result import Step
-from identification.diagnosis.stack import Candidate, Stack, surprise
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.significance import (
+    DRAWS,
+    LEAST_SHARE,
+    LEVEL,
+    chance,
+    excess,
+    generic,
+    screened,
+)
+from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import Context, Term
-from identification.diagnosis.view import View
-from identification.recording import Array
 
-LEVEL = 0.01
-"""Of the test that anything is missing, and that anything more is."""
-LEAST_SHARE = 0.01
-"""Power of a contribution over that of the noise, in the equations where it shows, below which it
-does not matter.
-"""
-RARE = 6.0
-RARE_BLOCKS = 0.01
-"""Share of blocks in which a row beyond that may be chance: on simulated benches that hide nothing
-there is none.
-"""
-EXCESS_OF_ONE = 2.0
-"""Mean square of the torque's mismatch in one recording over the noise's, up to which nothing is
-said of it. What is met in a few strokes of one recording has too few blocks for flips of their
-signs.
-"""
-DRAWS = 999
 MOST_EFFECTS = 3
-FLAT = 1e-6
-"""Determinant of a variance over its trace's square, below which its inverse is taken with care."""
-
 Progress = Callable[[str, float], None]
 
 
@@ -79,6 +65,40 @@ class Search:
     p_after: float
     loudest: str
     steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """What the whole search is about.
+
+    Attributes:
+        views: Recordings.
+        unit: Of the torque.
+        terms: Name to the effects to choose from.
+        fixed: Nominal parameters that are not asked for.
+    """
+
+    views: tuple[View, ...]
+    unit: str
+    terms: Mapping[str, Term]
+    fixed: Collection[str]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """Of whether anything is missing.
+
+    Attributes:
+        trials: Effects of the catalogue at trial shapes.
+        unnamed: Families without a name.
+        p_value: Of the test.
+        loudest: Name of the most surprising of all.
+    """
+
+    trials: tuple[Candidate, ...]
+    unnamed: tuple[Candidate, ...]
+    p_value: float
+    loudest: str
 
 
 def search(
@@ -106,86 +126,113 @@ def search(
         until: Names, the first of which to be added ends the search.
         fixed: Nominal parameters that are not asked for.
     """
-    by_name = {t.name: t for t in terms}
-    joint, rounds, steps = baseline, [], []
-    p_value = p_after = 1.0
-    loudest = ""
-    for turn in range(MOST_EFFECTS + 1):
-        left = [t for t in terms if t.name not in {e.term.name for e in joint.effects}]
-        progress(f"screening {len(left)} effects", turn / (MOST_EFFECTS + 1))
-        trials = list(screened(joint.stack, Context(tuple(views), joint.nominal), left))
-        unnamed = list(generic(joint.stack))
-        by_size = max(excess(joint), 1e-12)
-        # No draw of the flips could be rarer than this.
-        by_flips = (
-            1.0
-            if by_size < 1.0 / (1 + DRAWS)
-            else chance([*trials, *unnamed], joint.stack.blocks, rng)
-        )
-        p_after = min(1.0, 2.0 * min(by_flips, by_size))
-        loudest = (
-            max((*trials, *unnamed), key=lambda c: c.surprise).name if trials or unnamed else ""
-        )
-        if turn == 0:
-            p_value = p_after
-        steps.append(Step("test", loudest, p_after, 0.0, "the most surprising candidate"))
-        best = _best_of_each(trials)
-        if p_after > LEVEL or turn == MOST_EFFECTS or not best:
+    case = _Case(tuple(views), unit, {t.name: t for t in terms}, fixed)
+    joint = baseline
+    rounds: list[Round] = []
+    steps: list[Step] = []
+    p_values: list[float] = []
+    while True:
+        named = {e.term.name for e in joint.effects}
+        left = [t for t in terms if t.name not in named]
+        progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
+        test = _tested(joint, case, left, rng)
+        p_values.append(test.p_value)
+        steps.append(Step("test", test.loudest, test.p_value, 0.0, "the most surprising candidate"))
+        if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
             break
-        missing = partial(_missing, joint, by_name, (*trials, *unnamed), rng)
-        taken = None
-        for finalists in groups(baseline, joint, by_name, best, missing):
-            progress(
-                "fitting " + ", ".join(c.name for c in finalists), (turn + 0.5) / (MOST_EFFECTS + 1)
-            )
-            taken = _contest(
-                views, unit, baseline, joint, finalists, by_name, p_after, steps, fixed
-            )
-            if taken is not None:
-                break
+        tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
+        taken = _taken(case, (baseline, joint), test, rng, tell, steps)
         if taken is None:
             break
         joint, added = taken
         rounds.append(added)
         baseline, joint = quieter(views, unit, baseline, joint)
         if added.name in until:
-            return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
-    before = joint
-    joint, rounds = pruned(views, unit, baseline, joint, rounds, steps)
+            break
+    if not rounds or rounds[-1].name not in until:
+        joint, rounds = _settled(case, (baseline, joint), rounds, progress, steps)
+    p_value, p_after = p_values[0], p_values[-1]
+    return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
+
+
+def _tested(joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator) -> _Test:
+    """Test whether anything is missing, by size and by sign flips."""
+    trials = tuple(screened(joint.stack, Context(case.views, joint.nominal), left))
+    unnamed = tuple(generic(joint.stack))
+    every = (*trials, *unnamed)
+    by_size = max(excess(joint), 1e-12)
+    # No draw of the flips could be rarer than this.
+    by_flips = 1.0 if by_size < 1.0 / (1 + DRAWS) else chance(every, joint.stack.blocks, rng)
+    loudest = max(every, key=lambda c: c.surprise).name if every else ""
+    return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
+
+
+def _tell(progress: Progress, share: float, finalists: Sequence[Candidate]) -> None:
+    progress("fitting " + ", ".join(c.name for c in finalists), share)
+
+
+def _taken(
+    case: _Case,
+    fits: tuple[Joint, Joint],
+    test: _Test,
+    rng: np.random.Generator,
+    tell: Callable[[Sequence[Candidate]], None],
+    steps: list[Step],
+) -> tuple[Joint, Round] | None:
+    """Return the model with the best further effect, or None where none will do.
+
+    Args:
+        case: What the search is about.
+        fits: Of the nominal model, and with the effects taken so far.
+        test: The test that asks for one more.
+        rng: Of the tests of single equations.
+        tell: Told which effects are being fitted.
+        steps: Gains what was done.
+    """
+    baseline, joint = fits
+    best = _best_of_each(test.trials)
+    if not best:
+        return None
+    missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)
+    for finalists in groups(baseline, joint, case.terms, best, missing):
+        tell(finalists)
+        taken = _contest(case, fits, finalists, test.p_value, steps)
+        if taken is not None:
+            return taken
+    return None
+
+
+def _settled(
+    case: _Case,
+    fits: tuple[Joint, Joint],
+    rounds: list[Round],
+    progress: Progress,
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Try to remove each effect, then its rivals beside the others; return what is kept."""
+    (baseline, before), views, unit = fits, case.views, case.unit
+    joint, rounds = pruned(views, unit, baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
         progress("rivals, beside the other effects", 0.9)
         joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
-    joint, rounds = told_apart(views, unit, baseline, joint, rounds, terms, steps)
-    return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
+    return told_apart(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
 
 
 def _contest(
-    views: Sequence[View],
-    unit: str,
-    baseline: Joint,
-    joint: Joint,
+    case: _Case,
+    fits: tuple[Joint, Joint],
     finalists: Sequence[Candidate],
-    terms: Mapping[str, Term],
     p_value: float,
     steps: list[Step],
-    fixed: Collection[str],
 ) -> tuple[Joint, Round] | None:
     """Fit finalists jointly with what is named already; return the model with the best, or None
     where none will do.
     """
     if not finalists:
         return None
-    fitted = []
-    for candidate in finalists:
-        added = Added(
-            terms[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients)
-        )
-        tried = fit(views, unit, joint.nominal, (*joint.effects, added), baseline)
-        # What is built from the fall of friction may have hidden it from the nominal fit.
-        lost = added.term.follows and tried.nominal.flat
-        tried = or_raised(views, unit, tried, joint.nominal, fixed) if lost else tried
-        fitted.append(or_kept(views, unit, tried))
+    terms, joint = case.terms, fits[1]
+    fitted = [_fitted(case, fits, candidate) for candidate in finalists]
     beyond = [implausible(f) for f in fitted]
     ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
     order = [k for k in ranked if not beyond[k]]
@@ -218,6 +265,21 @@ def _contest(
     return fitted[winner], Round(finalists[winner].name, rivals)
 
 
+def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
+    """Return the fit with a candidate beside what is named already."""
+    baseline, joint = fits
+    added = Added(
+        case.terms[candidate.name],
+        candidate.shape,
+        tuple(float(c) for c in candidate.coefficients),
+    )
+    tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
+    if added.term.follows and tried.nominal.flat:
+        # What is built from the fall of friction may have hidden it from the nominal fit.
+        tried = or_raised(case.views, case.unit, tried, joint.nominal, case.fixed)
+    return or_kept(case.views, case.unit, tried)
+
+
 def _missing(
     joint: Joint,
     terms: Mapping[str, Term],
@@ -236,156 +298,6 @@ def _missing(
         if (name in judging(joint, terms[c.name]) if c.name in terms else c.name.startswith(name))
     ]
     return 2.0 * judged * chance(own, joint.stack.blocks, rng) <= LEVEL
-
-
-def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape that these recordings can show."""
-    for term in terms:
-        for shape in term.shapes(context):
-            candidate = stack.term(term, shape)
-            if candidate is not None:
-                yield candidate
-
-
-def generic(stack: Stack) -> Iterator[Candidate]:
-    """Yield the families without a name, in every equation."""
-    for equation in stack.equations:
-        for name, columns in families(equation):
-            candidate = stack.independent(f"{equation.name} over {name}", equation.name, columns)
-            if candidate is not None:
-                yield candidate
-
-
-def chance(
-    candidates: Sequence[Candidate],
-    blocks: int,
-    rng: np.random.Generator,
-    least: float = LEAST_SHARE,
-) -> float:
-    """Return the p-value of the most surprising of all candidates that matter, by flipping signs of
-    whole blocks.
-
-    The same flips serve all candidates, so that what they share counts once and how many there are
-    is allowed for. One that explains less than ``least`` of the noise is no finding however sure:
-    it is left out of what is seen, and stays among what might have been.
-    """
-    if not candidates:
-        return 1.0
-    flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
-    seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
-    if seen == -np.inf:
-        return 1.0
-    # A surprise grows with the statistic: of candidates with as many numbers that of the greatest
-    # will do.
-    greatest: dict[int, Array] = {}
-    for candidate in candidates:
-        degrees, drawn = candidate.blocks.shape[1], flipped(candidate, flips)
-        greatest[degrees] = np.maximum(greatest.get(degrees, drawn), drawn)
-    beyond = np.any(
-        [surprise(drawn, degrees) >= seen for degrees, drawn in greatest.items()], axis=0
-    )
-    return float((1 + np.sum(beyond)) / (1 + DRAWS))
-
-
-def flipped(candidate: Candidate, flips: Array) -> Array:
-    """Return the statistic under flips of sign, shape (draws, b), computed as the one that was
-    seen, shape (draws,).
-    """
-    sums, weights = candidate.blocks, candidate.weights
-    if not len(weights):
-        values, vectors = np.linalg.eigh(sums.T @ sums)
-        keep = values > 1e-10 * max(float(values[-1]), 1e-300)
-        return np.asarray(
-            np.sum((flips @ sums @ (vectors[:, keep] / np.sqrt(values[keep]))) ** 2, axis=1)
-        )
-    score = flips @ sums
-    # V = sum over blocks of (w a - G s)(w a - G s)', multiplied out so that flips meet blocks in
-    # one product.
-    blocks, degrees = sums.shape
-    crossed = np.einsum("bj,bkl->bjkl", sums, weights).reshape(blocks, -1)
-    mixed = ((flips @ crossed).reshape(-1, degrees**2, degrees) @ score[:, :, None]).reshape(
-        -1, degrees, degrees
-    )
-    flat = weights.reshape(blocks, -1)
-    square = (
-        (flat.T @ flat)
-        .reshape(degrees, degrees, degrees, degrees)
-        .transpose(1, 3, 0, 2)
-        .reshape(degrees**2, -1)
-    )
-    pairs = (score[:, :, None] * score[:, None, :]).reshape(-1, degrees**2)
-    variance = (
-        sums.T @ sums
-        - mixed
-        - np.swapaxes(mixed, 1, 2)
-        + (pairs @ square).reshape(-1, degrees, degrees)
-    )
-    if degrees == 1:
-        return np.asarray(score[:, 0] ** 2 / np.maximum(variance[:, 0, 0], 1e-300))
-    if degrees == 2:
-        return _over_two(score, variance)
-    return np.asarray(
-        np.einsum("dj,djk,dk->d", score, np.linalg.pinv(variance, hermitian=True), score)
-    )
-
-
-def _over_two(score: Array, variance: Array) -> Array:
-    """Return scores of two numbers, shape (d, 2), over their variance, (d, 2, 2): most trial shapes
-    are waves.
-    """
-    a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
-    x, y = score.T
-    left = a * c - b * b
-    flat = left <= FLAT * (a + c) ** 2
-    out = (c * x * x - 2.0 * b * x * y + a * y * y) / np.where(flat, 1.0, left)
-    for k in np.flatnonzero(flat):
-        out[k] = score[k] @ np.linalg.pinv(variance[k], hermitian=True) @ score[k]
-    return np.asarray(out)
-
-
-def excess(joint: Joint, only: str = "") -> float:
-    """Return the p-value of the mean square of the mismatch being no more than :data:`EXCESS` times
-    the noise's.
-
-    Over all equations, or in the one of the name ``only``.
-
-    It needs no candidate: what looks like nothing in the catalogue, nor like anything smooth, is
-    noticed by its size. Rows beyond :data:`RARE` times the noise count as that, so that a few of
-    them are not taken for physics; and a row counts as half an observation, as neighbours share the
-    filter. Where such rows come in block after block, as they do after every reversal on a joint
-    that springs before it slips, it is how many blocks that counts.
-    """
-    chances = []
-    for equation in joint.equations:
-        if equation.name == "breakaway" or (only and equation.name != only):
-            continue
-        rows = joint.stack.part(equation.name)
-        powers = np.minimum(np.abs(joint.residual[rows]), RARE) ** 2
-        chances.append(_beyond(powers, EXCESS))
-        chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
-        if equation.name == "torque":
-            chances += [
-                _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views
-            ]
-    return min([1.0, *(len(chances) * chance for chance in chances)])
-
-
-def _beyond(powers: Array, limit: float) -> float:
-    """Return the chance of such a mean square, were the noise's ``limit``; 1 without rows."""
-    half = 0.5 * len(powers)
-    return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
-
-
-def _recurring(residual: Array, block: np.ndarray) -> float:
-    """Return the chance of so many blocks with a row beyond :data:`RARE`, were one in a hundred to
-    have any.
-
-    1 where all of it is no more than :data:`EXCESS` times the noise's power.
-    """
-    if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
-        return 1.0
-    found = len(np.unique(block[np.abs(residual) > RARE]))
-    return float(stats.binom.sf(found - 1, len(np.unique(block)), RARE_BLOCKS))
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:

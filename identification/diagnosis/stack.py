@@ -17,10 +17,10 @@ from scipy import sparse, special
 
 from identification.diagnosis.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.equations import Equation
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.lateness import behind
 from identification.diagnosis.terms.term import Columns, Shape, Term
-from identification.diagnosis.view import View
 from identification.recording import Array
 
 ABSORBED = 1e-3

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from identification.diagnosis.result import ResidualTrace
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 LONG_S = 0.3

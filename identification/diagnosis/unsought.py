@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 
-from identification.diagnosis.clock import one_clock
-from identification.diagnosis.view import View, without_origin
+from identification.diagnosis.rows.clock import one_clock
+from identification.diagnosis.rows.view import View, without_origin
 from identification.diagnosis.wording import title
 from identification.recording import Recording
 

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from string import Formatter
 
-from identification.diagnosis.catalogue import Entry
+from identification.diagnosis.entries.entry import Entry
 from identification.diagnosis.result import Estimate
 
 COUNT = "1/turn"

@@ -30,7 +30,7 @@ from identification.estimate.uncertainty.parameter_table import (
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
-from identification.recording import Dataset, Model, RecordingError
+from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Convergence, Identification, Profile, Resampled
 
 Progress = Callable[[str, float], None]
@@ -52,7 +52,8 @@ def identify(
         at the end.
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what
         each bears.
-        rng: Draws the segments of the bootstrap.
+        rng: Draws the noises of the simulated replicates and the segments of the bootstrap; seed 0
+            where it is None.
         progress: Called with a stage's name and the share done.
         profile: Whether to profile the likelihood of every parameter as well, which takes several
         times as long.
@@ -63,6 +64,7 @@ def identify(
     """
     started = perf_counter()
     tell = progress or (lambda _stage, _share: None)
+    chance = rng or np.random.default_rng(0)
     fitted = dataset.part("fit")
     if not fitted:
         raise RecordingError("no recording has role 'fit'; at least one is needed")
@@ -71,49 +73,74 @@ def identify(
     tell("unloaded", 0.0)
     every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
     active = [p for p in every if p.recording.role == "fit"]
-    stage_of = {
-        stage: [p for p in active if p.recording.stage == stage] for stage in ("unloaded", "loaded")
-    }
     model = dataset.model
-    values, stages = solve_stages(stage_of["unloaded"], stage_of["loaded"], model, tell)
+    values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
-    found = refine(fitted, active, values, names, model, bandwidth_Hz)
-    values, units, warnings = found.values, units_of(active), list(found.warnings)
-    stages += found.stages
-    curves, resampled, notes = _asked(found, units, profile, draws, rng, tell)
-    warnings += notes
+    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance)
+    curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
-    fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
-    validate = [p for p in every if p.recording.role == "validate"]
-    parameters = parameter_table(active, values, found.spread, model, found.floors)
-    for p in active:
-        if not np.any(p.used):
-            warnings.append(
-                f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} "
-                f"Hz"
-            )
+    whole = replace(
+        found,
+        stages=(*stages, *found.stages),
+        warnings=(*found.warnings, *notes, *_unresolved(active)),
+    )
+    result = identification(dataset, [(p.recording, [p]) for p in every], whole)
+    seconds = perf_counter() - started
+    return replace(result, profiles=curves, resampled=resampled, seconds=seconds)
+
+
+def identification(
+    dataset: Dataset,
+    prepared: Sequence[tuple[Recording, Sequence[Prepared]]],
+    found: Found,
+) -> Identification:
+    """Return the result of the default method.
+
+    Args:
+        dataset: What was identified.
+        prepared: Every recording with its pieces; traces are those of the first.
+        found: The estimate, with all stages and warnings.
+    """
+    model, values = dataset.model, found.values
+    active = [p for r, parts in prepared if r.role == "fit" for p in parts]
+    validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
+    first = active[0].recording
     return Identification(
         method="default",
-        motion=fitted[0].bench.motion,
+        motion=first.bench.motion,
         alpha=model.alpha,
-        parameters=parameters,
+        parameters=parameter_table(active, values, found.spread, model, found.floors),
         fit=fit_of(active, values, model.alpha, validate),
-        stages=tuple(stages),
+        stages=found.stages,
         fitted=dict(values),
         friction=model.friction,
         starts=found.starts,
-        tradeoffs=tradeoffs(found.spread, values, units),
+        tradeoffs=tradeoffs(found.spread, values, units_of(active)),
         least_pinned=least_pinned(found.spread, values),
-        noise=None if found.taken is None else noise_of(found.taken, torque_unit(fitted[0])),
-        profiles=curves,
-        resampled=resampled,
-        warnings=tuple(warnings),
-        traces=tuple(trace_of(p, values, model.alpha) for p in every),
-        fits_by_recording=fits,
-        evaluations=sum(s.evaluations for s in stages),
-        seconds=perf_counter() - started,
+        noise=None if found.taken is None else noise_of(found.taken, torque_unit(first)),
+        warnings=found.warnings,
+        traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
+        fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
+        evaluations=sum(s.evaluations for s in found.stages),
     )
+
+
+def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared]]:
+    """Return the unloaded ones and the loaded ones."""
+    unloaded, loaded = (
+        [p for p in prepared if p.recording.stage == stage] for stage in ("unloaded", "loaded")
+    )
+    return unloaded, loaded
+
+
+def _unresolved(active: Sequence[Prepared]) -> list[str]:
+    """Say which recordings the equation error cannot use."""
+    return [
+        f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz"
+        for p in active
+        if not np.any(p.used)
+    ]
 
 
 def _asked(
@@ -121,7 +148,7 @@ def _asked(
     units: Mapping[str, str],
     profile: bool,
     draws: int,
-    rng: np.random.Generator | None,
+    rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
     """Return profiles and bootstrap as far as asked for, and why not where there are none."""
@@ -145,7 +172,6 @@ def _asked(
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
     if draws:
-        rng = rng or np.random.default_rng(0)
         drawn = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
         resampled = tuple(d.moved(moved[d.name]) for d in drawn)
     return curves, resampled, []

@@ -17,7 +17,7 @@ from identification.estimate.ladder_bootstrap import Indices, Redraw, Score
 from identification.model.ladder import LADDER, bears_load
 from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, default_bandwidth, prepare
-from identification.recording import Dataset, RecordingError
+from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from identification.simulate.closed_loop import replay
 from identification.simulate.score import compare, pooled
@@ -72,7 +72,7 @@ def climb(
     Args:
         dataset: Unloaded recordings; rungs that bear a load need a pendulum.
         bandwidth_Hz: Of torque and regressors; None chooses as the identification does.
-        rng: Draws the recordings.
+        rng: Draws the recordings, and the noises of simulated replicates.
         replicates: Draws.
         progress: Called with what is being done and the share done.
 
@@ -80,15 +80,8 @@ def climb(
         RecordingError: A recording is loaded, or cannot be fitted.
     """
     tell = progress or (lambda _what, _share: None)
-    loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
-    if loaded:
-        raise RecordingError(
-            f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out"
-        )
-    to_fit = dataset.part("fit")
+    to_fit = _to_fit(dataset)
     to_score = dataset.part("validate") or to_fit
-    if not to_fit:
-        raise RecordingError("no recording has role 'fit'; at least one is needed")
     if bandwidth_Hz is None:
         bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
     fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
@@ -101,7 +94,8 @@ def climb(
     for k, name in enumerate(names):
         model = replace(dataset.model, friction=name)
         tell(f"{name}: fit", k / len(names))
-        results.append(identify(replace(dataset, model=model), bandwidth_Hz=bandwidth_Hz))
+        one = replace(dataset, model=model)
+        results.append(identify(one, bandwidth_Hz=bandwidth_Hz, rng=rng))
         redraw = Redraw(model, fitted, scored, results[-1].fitted.get("omega_sf", 1.0), simulated)
         found.append([])
         for n, draw in enumerate(draws):
@@ -120,6 +114,23 @@ def climb(
         )
         for k, (name, result, scores) in enumerate(zip(names, results, found, strict=True))
     )
+
+
+def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
+    """Return the recordings to fit.
+
+    Raises:
+        RecordingError: A recording is loaded, or none is to be fitted.
+    """
+    loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
+    if loaded:
+        raise RecordingError(
+            f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out"
+        )
+    to_fit = dataset.part("fit")
+    if not to_fit:
+        raise RecordingError("no recording has role 'fit'; at least one is needed")
+    return to_fit
 
 
 def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:

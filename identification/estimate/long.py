@@ -7,41 +7,39 @@ the velocity stays at the full rate. The prediction errors pass over the pieces
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from identification.estimate import default
-from identification.estimate.default import Progress, free_names, solve_stages
+from identification.estimate.default import (
+    Progress,
+    by_load,
+    free_names,
+    identification,
+    solve_stages,
+)
 from identification.estimate.equation_error.block_sandwich import block_sandwich
 from identification.estimate.likelihood import acceptance
 from identification.estimate.likelihood.long_refinement import refine_pieces
 from identification.estimate.likelihood.refinement import (
+    Found,
     floors_of,
     joint_convergence,
-    noise_of,
     spread_of,
 )
 from identification.estimate.uncertainty.parameter_table import (
-    fit_of,
-    parameter_table,
-    trace_of,
     typical_error,
-    units_of,
 )
-from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.prepare import (
-    Prepared,
     default_bandwidth,
     joint_angle,
     prepare,
     resting,
-    torque_unit,
 )
 from identification.recording import Dataset, Recording
-from identification.result import Identification, MeasuredNoise, Starts
+from identification.result import Identification
 
 LONG_SAMPLES = 200_000
 """Samples to fit, over all recordings, above which memory is bounded; below, all of them at once
@@ -123,10 +121,8 @@ def identify_long(
     tell("unloaded", 0.0)
     prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
     fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
-    validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
-    values, stages = solve_stages(_of(fit, "unloaded"), _of(fit, "loaded"), model, tell)
+    values, stages = solve_stages(*by_load(fit), model, tell)
     names = free_names(values, model)
-    warnings: list[str] = []
     tell("joint", 0.0)
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
     refined, fault = acceptance.try_refinements(
@@ -136,46 +132,18 @@ def identify_long(
         lambda v: typical_error(fit, v, model.alpha),
         values,
     )
-    floors: dict[str, float] = {}
-    noise: MeasuredNoise | None = None
-    starts: tuple[Starts, ...] = ()
-    if refined is not None:
-        stages.append(joint_convergence(refined))
-        starts = refined.starts
     if refined is None or fault:
-        warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
-        spread = block_sandwich(fit, values, names, model.alpha)
+        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
+        found = Found(values, block_sandwich(fit, values, names, model.alpha), warnings=(kept,))
     else:
-        values, spread, floors = (
-            dict(refined.values),
-            spread_of(refined),
-            floors_of(refined.names, refined.floor),
-        )
-        noise = noise_of(refined, torque_unit(heads[0]))
+        floors = floors_of(refined.names, refined.floor)
+        found = Found(dict(refined.values), spread_of(refined), floors, refined)
+    if refined is not None:
+        stages = [*stages, joint_convergence(refined)]
+        found = replace(found, starts=refined.starts)
     tell("joint", 1.0)
-    return Identification(
-        method="default",
-        motion=dataset.recordings[0].bench.motion,
-        alpha=model.alpha,
-        parameters=parameter_table(fit, values, spread, model, floors),
-        fit=fit_of(fit, values, model.alpha, validate),
-        stages=tuple(stages),
-        fitted=dict(values),
-        friction=model.friction,
-        starts=starts,
-        tradeoffs=tradeoffs(spread, values, units_of(fit)),
-        least_pinned=least_pinned(spread, values),
-        noise=noise,
-        warnings=tuple(warnings),
-        traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
-        fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
-        evaluations=sum(s.evaluations for s in stages),
-        seconds=perf_counter() - started,
-    )
-
-
-def _of(prepared: Sequence[Prepared], stage: str) -> list[Prepared]:
-    return [p for p in prepared if p.recording.stage == stage]
+    result = identification(dataset, prepared, replace(found, stages=tuple(stages)))
+    return replace(result, seconds=perf_counter() - started)
 
 
 def _cut(recording: Recording, near: int) -> int:

@@ -8,6 +8,8 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from identification.estimate.default import identify
 from identification.estimate.equation_error.noise_floor import Floor, noise_floor
 from identification.estimate.uncertainty.parameter_table import fit_of
@@ -61,7 +63,12 @@ class Transfer:
     other: Identification
 
 
-def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfer:
+def transfer(
+    first: Identification,
+    dataset: Dataset,
+    other: Dataset,
+    rng: np.random.Generator | None = None,
+) -> Transfer:
     """Score a fitted model on other recordings, and compare it with what they say alone.
 
     The other recordings are identified with the same model and bandwidth; those that their own
@@ -71,6 +78,7 @@ def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfe
         first: The fit to carry over.
         dataset: What it was fitted to; its declared model counts for both.
         other: Recordings it has not seen.
+        rng: Of the identification of these; seed 0 where it is None.
 
     Raises:
         RecordingError: The other recordings cannot bear the model, or hold one that it was fitted
@@ -92,7 +100,7 @@ def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfe
     if mine != theirs:
         raise RecordingError(f"a {mine} bench cannot be scored on a {theirs} one")
     bandwidth_Hz = first.fit.bandwidth_Hz
-    own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz)
+    own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz, rng=rng)
     prepared = [prepare(r, bandwidth_Hz) for r in recordings]
     names = [
         name

@@ -1,14 +1,12 @@
-"""Breakaway times: optimised with the parameters held, or eliminated from a problem's normal
-equations.
-"""
+"""Breakaway times: optimised with the parameters held, or eliminated from the normal equations."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber, huber_weight
 
@@ -37,59 +35,60 @@ class Reduced:
 
 
 def optimise_breakaway_times(
-    problem: Problem, threshold: float = np.inf, rounds: int = ROUNDS
-) -> None:
-    """Minimise the Huber cost of each segment over its breakaway time, the parameters held.
+    point: Point, threshold: float = np.inf, rounds: int = ROUNDS
+) -> Point:
+    """Return the point of least Huber cost of each segment over its breakaway time, the parameters
+    held.
 
     By Gauss-Newton with one step length per segment: a step that raises its segment's cost is
     undone and shortened.
     """
-    count, m = len(problem.free), problem.breakaways
-    owners = problem.owners
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
+    count, m = len(point.free), point.breakaways
+    owners = point.owners
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
     cost = np.bincount(owners, huber(residual, threshold), m)
     length = np.ones(m)
     for _ in range(rounds):
         there = x.copy()
         there[count:] += 1e-3
-        along = (problem.residuals(there) - residual) / 1e-3
+        along = (held.residuals(there) - residual) / 1e-3
         weight = huber_weight(residual, threshold)
         own = np.bincount(owners, weight * along * along, m)
         step = -np.bincount(owners, weight * along * residual, m) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
         trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
-        tried = problem.residuals(trial)
+        tried = held.residuals(trial)
         tried_cost = np.bincount(owners, huber(tried, threshold), m)
         better = tried_cost < cost
         x[count:] = np.where(better, trial[count:], x[count:])
         length = np.where(better, 1.0, 0.25 * length)
         residual = np.where(better[owners], tried, residual)
         cost = np.where(better, tried_cost, cost)
-    problem.breakaway_times = problem.times(x)
+    return replace(point, breakaway_times=point.times(x))
 
 
-def search_breakaway_times(problem: Problem, threshold: float) -> None:
-    """Find the best of the minima of each breakaway time, the parameters held."""
-    optimise_breakaway_times(problem, threshold)
-    problem.hold_weights()
-    if problem.move_breakaways(threshold):
-        optimise_breakaway_times(problem, threshold)
+def search_breakaway_times(point: Point, threshold: float) -> Point:
+    """Return the point at the best of the minima of each breakaway time, the parameters held."""
+    there, moved = (
+        optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
+    )
+    return optimise_breakaway_times(there, threshold) if moved else there
 
 
-def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
-    """Return the normal equations at a problem's start, breakaway times eliminated (M12).
+def reduce(point: Point, threshold: float = np.inf) -> Reduced:
+    """Return the normal equations at a point, breakaway times eliminated (M12).
 
     Args:
-        problem: Recordings, free parameters, breakaway times and noise.
+        point: Recordings, free parameters, breakaway times and noise.
         threshold: Residual size beyond which Huber's weight is below one.
     """
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    found = problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
-    inside = residual[: len(residual) - problem.breakaways]
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    found = held.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
+    inside = residual[: len(residual) - point.breakaways]
     return Reduced(
         normal=found.matrix,
         scores=found.scores,

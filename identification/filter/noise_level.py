@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.filter.segments import Motion
@@ -47,15 +47,14 @@ def torque_noise(motions: Sequence[Motion]) -> float:
     return float(1.4826 * spread / np.sqrt(20.0))
 
 
-def likeliest_noise(problem: Problem) -> Noise:
-    """Return the noise of least deviance at a problem's start, with a correlated part where its own
-    has one.
+def likeliest_noise(point: Point) -> Noise:
+    """Return the noise of least deviance at a point, with a correlated part where its own has one.
 
     Args:
-        problem: Its parameters and breakaway times are held; the search starts from its noise.
+        point: Its parameters and breakaway times are held; the search starts from its noise.
     """
-    first = problem.noise
-    unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in problem.motions))])
+    first = point.noise
+    unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
     simplex, most = np.array(_SIMPLEX), _MOST
     if first.correlated > 0.0:
         unit = np.append(unit, [first.correlated, first.correlation_s])
@@ -65,7 +64,7 @@ def likeliest_noise(problem: Problem) -> Noise:
         return Noise(*(np.exp(np.clip(x, -_FARTHEST_LOG, _FARTHEST_LOG)) * unit).tolist())
 
     def cost(x: Array) -> float:
-        return deviance(*problem.run(problem.start, problem.breakaway_times, levels(x)))
+        return deviance(*point.run(levels(x)))
 
     found = optimize.minimize(
         cost,
@@ -76,34 +75,29 @@ def likeliest_noise(problem: Problem) -> Noise:
     return levels(found.x)
 
 
-def first_correlated_noise(problem: Problem) -> Noise:
+def first_correlated_noise(point: Point) -> Noise:
     """Return the noise of least deviance among a few with a correlated part, as a start of the
     search.
     """
-    period = max(m.recording.period for m in problem.motions)
+    period = max(m.recording.period for m in point.motions)
     tried = [
-        replace(
-            problem.noise, correlated=share * problem.noise.torque, correlation_s=periods * period
-        )
+        replace(point.noise, correlated=share * point.noise.torque, correlation_s=periods * period)
         for share in _SHARES
         for periods in _PERIODS
     ]
-    return min(
-        tried,
-        key=lambda noise: deviance(*problem.run(problem.start, problem.breakaway_times, noise)),
-    )
+    return min(tried, key=lambda noise: deviance(*point.run(noise)))
 
 
-def repeating_share(problem: Problem) -> float:
+def repeating_share(point: Point) -> float:
     """Return the share of the filtered correlated noise that matching half cycles have in common
     (M26).
 
     Noise does not repeat; physics that the model lacks does. One where a recording has no matching
     half cycles of the same direction.
     """
-    problem.run(problem.start, problem.breakaway_times, problem.noise)
     common, power = 0.0, 0.0
-    for m, hidden in zip(problem.motions, problem.correlated_torque, strict=True):
+    filtered = point.filter.correlated_torque(point.vector, point.breakaway_times, point.noise)
+    for m, hidden in zip(point.motions, filtered, strict=True):
         first, last = m.table[:, [FIRST, LAST]].astype(np.int64).T
         same = (
             m.matching & m.matching.T & np.equal.outer(m.table[:, DIRECTION], m.table[:, DIRECTION])

@@ -20,10 +20,51 @@ search runs for all its generations.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from identification.numerics.arrays import Array
+
+
+@dataclass(frozen=True)
+class GeneticSettings:
+    """Settings of a search; the defaults are the paper's (Sec. 4.2) or, where it gives none, the
+    toolbox's.
+
+    Attributes:
+        population: Individuals per generation.
+        crossover_fraction: Share of the non-elite children made by crossover; the others are
+            mutants.
+        elite: Individuals that survive unchanged.
+        mutation_scale: Standard deviation of the first generation's mutation over the width of the
+            box.
+        mutation_shrink: Share of that deviation lost, linearly, by the last generation.
+        generations: Generations after which the search stops; the first, random one counts.
+
+    Raises:
+        ValueError: Settings that make no search.
+    """
+
+    population: int = 40
+    crossover_fraction: float = 0.8
+    elite: int = 2
+    mutation_scale: float = 1.0
+    mutation_shrink: float = 1.0
+    generations: int = 1000
+
+    def __post_init__(self) -> None:
+        if (
+            not 0 <= self.elite < self.population
+            or not 0.0 <= self.crossover_fraction <= 1.0
+            or self.generations < 1
+        ):
+            raise ValueError(
+                f"population {self.population}, elite {self.elite}, crossover fraction "
+                f"{self.crossover_fraction}, generations {self.generations}: need 0 <= elite < "
+                f"population, a fraction in 0..1 and at least 1 generation"
+            )
 
 
 class GeneticAlgorithm:
@@ -32,32 +73,19 @@ class GeneticAlgorithm:
     Args:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
-        population: Individuals per generation.
-        crossover_fraction: Share of the non-elite children made by crossover; the others are
-        mutants.
-        elite: Individuals that survive unchanged.
-        mutation_scale: Standard deviation of the first generation's mutation over the width of the
-        box.
-        mutation_shrink: Share of that deviation lost, linearly, by the last generation.
-        generations: Generations after which ``stop`` is true; the first, random one counts.
         rng: Source of all randomness.
+        settings: Population, operators and number of generations; None for the paper's.
 
     Raises:
-        ValueError: Bounds or settings that make no search.
+        ValueError: Bounds that make no box.
     """
 
     def __init__(
         self,
         low: ArrayLike,
         high: ArrayLike,
-        *,
-        population: int = 40,
-        crossover_fraction: float = 0.8,
-        elite: int = 2,
-        mutation_scale: float = 1.0,
-        mutation_shrink: float = 1.0,
-        generations: int = 1000,
         rng: np.random.Generator,
+        settings: GeneticSettings | None = None,
     ) -> None:
         self.low = np.array(low, dtype=float)
         self.high = np.array(high, dtype=float)
@@ -70,24 +98,19 @@ class GeneticAlgorithm:
             raise ValueError(
                 f"lower bounds {self.low} must be finite and below the upper bounds {self.high}"
             )
-        if not 0 <= elite < population or not 0.0 <= crossover_fraction <= 1.0 or generations < 1:
-            raise ValueError(
-                f"population {population}, elite {elite}, crossover fraction "
-                f"{crossover_fraction}, generations "
-                f"{generations}: need 0 <= elite < population, a fraction in 0..1 and at least 1 "
-                f"generation"
-            )
-        self.generations = generations
+        settings = settings or GeneticSettings()
+        bred = settings.population - settings.elite
+        self.generations = settings.generations
         self.generation = 0
         self.best = np.full(self.low.size, np.nan)
         self.best_cost = np.inf
-        self._elite = elite
-        self._crossed = round(crossover_fraction * (population - elite))
-        self._mutants = population - elite - self._crossed
-        self._scale = mutation_scale
-        self._shrink = mutation_shrink
+        self._elite = settings.elite
+        self._crossed = round(settings.crossover_fraction * bred)
+        self._mutants = bred - self._crossed
+        self._scale = settings.mutation_scale
+        self._shrink = settings.mutation_shrink
         self._rng = rng
-        self._genes = rng.uniform(self.low, self.high, (population, self.low.size))
+        self._genes = rng.uniform(self.low, self.high, (settings.population, self.low.size))
 
     @property
     def stop(self) -> bool:

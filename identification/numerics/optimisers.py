@@ -13,7 +13,7 @@ from cmaes import CMA
 from scipy import optimize
 
 from identification.numerics.arrays import Array
-from identification.numerics.genetic_algorithm import GeneticAlgorithm
+from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
 
 POPULATION, GENERATIONS = 40, 1000
 """Of the genetic algorithm (paper, Sec. 4.2)."""
@@ -43,7 +43,8 @@ class BoxProblem(Protocol):
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
     """The genetic algorithm of the paper (Sec. 4.2), with its settings."""
     zeros, ones = np.zeros(problem.size), np.ones(problem.size)
-    search = GeneticAlgorithm(zeros, ones, population=POPULATION, generations=GENERATIONS, rng=rng)
+    settings = GeneticSettings(population=POPULATION, generations=GENERATIONS)
+    search = GeneticAlgorithm(zeros, ones, rng, settings)
     while not search.stop:
         search.tell(problem.costs(search.ask()))
     return search.best

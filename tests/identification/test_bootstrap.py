@@ -2,6 +2,8 @@
 it is given.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,10 +31,10 @@ def refined(practical_pair: tuple[Recording, Recording]) -> Refined:
 
 
 def test_draws_lie_about_the_estimate_as_wide_as_its_interval(refined: Refined) -> None:
-    begun = refined.joint.start.copy()
+    begun = refined.joint.vector.copy()
     found = bootstrap(refined, UNITS, DRAWS, np.random.default_rng(1))
     assert [r.name for r in found] == list(refined.names)
-    np.testing.assert_array_equal(refined.joint.start, begun)
+    np.testing.assert_array_equal(refined.joint.vector, begun)
     for k, r in enumerate(found):
         assert r.low is not None
         assert r.high is not None
@@ -55,13 +57,10 @@ def test_without_prediction_errors_there_is_none_and_it_is_said() -> None:
 
 
 def test_a_breakaway_in_a_wrong_place_is_found_again(refined: Refined) -> None:
-    problem = refined.joint
-    begun = [b.copy() for b in problem.breakaway_times]
-    problem.hold_weights()
-    problem.breakaway_times = [begun[0] + np.where(np.arange(len(begun[0])) == 2, 1.5e-3, 0.0)]
-    try:
-        assert problem.move_breakaways(HUBER_THRESHOLD)
-        np.testing.assert_allclose(problem.breakaway_times[0], begun[0], atol=2.6e-4)
-        assert abs(problem.breakaway_times[0][2] - begun[0][2]) < 1e-4
-    finally:
-        problem.breakaway_times = begun
+    held, (begun,) = refined.joint.weighted(), refined.joint.breakaway_times
+    late = begun + np.where(np.arange(len(begun)) == 2, 1.5e-3, 0.0)
+    there = replace(held, point=replace(refined.joint, breakaway_times=(late,)))
+    found, moved = there.with_best_breakaways(HUBER_THRESHOLD)
+    assert moved
+    np.testing.assert_allclose(found.breakaway_times[0], begun, atol=2.6e-4)
+    assert abs(found.breakaway_times[0][2] - begun[2]) < 1e-4

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.diagnosis.catalogue import Entry
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.entries.device import DEVICE
+from identification.diagnosis.entries.entry import Entry
 from identification.diagnosis.entries.friction import FRICTION
 from identification.diagnosis.entries.gas import GAS
 from identification.diagnosis.entries.motor import MOTOR

@@ -17,10 +17,10 @@ from identification.corrected.states import dahl_friction, lagged, play
 from identification.corrected.torque import TORQUE, nominal_torque
 from identification.corrected.transmission import TRANSMISSION
 from identification.diagnosis.entries import MOTION
-from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Curve
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.terms import TERMS, memory
-from identification.diagnosis.view import View, views
 from identification.recording import Bench, Recording
 
 NOMINAL = {

@@ -4,6 +4,8 @@ and rehearsed.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ from identification.estimate.uncertainty.covariance import (
     _spread,
     covariances,
 )
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
@@ -81,17 +83,14 @@ def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
 def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    sure = without_doubt(problem)
-    played = [Replicate(sure, jacobian, residual, k) for k in range(2)]
-    plain = covariances(problem, played)
-    problem.inflation[: problem.breakaways // 2] = 30.0
-    segment_inflation = covariances(problem, played)
+    point = Point.of([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
+    held, x = point.weighted(), point.origin()
+    residual = held.residuals(x)
+    jacobian = held.jacobian(x, residual)
+    played = [Replicate(point, jacobian, residual, k) for k in range(2)]
+    plain = covariances(point, played)
+    inflation = np.where(np.arange(point.breakaways) < point.breakaways // 2, 30.0, 1.0)
+    segment_inflation = covariances(replace(point, inflation=inflation), played)
     assert segment_inflation.floor == pytest.approx(plain.floor, rel=1e-6)
     ratio = np.diag(segment_inflation.achieved) / np.diag(plain.achieved)
     assert np.all(
@@ -105,16 +104,14 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     """
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem(
+    point = Point.of(
         [m],
         pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0),
         tuple(INDEX[n] for n in SYSTEM),
         Model(),
         NOISE,
     )
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
-    problem.hold_weights()
-    plain = covariances(problem).step
+    plain = covariances(point).step
     loose = np.ones(len(SYSTEM))
     loose[SYSTEM.index("omega_sf")] = 1e6
     bound = covariance.bound
@@ -125,15 +122,8 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
         return found
 
     monkeypatch.setattr(covariance, "bound", untold)
-    step = covariances(problem).step
+    step = covariances(point).step
     assert abs(plain[SYSTEM.index("omega_sf")]) > 1e-5
     assert step[SYSTEM.index("omega_sf")] == 0.0
     others = [k for k, name in enumerate(SYSTEM) if name != "omega_sf"]
     assert step[others] == pytest.approx(plain[others])
-
-
-def without_doubt(problem: Problem) -> Problem:
-    """Return the same problem with doubts of its own."""
-    other = Problem(list(problem.motions), problem.start, problem.free, Model(), problem.noise)
-    other.breakaway_times = list(problem.breakaway_times)
-    return other

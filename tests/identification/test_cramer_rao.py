@@ -20,7 +20,7 @@ from identification.estimate.uncertainty.cramer_rao import (
     replicate_bound,
     replicate_information,
 )
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
@@ -153,67 +153,63 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
 
 
-def slopes_at_the_truth(seed: int) -> tuple[Problem, BlockArrow]:
-    """Return the problem of a recording of the fitted model at its true values, and its Jacobian
+def slopes_at_the_truth(seed: int) -> tuple[Point, BlockArrow]:
+    """Return a recording of the fitted model at its true values, and its Jacobian
     there.
     """
     m = motion(from_the_model(seed, 5.0))
     assert m is not None
-    problem = Problem(
+    point = Point.of(
         [m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M)
     )
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
-    problem.hold_weights()
-    x = problem.origin()
-    return problem, problem.jacobian(x, problem.residuals(x))
+    held, x = point.weighted(), point.origin()
+    return point, held.jacobian(x, held.residuals(x))
 
 
-def rehearsal(problem: Problem, sensitivities: BlockArrow, noise: int) -> Replicate:
+def rehearsal(point: Point, sensitivities: BlockArrow, noise: int) -> Replicate:
     """Return a rehearsal that goes as foretold."""
-    return Replicate(problem, sensitivities, np.zeros(len(problem.owners)), noise)
+    return Replicate(point, sensitivities, np.zeros(len(point.owners)), noise)
 
 
-def shaken(problem: Problem, jacobian: BlockArrow, noise: int, level: float) -> Replicate:
+def shaken(point: Point, jacobian: BlockArrow, noise: int, level: float) -> Replicate:
     """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
     rng = np.random.default_rng(noise)
     rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))
     parameters = jacobian.parameters + level * rms * rng.standard_normal(jacobian.parameters.shape)
-    return rehearsal(problem, replace(jacobian, parameters=parameters), noise)
+    return rehearsal(point, replace(jacobian, parameters=parameters), noise)
 
 
 def test_noise_of_rehearsals_is_no_excitation() -> None:
-    problem, jacobian = slopes_at_the_truth(1)
+    point, jacobian = slopes_at_the_truth(1)
     count = len(SYSTEM)
     right = np.diag(bound(jacobian))[:count]
     found = replicate_bound(
-        replicate_information(
-            problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)]
-        )
+        replicate_information(point, jacobian, [shaken(point, jacobian, k, 0.5) for k in range(6)])
     )
     assert found is not None
     assert np.diag(found) == pytest.approx(right, rel=0.15)
     # One noise twice would count its power.
-    twice = [replace(shaken(problem, jacobian, 0, 0.5), noise=k) for k in range(2)]
-    low = replicate_bound(replicate_information(problem, jacobian, twice))
+    twice = [replace(shaken(point, jacobian, 0, 0.5), noise=k) for k in range(2)]
+    low = replicate_bound(replicate_information(point, jacobian, twice))
     assert low is not None
     assert np.all(np.diag(low) < 0.85 * right)
 
 
 def test_rehearsals_that_go_as_foretold_give_the_bound_itself() -> None:
-    problem, jacobian = slopes_at_the_truth(1)
-    alike = [rehearsal(problem, jacobian, k) for k in range(2)]
-    found = replicate_bound(replicate_information(problem, jacobian, alike))
+    point, jacobian = slopes_at_the_truth(1)
+    alike = [rehearsal(point, jacobian, k) for k in range(2)]
+    found = replicate_bound(replicate_information(point, jacobian, alike))
     assert found is not None
     assert np.diag(found) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
 
 
 def test_too_few_noises_leave_no_bound() -> None:
-    problem, jacobian = slopes_at_the_truth(1)
+    point, jacobian = slopes_at_the_truth(1)
     opposed = replace(jacobian, parameters=-jacobian.parameters)
     assert (
         replicate_bound(
             replicate_information(
-                problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)]
+                point, jacobian, [rehearsal(point, jacobian, 0), rehearsal(point, opposed, 1)]
             )
         )
         is None
@@ -221,10 +217,10 @@ def test_too_few_noises_leave_no_bound() -> None:
 
 
 def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
-    problem, jacobian = slopes_at_the_truth(1)
-    one = shaken(problem, jacobian, 0, 3.0)
+    point, jacobian = slopes_at_the_truth(1)
+    one = shaken(point, jacobian, 0, 3.0)
     found = replicate_bound(
-        replicate_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)])
+        replicate_information(point, jacobian, [one, replace(one, sensitivities=jacobian)])
     )
     assert found == pytest.approx(bound(jacobian)[: len(SYSTEM), : len(SYSTEM)])
 
@@ -239,14 +235,14 @@ def test_smoothed_curves_are_those_of_a_filter(rows: int) -> None:
 
 
 def test_instruments_hold_nothing_of_their_own_stretch() -> None:
-    problem, jacobian = slopes_at_the_truth(1)
-    slopes, z = jacobian.parameters, instruments(problem, jacobian).parameters
-    mine = problem.owners == 1
+    point, jacobian = slopes_at_the_truth(1)
+    slopes, z = jacobian.parameters, instruments(point, jacobian).parameters
+    mine = point.owners == 1
     inside = mine.copy()
-    inside[-problem.breakaways :] = False
+    inside[-point.breakaways :] = False
     changed = replace(jacobian, parameters=np.where(inside[:, None], -3.0, 1.0) * slopes)
-    moved = instruments(problem, changed).parameters
+    moved = instruments(point, changed).parameters
     assert np.array_equal(moved[inside], z[inside])
-    assert not np.array_equal(moved[problem.owners == 0], z[problem.owners == 0])
+    assert not np.array_equal(moved[point.owners == 0], z[point.owners == 0])
     alike = np.sum(z[inside, 0] * slopes[inside, 0])
     assert alike > 0.8 * np.linalg.norm(z[inside, 0]) * np.linalg.norm(slopes[inside, 0])

@@ -13,13 +13,13 @@ from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.likelihood import stages
 from identification.estimate.likelihood.acceptance import refusal
 from identification.estimate.likelihood.refinement import refine_recordings
-from identification.estimate.likelihood.stages import refine_stages
+from identification.estimate.likelihood.stages import innovation_statistics, refine_stages
 from identification.estimate.paper_method.paper import identify_paper
 from identification.estimate.uncertainty.parameter_table import typical_error
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.segments import motion
 from identification.prepare import prepare
-from identification.recording import Array, Dataset, Model, Recording, RecordingError
+from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Identification
 
 from .practical import beginning, logged, simulated, with_ripple
@@ -159,9 +159,9 @@ def test_strong_hidden_ripple_does_not_break_the_search(
 ) -> None:
     solved_from, inertias = stages._solved_from, []
 
-    def tried(problem: Problem, start: Array, *given: object) -> object:
-        inertias.append(start[stages.INERTIA])
-        return solved_from(problem, start, *given)  # type: ignore[arg-type]
+    def tried(start: Point, *given: object) -> object:
+        inertias.append(start.vector[stages.INERTIA])
+        return solved_from(start, *given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(stages, "_solved_from", tried)
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
@@ -201,28 +201,22 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
 
 
 def test_a_slip_that_is_lost_is_no_missing_physics(
-    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+    practical_pair: tuple[Recording, Recording],
 ) -> None:
     """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all
     samples they do.
     """
     moving = motion(beginning(practical_pair[0], FEW_S))
     assert moving is not None
-    found = stages.fit_beside_inertia
-
-    def refined(more: Callable[[Array], Array]) -> stages.Refined:
-        def with_more(*given: object) -> Array:
-            residual = found(*given)  # type: ignore[arg-type]
-            return residual + more(np.arange(len(residual)))
-
-        with monkeypatch.context() as patched:
-            patched.setattr(stages, "fit_beside_inertia", with_more)
-            return refine_stages([moving], [], TRUTH_SYSTEM, Model())
-
-    lost = refined(lambda k: np.where((k >= 3000) & (k < 3020), 62.0, 0.0))
-    assert abs(lost.whiteness) < 0.1
-    assert lost.innovation_rms == pytest.approx(1.0, abs=0.1)
-    assert refined(lambda k: 2.0 * np.sin(k / 30.0)).whiteness > 0.4
+    joint = refine_stages([moving], [], TRUTH_SYSTEM, Model()).joint
+    residual = joint.weighted().residuals(joint.origin())
+    k = np.arange(len(residual))
+    slip = np.where((k >= 3000) & (k < 3020), 62.0, 0.0)
+    rms, whiteness = innovation_statistics(residual + slip, joint.breakaways)
+    assert abs(whiteness) < 0.1
+    assert rms == pytest.approx(1.0, abs=0.1)
+    wave = 2.0 * np.sin(k / 30.0)
+    assert innovation_statistics(residual + wave, joint.breakaways)[1] > 0.4
 
 
 def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(

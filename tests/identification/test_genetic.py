@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.numerics.genetic_algorithm import GeneticAlgorithm
+from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
 from identification.recording import Array
 
 
@@ -27,9 +27,17 @@ def rastrigin(x: Array) -> Array:
     return 10.0 * x.shape[1] + np.sum(x**2 - 10.0 * np.cos(2.0 * np.pi * x), axis=1)
 
 
+def searcher(seed: int, generations: int) -> GeneticAlgorithm:
+    """Return a search over a cube of three coordinates."""
+    settings_ = GeneticSettings(generations=generations)
+    return GeneticAlgorithm([-5.0] * 3, [5.0] * 3, np.random.default_rng(seed), settings_)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_finds_the_minimum_of_a_convex_function(seed: int) -> None:
-    ga = GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=400, rng=np.random.default_rng(seed))
+    ga = GeneticAlgorithm(
+        [-5.0] * 3, [5.0] * 3, np.random.default_rng(seed), GeneticSettings(generations=400)
+    )
     run(ga, sphere)
     assert ga.best == pytest.approx([1.0, -2.0, 0.5], abs=0.3)
     assert ga.best_cost == pytest.approx(float(sphere(ga.best[None])[0]))
@@ -39,7 +47,7 @@ def test_finds_the_basin_of_a_multimodal_function() -> None:
     found = 0
     for seed in range(8):
         ga = GeneticAlgorithm(
-            [-5.12] * 2, [5.12] * 2, generations=300, rng=np.random.default_rng(seed)
+            [-5.12] * 2, [5.12] * 2, np.random.default_rng(seed), GeneticSettings(generations=300)
         )
         run(ga, rastrigin)
         found += bool(np.all(np.abs(ga.best) < 0.5))
@@ -48,13 +56,15 @@ def test_finds_the_basin_of_a_multimodal_function() -> None:
 
 def test_better_than_random_search() -> None:
     rng = np.random.default_rng(1)
-    ga = GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=200, rng=rng)
+    ga = GeneticAlgorithm([-5.0] * 3, [5.0] * 3, rng, GeneticSettings(generations=200))
     run(ga, sphere)
     assert ga.best_cost < 0.5 * float(np.min(sphere(rng.uniform(-5.0, 5.0, (200 * 40, 3)))))
 
 
 def test_the_best_never_gets_worse_and_survives_unchanged() -> None:
-    ga = GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=50, rng=np.random.default_rng(2))
+    ga = GeneticAlgorithm(
+        [-5.0] * 3, [5.0] * 3, np.random.default_rng(2), GeneticSettings(generations=50)
+    )
     last = np.inf
     while not ga.stop:
         genes = ga.ask()
@@ -67,7 +77,9 @@ def test_the_best_never_gets_worse_and_survives_unchanged() -> None:
 
 def test_same_seed_same_search() -> None:
     first, second, other = (
-        GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=30, rng=np.random.default_rng(s))
+        GeneticAlgorithm(
+            [-5.0] * 3, [5.0] * 3, np.random.default_rng(s), GeneticSettings(generations=30)
+        )
         for s in (3, 3, 4)
     )
     assert run(first, sphere) == run(second, sphere)
@@ -86,7 +98,7 @@ def test_every_individual_is_inside_the_box(
 ) -> None:
     high = np.array(low) + width
     ga = GeneticAlgorithm(
-        low, high, generations=5, mutation_scale=scale, rng=np.random.default_rng(seed)
+        low, high, np.random.default_rng(seed), GeneticSettings(generations=5, mutation_scale=scale)
     )
     while not ga.stop:
         genes = ga.ask()
@@ -96,7 +108,7 @@ def test_every_individual_is_inside_the_box(
 
 
 def test_an_individual_that_cannot_be_judged_is_never_the_best() -> None:
-    ga = GeneticAlgorithm([0.0], [1.0], generations=20, rng=np.random.default_rng(0))
+    ga = GeneticAlgorithm([0.0], [1.0], np.random.default_rng(0), GeneticSettings(generations=20))
     run(ga, lambda x: np.where(x[:, 0] < 0.5, np.inf, x[:, 0]))
     assert ga.best[0] >= 0.5
 
@@ -117,11 +129,11 @@ def test_settings_that_make_no_search_are_refused(
     low: list[float], high: list[float], settings_: dict
 ) -> None:
     with pytest.raises(ValueError, match=r"bounds|population"):
-        GeneticAlgorithm(low, high, rng=np.random.default_rng(0), **settings_)
+        GeneticAlgorithm(low, high, np.random.default_rng(0), GeneticSettings(**settings_))
 
 
 @pytest.mark.parametrize("costs", [np.zeros(39), np.full(40, np.nan)])
 def test_costs_that_make_no_sense_are_refused(costs: Array) -> None:
-    ga = GeneticAlgorithm([0.0], [1.0], rng=np.random.default_rng(0))
+    ga = GeneticAlgorithm([0.0], [1.0], np.random.default_rng(0))
     with pytest.raises(ValueError, match="cost"):
         ga.tell(costs)

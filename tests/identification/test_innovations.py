@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 from scipy import linalg
 
 from identification.filter import kalman as kernel
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import deviance, likeliest_noise
 from identification.filter.segment_table import TORQUE_RATE
@@ -193,21 +193,16 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
     return unloaded, loaded
 
 
-def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
-    problem = Problem([m], pack(TRUTH, 2.0), free, Model(), Noise(0.06))
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
-    problem.hold_weights()
-    return problem
+def at_truth(*recordings: Motion, free: tuple[int, ...] = ()) -> Point:
+    return Point.of(recordings, pack(TRUTH, 2.0), free, Model(), Noise(0.06))
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
 def test_innovations_are_white_and_of_unit_size_at_the_truth(
     motions: tuple[Motion, Motion], case: int
 ) -> None:
-    problem = at_truth(motions[case])
-    errors, deviations = problem.run(
-        problem.start, problem.breakaway_times, likeliest_noise(problem)
-    )
+    point = at_truth(motions[case])
+    errors, deviations = point.run(likeliest_noise(point))
     found = errors / deviations
     clipped = found[
         np.abs(found) < 6.0
@@ -218,27 +213,26 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(
 
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
-    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
-    found = both.run(both.start, both.breakaway_times, Noise(0.06, 1e-6))
-    alone = [
-        at_truth(m).run(both.start, [b], Noise(0.06, 1e-6))
-        for m, b in zip(motions, both.breakaway_times, strict=True)
-    ]
+    both = at_truth(*motions)
+    found = both.run(Noise(0.06, 1e-6))
+    alone = [at_truth(m).run(Noise(0.06, 1e-6)) for m in motions]
     for k in (0, 1):
         assert found[k] == pytest.approx(
             np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15
         )
     filtered = [
         (j, row)
-        for part in both._halves
+        for part in both.filter._halves
         for j, rows in part
         for row in range(rows.start, rows.stop)
     ]
     assert sorted(filtered) == [
         (j, row) for j, m in enumerate(motions) for row in range(len(m.table))
     ]
-    steps = [sum(float(np.sum(_of(motions[j], rows))) for j, rows in part) for part in both._halves]
+    steps = [
+        sum(float(np.sum(_of(motions[j], rows))) for j, rows in part)
+        for part in both.filter._halves
+    ]
     longest = max(
         float(np.sum(_of(m, slice(k, k + 1)))) for m in motions for k in range(len(m.table))
     )
@@ -248,18 +242,17 @@ def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> No
 def test_an_error_in_the_second_thread_is_raised(
     motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
-    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
-    _, second = both._halves
+    both = at_truth(*motions)
+    _, second = both.filter._halves
     assert second
 
     def broken(pieces: list[tuple[int, slice]], *_: object) -> None:
         if pieces is second:
             raise FloatingPointError("half of the segments were not filtered")
 
-    monkeypatch.setattr(both, "_filter", broken)
+    monkeypatch.setattr(both.filter, "_filter", broken)
     with pytest.raises(FloatingPointError, match="were not filtered"):
-        both.run(both.start, both.breakaway_times, both.noise)
+        both.run()
 
 
 def _of(m: Motion, rows: slice) -> np.ndarray:
@@ -269,18 +262,18 @@ def _of(m: Motion, rows: slice) -> np.ndarray:
 def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) -> None:
     chained = motions[0].table.copy()
     chained[1:-1, TORQUE_RATE] = 0.0
-    one, other = at_truth(replace(motions[0], table=chained))._halves
+    one, other = at_truth(replace(motions[0], table=chained)).filter._halves
     assert [rows for _, rows in one] == [slice(0, len(chained) - 1)]
     assert [rows for _, rows in other] == [slice(len(chained) - 1, len(chained))]
 
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
-    problem = at_truth(motions[1])
-    right = deviance(*problem.run(problem.start, problem.breakaway_times, Noise(0.06)))
+    point = at_truth(motions[1])
+    right = deviance(*point.run())
     for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
-        wrong = problem.start.copy()
+        wrong = point.vector.copy()
         wrong[INDEX[name]] *= 1.1
-        assert deviance(*problem.run(wrong, problem.breakaway_times, Noise(0.06))) > right, name
+        assert deviance(*replace(point, vector=wrong).run()) > right, name
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
@@ -293,15 +286,15 @@ def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (
         ("mu_c", "mu_s", "omega_sL", "mu_2") if case else ()
     )
-    problem = at_truth(replace(short, inside=inside), tuple(INDEX[n] for n in names))
-    x = problem.origin()
-    found = problem.jacobian(x, problem.residuals(x)).dense()
+    point = at_truth(replace(short, inside=inside), free=tuple(INDEX[n] for n in names))
+    held, x = point.weighted(), point.origin()
+    found = held.jacobian(x, held.residuals(x)).dense()
     for k in range(len(x)):
         step = 2e-5 * max(abs(x[k]), 0.05) if k < len(names) else 1e-3
         up, down = x.copy(), x.copy()
         up[k] += step
         down[k] -= step
-        column = (problem.residuals(up) - problem.residuals(down)) / (2.0 * step)
+        column = (held.residuals(up) - held.residuals(down)) / (2.0 * step)
         assert np.linalg.norm(found[:, k] - column) < 0.05 * np.linalg.norm(column), k
 
 
@@ -313,16 +306,31 @@ def test_packing_keeps_static_limits_as_rises() -> None:
 
 
 def test_parameters_and_origin_are_inverse(motions: tuple[Motion, Motion]) -> None:
-    problem = at_truth(motions[1], tuple(INDEX.values()))
-    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH, 2.0))
+    point = at_truth(motions[1], free=tuple(INDEX.values()))
+    assert point.parameters(point.origin()) == pytest.approx(pack(TRUTH, 2.0))
 
 
 def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:
-    problem = at_truth(
-        motions[0], tuple(INDEX[n] for n in ("Mc", "Ms", "omega_sf", "sigma_2", "J"))
-    )
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    point = at_truth(motions[0], free=tuple(INDEX[n] for n in names))
+    held = point.weighted()
     for shift in (-1e3, 1e3):
-        x = problem.origin()
+        x = point.origin()
         x[[2, 4]] += shift
-        assert np.all(problem.parameters(x) >= 0.0)
-        assert np.all(np.isfinite(problem.residuals(x)))
+        assert np.all(point.parameters(x) >= 0.0)
+        assert np.all(np.isfinite(held.residuals(x)))
+
+
+def test_a_point_is_not_changed_by_what_is_asked_of_it(motions: tuple[Motion, Motion]) -> None:
+    point = at_truth(motions[0], free=tuple(INDEX[n] for n in ("Mc", "Ms")))
+    before = point.predictions(point.origin())
+    x = point.origin() + 0.1
+    away = point.moved(x)
+    away.weighted().residuals(away.origin())
+    replace(point, noise=Noise(0.3)).weighted().jacobian(x, before[0])
+    after = point.predictions(point.origin())
+    assert np.array_equal(before[0], after[0])
+    assert np.array_equal(before[1], after[1])
+    assert point.filter.evaluations > 4
+    with pytest.raises(FrozenInstanceError):
+        point.noise = Noise(0.1)  # type: ignore[misc]

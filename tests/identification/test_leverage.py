@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from identification.estimate.inertia import estimating_equations as instrumental
 from identification.estimate.inertia.variance_inflation import inflation_factors
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point, Searched
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import MC, pack
@@ -76,16 +76,15 @@ def test_stretches_are_judged_again_where_the_fit_ends(
     found = motion(beginning(practical_pair[0], 3.0))
     assert found is not None
     begun = pack(TRUTH, 2.0)
-    problem = Problem([found], begun, [MC], Model(), Noise(0.1))
-    problem.breakaway_times = [found.static_crossing(static_limit(begun, found))]
+    point = Point.of([found], begun, [MC], Model(), Noise(0.1))
 
-    def fit(p: Problem, _noise: Sequence[float]) -> Array:
-        p.start = p.start + 0.1
-        return np.empty(0)
+    def fit(p: Point) -> Searched:
+        return Searched(replace(p, vector=p.vector + 0.1), 1)
 
-    def segment_inflation(p: Problem) -> Array:
-        return np.full(p.breakaways, 1.0 if p.start is begun else 2.0)
+    def segment_inflation(p: Point) -> Array:
+        return np.full(p.breakaways, 1.0 if p.vector is begun else 2.0)
 
     monkeypatch.setattr(instrumental, "segment_inflation", segment_inflation)
-    instrumental.fit_beside_inertia(problem, fit)
-    assert problem.inflation == pytest.approx(np.full(problem.breakaways, 2.0))
+    ended = instrumental.fit_beside_inertia(point, fit)
+    assert ended.point.inflation == pytest.approx(np.full(point.breakaways, 2.0))
+    assert np.array_equal(point.inflation, np.ones(point.breakaways))

@@ -11,7 +11,7 @@ import pytest
 
 from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded
 from identification.estimate.likelihood import searches
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, LOAD_RISE, MU_C, OMEGA_SL, pack
@@ -62,9 +62,9 @@ def searched(seed: int) -> tuple[float, float, float]:
         2.0,
     )
     free = [INDEX[name] for name in LOAD]
-    problem = Problem([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))
-    searches.refine_from(problem, searches.breakaway_starts(problem, MU_C, LOAD_RISE, OMEGA_SL))
-    p = problem.start
+    begun = Point.of([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))
+    starts = searches.breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL)
+    p = searches.refine_from(begun, starts).point.vector
     static = p[MU_C] + p[LOAD_RISE]
     return (
         float(p[MU_C] / TRUTH["mu_c"] - 1.0),

@@ -9,7 +9,7 @@ import pytest
 
 from identification.estimate import default, long
 from identification.filter.breakaway_times import optimise_breakaway_times, reduce
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
@@ -25,13 +25,11 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(long, "PIECE_SAMPLES", 7000)
 
 
-def unloaded_problem(recording: Recording) -> Problem:
+def unloaded_point(recording: Recording) -> Point:
     moving = motion(recording)
     assert moving is not None
-    problem = Problem([moving], pack(TRUTH, 2.0), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
-    problem.breakaway_times = [moving.static_crossing(static_limit(problem.start, moving))]
-    problem.hold_weights()
-    return problem
+    free = [INDEX[n] for n in SYSTEM]
+    return Point.of([moving], pack(TRUTH, 2.0), free, Model(), Noise(0.05))
 
 
 @pytest.mark.usefixtures("short_pieces")
@@ -97,19 +95,19 @@ def test_the_path_follows_the_length(
 def test_reduced_equations_are_those_of_the_whole_jacobian(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
-    problem = unloaded_problem(practical_pair[0])
-    found = reduce(problem)
-    residual = problem.residuals(problem.origin())
-    jacobian = problem.jacobian(problem.origin(), residual).dense()
+    point = unloaded_point(practical_pair[0])
+    found = reduce(point)
+    held, x = point.weighted(), point.origin()
+    jacobian = held.jacobian(x, held.residuals(x)).dense()
     inverse = np.linalg.inv(jacobian.T @ jacobian)[:5, :5]
     assert np.linalg.inv(found.normal) == pytest.approx(inverse, rel=1e-6)
 
 
 def test_settling_never_makes_a_stretch_worse(practical_pair: tuple[Recording, Recording]) -> None:
-    problem = unloaded_problem(practical_pair[0])
-    owners = problem.owners.astype(np.int64)
-    before = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
-    optimise_breakaway_times(problem)
-    after = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
+    point = unloaded_point(practical_pair[0])
+    held = point.weighted()
+    before = np.bincount(point.owners, held.residuals(point.origin()) ** 2)
+    there = replace(held, point=optimise_breakaway_times(point))
+    after = np.bincount(point.owners, there.residuals(point.origin()) ** 2)
     assert np.all(after <= before * (1.0 + 1e-12))
     assert after.sum() < before.sum()

@@ -62,7 +62,7 @@ def test_a_profile_is_the_least_cost_with_that_value_held(
     """Against another search over the others, from their values at the estimate."""
     refined = refine(practical_pair[0], Model(fixed={"J": TRUTH["J"]}))
     (curve,) = (c for c in profiles(refined, UNITS) if c.name == "sigma_2")
-    joint = refined.joint
+    joint, held = refined.joint, refined.joint.weighted()
     place = joint.free.index(INDEX["sigma_2"])
 
     def least(value: float) -> float:
@@ -70,8 +70,8 @@ def test_a_profile_is_the_least_cost_with_that_value_held(
             return np.insert(x, place, value)
 
         found = levenberg.minimise(
-            lambda x: joint.residuals(whole(x)),
-            lambda x, here: joint.jacobian(whole(x), here).without(place),
+            lambda x: held.residuals(whole(x)),
+            lambda x, here: held.jacobian(whole(x), here).without(place),
             np.delete(joint.origin(), place),
             threshold=HUBER_THRESHOLD,
             tolerance=1e-9,

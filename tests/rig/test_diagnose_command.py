@@ -259,7 +259,9 @@ def test_refined_values_take_the_place_of_the_search_s(
     parameters = {n: Parameter(n, "", v, identifiable=v is not None) for n, v in values.items()}
     taken_out: list[tuple[str, ...]] = []
 
-    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+    def refit(
+        dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float, _rng: np.random.Generator
+    ) -> Identification:
         taken_out.append(tuple(model.effects))
         return Identification(
             "default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",)
@@ -317,7 +319,9 @@ def test_many_samples_are_refined_only_where_asked(
 ) -> None:
     asked: list[Dataset] = []
 
-    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+    def refit(
+        dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float, _rng: np.random.Generator
+    ) -> Identification:
         asked.append(dataset)
         raise RecordingError("no motion")
 
@@ -347,7 +351,9 @@ def test_many_samples_are_refined_only_where_asked(
 def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
     campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+    def refit(
+        dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float, _rng: np.random.Generator
+    ) -> Identification:
         raise RecordingError("no motion")
 
     found(PLAIN)

@@ -6,8 +6,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from identification.diagnosis.catalogue import Entry
 from identification.diagnosis.entries.device import DEVICE
+from identification.diagnosis.entries.entry import Entry
 from identification.diagnosis.entries.friction import FRICTION
 from identification.diagnosis.entries.gas import GAS
 from identification.diagnosis.entries.motor import MOTOR

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from math import pi
 
-from identification.diagnosis.catalogue import Entry, Quantity
+from identification.diagnosis.entries.entry import Entry, Quantity
 
 FRICTION: tuple[Entry, ...] = (
     Entry(

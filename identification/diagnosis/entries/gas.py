@@ -4,7 +4,7 @@ eq. 3).
 
 from __future__ import annotations
 
-from identification.diagnosis.catalogue import Entry, Quantity
+from identification.diagnosis.entries.entry import Entry, Quantity
 
 _ALIKE = (
     "Steps of the valve between its least and its greatest throat, early and late in the burn, "

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from math import pi
 
-from identification.diagnosis.catalogue import Entry, Quantity
+from identification.diagnosis.entries.entry import Entry, Quantity
 
 SENSING: tuple[Entry, ...] = (
     Entry(

@@ -22,7 +22,7 @@ from identification.diagnosis.gas.fit import Fitted, believed, fit
 from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
 from identification.diagnosis.gas.terms import GasEffect
-from identification.diagnosis.locate import OWN_RECORDING, curve, mapped, ranges
+from identification.diagnosis.locate import OWN_RECORDING, Axis, curve, mapped, ranges
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -35,7 +35,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.search import LEVEL
+from identification.diagnosis.significance import LEVEL
 from identification.diagnosis.wording import finding, title
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
@@ -98,14 +98,7 @@ def diagnose_gas(
         fit=main,
         fits=(main,),
         parameters=_constants(scored),
-        parameter_shift={
-            name: Shift(
-                before,
-                _constants(scored)[name],
-                CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit,
-            )
-            for name, before in _constants(found.baseline).items()
-        },
+        parameter_shift=_shifts(found.baseline, scored),
         p_value=found.p_value,
         location=None if verdict is Verdict.NOTHING_MISSING else where,
         curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
@@ -118,6 +111,15 @@ def diagnose_gas(
         warnings=_warnings(dataset, found, main),
         seconds=perf_counter() - started,
     )
+
+
+def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
+    """Return each constant before and after."""
+    after = _constants(scored)
+    return {
+        name: Shift(before, after[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
+        for name, before in _constants(baseline).items()
+    }
 
 
 def _verdict(found: GasSearch) -> Verdict:
@@ -220,9 +222,7 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
     drawn = [
         mapped(
             equation,
-            name,
-            units[name],
-            values,
+            Axis(name, units[name], values),
             before,
             after,
             stack.block[: len(values)],

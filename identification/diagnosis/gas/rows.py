@@ -16,7 +16,7 @@ from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.generic import edges
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.stack import Candidate, Stack
 from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
 from identification.numerics.spread import correlation_samples

@@ -19,7 +19,7 @@ from identification.diagnosis.gas.rows import candidates, families, padded, stac
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.kept import EXCESS, FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.diagnosis.result import Step
-from identification.diagnosis.search import LEVEL, RARE, chance
+from identification.diagnosis.significance import LEVEL, RARE, chance
 from identification.diagnosis.stack import Stack
 from identification.recording import Array
 
@@ -113,47 +113,11 @@ def search(
         progress("fitting effects", (len(taken) + 0.5) / (MOST_EFFECTS + 1))
         tried = _fitted(burns, sigma, here, seen.stack)
         fitted = [f for f in tried if plausible(f.model.effects[-1])]
-        if not fitted:
-            steps.append(
-                Step(
-                    "stop",
-                    "",
-                    seen.p_value,
-                    0.0,
-                    "no effect of the catalogue fits with a plausible size",
-                )
-            )
-            break
-        winner = _simplest(fitted, first)
-        turned = [
-            f
-            for f in tried
-            if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, first) > REJECTED
-        ]
-        if turned:
-            best = min(turned, key=lambda f: f.cost)
-            words = "of the opposite sign fits better than any effect of the catalogue"
-            steps.append(
-                Step(
-                    "stop",
-                    best.model.effects[-1].term.name,
-                    seen.p_value,
-                    here.cost - best.cost,
-                    words,
-                )
-            )
-            break
-        name = winner.model.effects[-1].term.name
-        gain = here.cost - winner.cost
-        share = gain / max(here.cost - EXCESS * len(here.residual), gain)
-        beside = gain / max(baseline.cost - here.cost, gain)
-        if taken and share < (FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL):
-            words = (
-                f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of "
-                f"what is explained "
-                "already: too little for one more name"
-            )
-            steps.append(Step("stop", name, seen.p_value, gain, words))
+        winner = _simplest(fitted, first) if fitted else None
+        stop = _stop(baseline, here, tried, winner, first, seen.p_value)
+        if stop is not None:
+            steps.append(stop)
+        if stop is not None or winner is None:
             break
         after = _test(burns, stacked(burns, winner, sigma, first), winner, rng)
         prefer = preference if after.p_value <= LEVEL else _likelier
@@ -162,6 +126,7 @@ def search(
             for f in sorted(fitted, key=lambda f: f.cost)
             if f is not winner
         )
+        name, gain = winner.model.effects[-1].term.name, here.cost - winner.cost
         steps += [Step("add", name, seen.p_value, gain, _why(rivals)), after.step]
         taken.append(Taken(name, rivals))
         here, seen = winner, after
@@ -169,6 +134,50 @@ def search(
     return GasSearch(
         burns, sigma, baseline, final, first, tuple(taken), p_value, seen.p_value, tuple(steps)
     )
+
+
+def _stop(
+    baseline: Fitted,
+    here: Fitted,
+    tried: Sequence[Fitted],
+    winner: Fitted | None,
+    stack: Stack,
+    p_value: float,
+) -> Step | None:
+    """Return why the search stops before one more effect; None where it is taken.
+
+    Args:
+        baseline: The nominal model alone.
+        here: With the effects taken so far.
+        tried: With each of the other effects beside them.
+        winner: The best of those with a plausible size.
+        stack: Of the baseline.
+        p_value: Of the test that anything more is missing.
+    """
+    if winner is None:
+        words = "no effect of the catalogue fits with a plausible size"
+        return Step("stop", "", p_value, 0.0, words)
+    turned = [
+        f
+        for f in tried
+        if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, stack) > REJECTED
+    ]
+    if turned:
+        best = min(turned, key=lambda f: f.cost)
+        words = "of the opposite sign fits better than any effect of the catalogue"
+        name = best.model.effects[-1].term.name
+        return Step("stop", name, p_value, here.cost - best.cost, words)
+    gain = here.cost - winner.cost
+    share = gain / max(here.cost - EXCESS * len(here.residual), gain)
+    beside = gain / max(baseline.cost - here.cost, gain)
+    needed = FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL
+    if here.model.effects and share < needed:
+        words = (
+            f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of what "
+            "is explained already: too little for one more name"
+        )
+        return Step("stop", winner.model.effects[-1].term.name, p_value, gain, words)
+    return None
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.nominal import KEPT, Nominal
+from identification.diagnosis.rows.nominal import KEPT, Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.lateness import computed, too_early
 from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.terms.term import (
@@ -27,7 +28,6 @@ from identification.diagnosis.terms.term import (
     shaped,
 )
 from identification.diagnosis.terms.wave import sine_cosine
-from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference
 

@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.nominal import KEPT, SPEEDS, Nominal
+from identification.diagnosis.rows.nominal import KEPT, SPEEDS, Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import dahl, lagged
 from identification.diagnosis.terms.term import (
     CLOSE,
@@ -20,7 +21,6 @@ from identification.diagnosis.terms.term import (
     rows,
     shaped,
 )
-from identification.diagnosis.view import View
 from identification.recording import Array
 
 AT_START_S = 0.02

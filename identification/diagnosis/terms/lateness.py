@@ -13,8 +13,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import delayed
-from identification.diagnosis.view import View
 from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 

@@ -11,7 +11,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View, torque_per_ampere, without_origin
 from identification.diagnosis.terms.memory import warmed
 from identification.diagnosis.terms.term import (
     EXACT,
@@ -28,7 +29,6 @@ from identification.diagnosis.terms.term import (
     shaped,
 )
 from identification.diagnosis.terms.wave import sine_cosine
-from identification.diagnosis.view import View, torque_per_ampere, without_origin
 from identification.recording import Array
 from identification.signals import central_difference, resample
 

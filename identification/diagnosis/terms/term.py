@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 Shape = tuple[float, ...]

@@ -11,7 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
 from identification.diagnosis.terms.term import (
     EXACT,
@@ -25,7 +26,6 @@ from identification.diagnosis.terms.term import (
     shaped,
 )
 from identification.diagnosis.terms.wave import sine_cosine
-from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference, quantum
 

@@ -8,14 +8,16 @@ instruments free of a segment's own noise the errors need only have zero mean.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from identification.estimate.inertia.inertia_equation import influence_on_inertia
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.inertia.variance_inflation import inflation_factors
-from identification.filter.likelihood import Problem
+from identification.filter.experiment import Experiment
+from identification.filter.likelihood import Point, Searched
 from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise
 from identification.model.parameters import INERTIA, LOGARITHMIC
 from identification.numerics.arrays import Array
@@ -40,36 +42,34 @@ inflated (M13).
 _CHORD_SETTLED = 0.02
 
 
-def solve(problem: Problem) -> Array:
-    """Solve the estimating equations from the problem's start; make the solution its start; return
-    the residuals.
+def solve(point: Point) -> Point:
+    """Return the solution of the estimating equations, searched from a point.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
     """
+    count = len(point.free)
     for turn in range(ROUNDS):
         if turn in _LEVEL_ROUNDS:
-            problem.noise = likeliest_noise(problem)
-        begun = problem.origin()[: len(problem.free)]
-        deviation = _round(problem)
-        problem.iterations += 1
-        moved = np.abs(problem.origin()[: len(problem.free)] - begun) / deviation
+            point = replace(point, noise=likeliest_noise(point))
+        begun = point.origin()[:count]
+        point, deviation = _round(point)
+        moved = np.abs(point.origin()[:count] - begun) / deviation
         if turn >= _LEVEL_ROUNDS[-1] and float(np.max(moved)) < _SETTLED:
             break
-    problem.hold_weights()
-    return problem.residuals(problem.origin())
+    return point
 
 
-def _round(problem: Problem) -> Array:
-    """Solve for fixed instruments by chord steps; return the standard deviations of the
-    parameters.
+def _round(point: Point) -> tuple[Point, Array]:
+    """Solve for fixed instruments by chord steps; return the solution and the standard deviations
+    of the parameters.
     """
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    z = instruments(problem, jacobian)
-    count = len(problem.free)
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    jacobian = held.jacobian(x, residual)
+    z = instruments(point, jacobian)
+    count = len(point.free)
     bread = np.linalg.inv(z.product(huber_weight(residual, HUBER_THRESHOLD), jacobian))
     power = z.product()
     metric = np.linalg.pinv(power, hermitian=True)
@@ -77,14 +77,14 @@ def _round(problem: Problem) -> Array:
     score = z.back(residual * huber_weight(residual, HUBER_THRESHOLD))
     for _ in range(_CHORDS):
         step = -bread @ score
-        logs = [abs(s) for s, k in zip(step, problem.free, strict=False) if k in LOGARITHMIC]
+        logs = [abs(s) for s, k in zip(step, point.free, strict=False) if k in LOGARITHMIC]
         share = min(
             1.0,
             _LONGEST_LOG / max([*logs, 1e-9]),
             _LONGEST_SHIFT / float(np.max(np.abs(step[count:]))),
         )
         for _ in range(_HALVINGS):
-            there = problem.residuals(x + share * step)
+            there = held.residuals(x + share * step)
             then = z.back(there * huber_weight(there, HUBER_THRESHOLD))
             if then @ metric @ then < score @ metric @ score:
                 break
@@ -94,99 +94,93 @@ def _round(problem: Problem) -> Array:
         x, score = x + share * step, then
         if float(np.max(np.abs(step[:count]) / deviation)) < _CHORD_SETTLED:
             break
-    problem.keep(x)
-    return np.asarray(deviation)
+    return point.moved(x), np.asarray(deviation)
 
 
-def equations_chi2(problem: Problem) -> float:
-    """Return the chi-square of the estimating equations at the problem's start (M29)."""
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    z = instruments(problem, problem.jacobian(x, residual))
+def equations_chi2(point: Point) -> float:
+    """Return the chi-square of the estimating equations at a point (M29)."""
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    z = instruments(point, held.jacobian(x, residual))
     score = z.back(residual * huber_weight(residual, HUBER_THRESHOLD))
     return float(score @ np.linalg.pinv(z.product(), hermitian=True) @ score)
 
 
-def fit_beside_inertia(
-    problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]
-) -> Array:
-    """Fit the inertia by its estimating equation and all else by likelihood, in turn; return the
-    residuals.
+def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Searched:
+    """Fit the inertia by its estimating equation and all else by likelihood, in turn.
 
     Likelihood is badly biased in the inertia only. For the other parameters it is more precise than
     instruments that are means over a few segments, and it stays in its basin. The step of the
     inertia has all else eliminated, so that errors of the others enter in second order (M30, M31).
 
     Args:
-        problem: At the end of the unloaded and loaded fits; its start becomes the result.
-        refine: Searches the free parameters but the inertia, at the given multiples of the noise
-            levels.
+        point: At the end of the unloaded and loaded fits.
+        refine: Searches the likelihood over the free parameters from a point.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
     """
-    free = problem.free
+    free = point.free
     others = tuple(k for k in free if k != INERTIA)
     low, high = (-np.inf, 0.0), (np.inf, 0.0)
+    iterations = 0
     for _ in range(_TURNS):
         if others:
-            problem.free = others
-            problem.inflation = segment_inflation(problem)
-            refine(problem, (1.0,))
-            problem.free = free
+            found = refine(_inflated(point, others))
+            point, iterations = found.point.freeing(free), iterations + found.iterations
         if others == free:
             break
-        problem.noise = likeliest_noise(problem)
-        step, deviation = _inertia_step(problem)
-        here = float(np.log(problem.start[INERTIA]))
+        point = replace(point, noise=likeliest_noise(point))
+        step, deviation = _inertia_step(point)
+        here = float(np.log(point.vector[INERTIA]))
         low, high = ((here, step), high) if step > 0.0 else (low, (here, step))
         there = here + float(np.clip(step, -_LONGEST_LOG, _LONGEST_LOG))
         if not low[0] < there < high[0]:
             there = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
-        problem.start = problem.start.copy()
-        problem.start[INERTIA] = np.exp(there)
-        problem.iterations += 1
+        vector = point.vector.copy()
+        vector[INERTIA] = np.exp(there)
+        point, iterations = replace(point, vector=vector), iterations + 1
         if abs(there - here) < _SETTLED * deviation:
             break
     # Inflation depends on the values: it is renewed where the fit ends.
-    problem.free = others
-    problem.inflation = segment_inflation(problem)
-    problem.free = free
-    problem.hold_weights()
-    return problem.residuals(problem.origin())
+    return Searched(_inflated(point, others).freeing(free), iterations)
 
 
-def _inertia_step(problem: Problem) -> tuple[float, float]:
+def _inflated(point: Point, others: tuple[int, ...]) -> Point:
+    """Return the point with these parameters free and the variance inflation that they ask for."""
+    there = point.freeing(others)
+    return replace(there, inflation=segment_inflation(there))
+
+
+def _inertia_step(point: Point) -> tuple[float, float]:
     """Return the step in the logarithm of the inertia that solves its linearised equation, and its
     deviation.
     """
-    problem.hold_weights()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, residual)
+    held = point.weighted()
+    x = point.origin()
+    residual = held.residuals(x)
+    jacobian = held.jacobian(x, residual)
+    influence = influence_on_inertia(point, instruments(point, jacobian), jacobian, residual)
     return -float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD))), float(
         np.linalg.norm(influence)
     )
 
 
-def segment_inflation(problem: Problem) -> Array:
-    """Return the variance inflation of each segment at the problem's start, shape (m,) (M13).
-
-    Resets the problem's own inflation first.
+def segment_inflation(point: Point) -> Array:
+    """Return the variance inflation of each segment at a point, shape (m,) (M13); the point's own
+    does not count.
     """
-    problem.inflation = np.ones(problem.breakaways)
-    problem.hold_weights()
-    x = problem.origin()
-    return inflation_by(problem, problem.jacobian(x, problem.residuals(x)))
+    held = replace(point, inflation=np.ones(point.breakaways)).weighted()
+    x = point.origin()
+    return inflation_by(point.experiment, held.jacobian(x, held.residuals(x)))
 
 
-def inflation_by(problem: Problem, jacobian: BlockArrow) -> Array:
+def inflation_by(experiment: Experiment, jacobian: BlockArrow) -> Array:
     """Return the variance inflation from sensitivities of the prediction errors without inflation,
     shape (m,).
     """
     information = jacobian.information_by_block()
-    numbers = np.arange(len(problem.motions), dtype=np.int64)
-    recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
-    return inflation_factors(information, problem.lengths, recordings, _MOST)
+    numbers = np.arange(len(experiment.motions), dtype=np.int64)
+    recordings = np.repeat(numbers, [len(m.table) for m in experiment.motions])
+    return inflation_factors(information, experiment.lengths, recordings, _MOST)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.filter.segments import Motion
 from identification.numerics.arrays import Array
@@ -22,21 +22,21 @@ class Replicate:
     """One simulated replicate of an experiment.
 
     Attributes:
-        problem: The simulated recordings, in the order of the real ones, at the simulated values.
-        sensitivities: d prediction errors over their deviations / d x there, of the real problem's
-        free parameters.
+        point: The simulated recordings, in the order of the real ones, at the simulated values.
+        sensitivities: d prediction errors over their deviations / d x there, for the free
+            parameters of the real experiment.
         residuals: Those errors over their deviations, shape (r,).
         noise: Number of its noise; the same noise with its sign turned has the same number.
     """
 
-    problem: Problem
+    point: Point
     sensitivities: BlockArrow
     residuals: Array
     noise: int
 
     def inflated(self) -> tuple[BlockArrow, Array]:
         """Return sensitivities and residuals with variance inflation (M13), as in the estimate."""
-        share = 1.0 / self.problem.inflation[self.problem.owners]
+        share = 1.0 / self.point.inflation[self.point.owners]
         return self.sensitivities.scaled(share), self.residuals * share
 
 
@@ -80,12 +80,12 @@ class ReplicatedSegment:
 
 
 def replicated_segments(
-    problem: Problem, replicates: Sequence[Replicate]
+    point: Point, replicates: Sequence[Replicate]
 ) -> Iterator[ReplicatedSegment]:
-    """Yield every segment of a problem with its counterparts in replicates."""
+    """Yield every segment of an experiment with its counterparts in replicates."""
     found_in = [_segments(r) for r in replicates]
     row, number = 0, 0
-    for k, (m, begins) in enumerate(zip(problem.motions, problem.breakaway_times, strict=True)):
+    for k, (m, begins) in enumerate(zip(point.motions, point.breakaway_times, strict=True)):
         for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
             end = row + int(bounds[LAST] - bounds[FIRST])
             found = [curve for one in found_in if (curve := _same(one[k], bounds)) is not None]
@@ -95,10 +95,10 @@ def replicated_segments(
 
 def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
     """Return, by recording, the segments of a replicate: row of the table, and curve."""
-    problem, slopes = replicate.problem, replicate.sensitivities
+    point, slopes = replicate.point, replicate.sensitivities
     curves = np.column_stack([slopes.parameters, slopes.own])
     out, row = [], 0
-    for m, begins in zip(problem.motions, problem.breakaway_times, strict=True):
+    for m, begins in zip(point.motions, point.breakaway_times, strict=True):
         segments = []
         for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
             length = int(bounds[LAST] - bounds[FIRST])

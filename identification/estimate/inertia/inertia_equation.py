@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.inertia.instruments import instruments, replicate_instruments
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INERTIA
 from identification.numerics.arrays import Array
@@ -36,19 +36,19 @@ class Equation:
 
 
 def influence_on_inertia(
-    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array
+    point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array
 ) -> Array:
     """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape
     (r,).
     """
-    return z.along(_mixture(problem, z, jacobian, residual))
+    return z.along(_mixture(point, z, jacobian, residual))
 
 
-def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
+def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
     """Return the mixture of instruments that only the inertia changes, by one with its logarithm,
     shape (p + m,).
     """
-    j = problem.free.index(INERTIA)
+    j = point.free.index(INERTIA)
     power = z.product()
     others = np.delete(power, j, axis=0)
     taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
@@ -58,14 +58,14 @@ def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Ar
     )
 
 
-def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
+def equation(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
     """Return the inertia's equation for instruments that are independent of the residuals."""
-    influence = influence_on_inertia(problem, z, jacobian, residual)
+    influence = influence_on_inertia(point, z, jacobian, residual)
     return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
 
 
 def equation_of_half_cycles(
-    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array
+    point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array
 ) -> Equation:
     """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of
     segments.
@@ -73,15 +73,15 @@ def equation_of_half_cycles(
     A segment enters by its residuals, and by its sensitivities, which are in the instruments of
     other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
     """
-    j = problem.free.index(INERTIA)
-    first = equation(problem, z, jacobian, residual)
+    j = point.free.index(INERTIA)
+    first = equation(point, z, jacobian, residual)
     weighted = residual * huber_weight(residual, HUBER_THRESHOLD)
     columns = np.zeros_like(jacobian.parameters)
     columns[:, j] = weighted
     carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
-    mixed = _mixture(problem, z, jacobian, residual)
-    second = jacobian.along(mixed) * instruments(problem, carrier).parameters[:, j]
-    second[len(second) - problem.breakaways :] = 0.0
+    mixed = _mixture(point, z, jacobian, residual)
+    second = jacobian.along(mixed) * instruments(point, carrier).parameters[:, j]
+    second[len(second) - point.breakaways :] = 0.0
     return replace(first, parts=first.parts + second)
 
 
@@ -96,7 +96,7 @@ def least_variance(one: Equation, other: Equation) -> Equation:
 
 
 def combined_equation(
-    problem: Problem,
+    point: Point,
     z: BlockArrow,
     jacobian: BlockArrow,
     residual: Array,
@@ -106,14 +106,14 @@ def combined_equation(
     (M32).
 
     Args:
-        problem: At its start.
+        point: Where the sensitivities were taken.
         z: Its instruments by matching half cycles.
         jacobian: d residuals / d x there.
         residual: There.
         replicates: Empty for half cycles alone.
     """
-    half_cycles = equation_of_half_cycles(problem, z, jacobian, residual)
+    half_cycles = equation_of_half_cycles(point, z, jacobian, residual)
     if not replicates:
         return half_cycles
-    other = replicate_instruments(problem, z, replicates)
-    return least_variance(half_cycles, equation(problem, other, jacobian, residual))
+    other = replicate_instruments(point, z, replicates)
+    return least_variance(half_cycles, equation(point, other, jacobian, residual))

@@ -23,7 +23,7 @@ from identification.estimate.inertia.half_cycles import (
     onsets_of,
     replicated_segments,
 )
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.model.parameters import OFFSET
 from identification.numerics.arrays import Array
@@ -39,19 +39,19 @@ _TRUNCATED = 4.0
 """Standard deviations at which a Gaussian is cut off."""
 
 
-def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
+def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
     """Return the instruments of every residual; zero where no other segment lasts as long.
 
     Args:
-        problem: At its start.
+        point: Where the sensitivities were taken.
         jacobian: d residuals / d x there.
     """
-    count = len(problem.free)
-    both_ways = np.array([k == OFFSET for k in problem.free] + [False])
+    count = len(point.free)
+    both_ways = np.array([k == OFFSET for k in point.free] + [False])
     parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
     row, segment = 0, 0
-    tie = len(own) - problem.breakaways
-    for m, begins in zip(problem.motions, problem.breakaway_times, strict=True):
+    tie = len(own) - point.breakaways
+    for m, begins in zip(point.motions, point.breakaway_times, strict=True):
         lengths = (m.table[:, LAST] - m.table[:, FIRST]).astype(np.int64)
         starts = row + np.concatenate(([0], np.cumsum(lengths)))
         curves, sides = [], []
@@ -79,7 +79,7 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
 
 
 def replicate_instruments(
-    problem: Problem, plain: BlockArrow, replicates: Sequence[Replicate]
+    point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
     """Return the instruments of every residual by replicates; ``plain`` where no replicate has its
     segment.
@@ -89,15 +89,15 @@ def replicate_instruments(
     way each time, and with a coarse encoder these samples carry most information on the inertia.
 
     Args:
-        problem: At its start.
+        point: Where the sensitivities were taken.
         plain: Instruments by matching half cycles.
         replicates: At least one.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
-    for segment in replicated_segments(problem, replicates):
+    for segment in replicated_segments(point, replicates):
         if not segment.curves:
             continue
-        here, inflation = segment.rows, problem.inflation[segment.number]
+        here, inflation = segment.rows, point.inflation[segment.number]
         mean, seen = segment.mean(segment.curves)
         matching = np.column_stack([parameters[here], own[here]])
         mean = np.where(seen > 0.0, mean / inflation, matching)

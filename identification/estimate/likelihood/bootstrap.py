@@ -16,7 +16,7 @@ import numpy as np
 from identification.estimate.inertia.inertia_equation import influence_on_inertia
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.likelihood.stages import Refined
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
@@ -51,13 +51,13 @@ def bootstrap(
     Returns:
         One per name; bounds are None where fewer than half of the draws were solved.
     """
-    problem = refined.joint
-    equations = _Equations(problem, _deviations(refined))
+    joint = refined.joint
+    equations = _Equations(joint, _deviations(refined))
     values: dict[str, list[float]] = {name: [] for name in refined.names}
     for k in range(draws):
-        found = equations.solve(_counts(problem, rng))
+        found = equations.solve(_counts(joint, rng))
         if found is not None:
-            for name, value in unpack(problem.parameters(found), refined.names).items():
+            for name, value in unpack(joint.parameters(found), refined.names).items():
                 values[name].append(value)
         progress((k + 1) / draws)
     tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
@@ -72,9 +72,9 @@ def bootstrap(
     return tuple(out)
 
 
-def _counts(problem: Problem, rng: np.random.Generator) -> Array:
+def _counts(point: Point, rng: np.random.Generator) -> Array:
     """Return how often each segment is drawn, within its recording, shape (m,)."""
-    sizes = [len(m.table) for m in problem.motions]
+    sizes = [len(m.table) for m in point.motions]
     return np.concatenate(
         [rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]
     ).astype(np.float64)
@@ -87,9 +87,9 @@ def _deviations(refined: Refined) -> Array:
     by_place = dict(
         zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True)
     )
-    start = refined.joint.start
+    values = refined.joint.vector
     return np.array(
-        [by_place[k] / (start[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free]
+        [by_place[k] / (values[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free]
     )
 
 
@@ -98,22 +98,21 @@ class _Equations:
     equation for that.
     """
 
-    def __init__(self, problem: Problem, deviations: Array) -> None:
-        self.problem = problem
+    def __init__(self, point: Point, deviations: Array) -> None:
         self.deviations = deviations
-        problem.hold_weights()
-        self.origin = problem.origin()
-        residual = problem.residuals(self.origin)
-        jacobian = problem.jacobian(self.origin, residual)
+        self.held = point.weighted()
+        self.origin = point.origin()
+        residual = self.held.residuals(self.origin)
+        jacobian = self.held.jacobian(self.origin, residual)
         self.begun = (residual, jacobian)
-        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
+        self.inertia = point.free.index(INERTIA) if INERTIA in point.free else None
         self.influence = np.zeros(0)
         if self.inertia is not None:
-            z = instruments(problem, jacobian)
-            self.influence = influence_on_inertia(problem, z, jacobian, residual)
+            z = instruments(point, jacobian)
+            self.influence = influence_on_inertia(point, z, jacobian, residual)
         # The search may have ended a little beside the solution; draws are compared with the
         # solution.
-        self.rest = self.sums(residual, jacobian, np.ones(problem.breakaways))[0]
+        self.rest = self.sums(residual, jacobian, np.ones(point.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
@@ -148,8 +147,8 @@ class _Equations:
             x = x + min(1.0, _LONGEST / max(size, 1e-300)) * step
             if size < _SETTLED:
                 return x
-            residual = self.problem.residuals(x)
+            residual = self.held.residuals(x)
             if not np.all(np.isfinite(residual)):
                 return None
-            jacobian = self.problem.jacobian(x, residual)
+            jacobian = self.held.jacobian(x, residual)
         return None

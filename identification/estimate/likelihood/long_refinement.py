@@ -17,7 +17,8 @@ from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
 from identification.filter.breakaway_times import ROUNDS, Reduced, optimise_breakaway_times, reduce
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
+from identification.filter.noise import Noise
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, LOGARITHMIC, pack, unpack
@@ -59,31 +60,48 @@ def refine_pieces(
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
-    begins: dict[int, list[Array]] = {}
+    begins: dict[int, tuple[Array, ...]] = {}
     evaluations = start.evaluations
     for number in range(PASSES):
         found: list[Reduced] = []
         for k, piece in enumerate(pieces):
-            moving = motion(piece)
-            if moving is None:
+            settled = _settled(piece, vector, free, model, start.noise, begins.get(k))
+            if settled is None:
                 continue
-            problem = Problem([moving], vector, free, model, start.noise)
-            problem.breakaway_times = begins.get(
-                k, [moving.static_crossing(static_limit(vector, moving))]
-            )
-            optimise_breakaway_times(problem, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
-            begins[k] = problem.breakaway_times
-            found.append(reduce(problem, HUBER_THRESHOLD))
-            evaluations += problem.evaluations
+            point = settled
+            begins[k] = point.breakaway_times
+            found.append(reduce(point, HUBER_THRESHOLD))
+            evaluations += point.filter.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
-        normal = np.sum([r.normal for r in found], axis=0)
-        gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
-        step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
-        x = problem.origin()
+        step, length = _step(found)
+        x = point.origin()
         x[: len(free)] += step
-        vector = problem.parameters(x)
-        if step @ normal @ step < len(free) * SETTLED**2:
+        vector = point.parameters(x)
+        if length < len(free) * SETTLED**2:
             break
+    evaluated = replace(start, evaluations=evaluations, iterations=start.iterations + number + 1)
+    return _over_all(evaluated, found, names, vector)
+
+
+def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
+    """Return the Gauss-Newton step of the parameters, and its squared length in standard errors."""
+    normal = np.sum([r.normal for r in found], axis=0)
+    gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
+    step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
+    return step, float(step @ normal @ step)
+
+
+def _over_all(
+    start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
+) -> Refined:
+    """Return the estimate of the heads with the values, covariance and innovations of all pieces.
+
+    Args:
+        start: The estimate of the heads.
+        found: Normal equations of the pieces.
+        names: Parameters that all pieces determine.
+        vector: Parameters.
+    """
     achieved, floor = start.covariance.copy(), start.floor.copy()
     order = np.ix_(*2 * [[start.names.index(n) for n in names]])
     achieved[order], floor[order] = _covariances(found, names, vector)
@@ -95,10 +113,35 @@ def refine_pieces(
         floor=floor,
         innovation_rms=float(np.sqrt(squares / count)),
         whiteness=sum(r.neighbours for r in found) / squares,
-        evaluations=evaluations,
-        iterations=start.iterations + number + 1,
         breakaways=sum(len(r.scores) for r in found),
     )
+
+
+def _settled(
+    piece: Recording,
+    vector: Array,
+    free: Sequence[int],
+    model: Model,
+    noise: Noise,
+    begins: tuple[Array, ...] | None,
+) -> Point | None:
+    """Return a piece at its best breakaway times; None where prediction errors do not apply to it.
+
+    Args:
+        piece: The piece.
+        vector: Parameters.
+        free: Free ones among them.
+        model: Declared terms and fixed values.
+        noise: Noise of torque and angle.
+        begins: Breakaway times of the pass before; None in the first.
+    """
+    moving = motion(piece)
+    if moving is None:
+        return None
+    point = Point.of([moving], vector, free, model, noise)
+    if begins is None:
+        return optimise_breakaway_times(point, HUBER_THRESHOLD, ROUNDS)
+    return optimise_breakaway_times(replace(point, breakaway_times=begins), HUBER_THRESHOLD, 1)
 
 
 def _covariances(

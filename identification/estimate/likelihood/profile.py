@@ -22,7 +22,7 @@ from identification.estimate.inertia.inertia_equation import influence_on_inerti
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
@@ -48,12 +48,11 @@ class _Criterion:
     ``curve`` is the part that depends on the change of log J alone.
     """
 
-    def __init__(self, problem: Problem) -> None:
-        self.problem = problem
-        problem.hold_weights()
-        self.x = problem.origin()
-        self.count = len(problem.free)
-        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
+    def __init__(self, point: Point) -> None:
+        self.held = point.weighted()
+        self.x = point.origin()
+        self.count = len(point.free)
+        self.inertia = point.free.index(INERTIA) if INERTIA in point.free else None
         self.curve = np.polynomial.Polynomial([0.0])
         self._cost = 0.0
         held = np.zeros(self.count)
@@ -73,7 +72,7 @@ class _Criterion:
         """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that
         of the cost alone.
         """
-        cost = self.problem.jacobian(x, residual).eliminated(
+        cost = self.held.jacobian(x, residual).eliminated(
             residual, huber_weight(residual, HUBER_THRESHOLD)
         )
         matrix, gradient = cost.matrix.copy(), cost.scores.sum(axis=0)
@@ -88,7 +87,7 @@ class _Criterion:
 
         Nothing is held where ``along`` is all zeros.
         """
-        residual = self.problem.residuals(x)
+        residual = self.held.residuals(x)
         value = self.value(x, residual)
         for _ in range(_ROUNDS):
             matrix, gradient, cost = self.normal(x, residual)
@@ -98,7 +97,7 @@ class _Criterion:
             whole = np.concatenate([step, cost.own_step(step)])
             for k in range(_HALVINGS):
                 there = x + 0.5**k * whole
-                tried = self.problem.residuals(there)
+                tried = self.held.residuals(there)
                 least = self.value(there, tried)
                 if least < value:
                     x, residual, value = there, tried, least
@@ -120,12 +119,12 @@ def profiles(
         units: Parameter name to unit.
         progress: Called with the share done.
     """
-    problem = refined.joint
-    criterion = _Criterion(problem)
+    joint = refined.joint
+    criterion = _Criterion(joint)
     names = refined.names
     deviations = dict(zip(names, np.sqrt(np.diag(refined.covariance)), strict=True))
     logarithmic = {n for n in names if INDEX[n] in LOGARITHMIC}
-    directions = dict(zip(names, _directions(problem, names), strict=True))
+    directions = dict(zip(names, _directions(joint, names), strict=True))
     found: dict[str, tuple[Array, Array, float]] = {}
     if "J" in names:
         found["J"] = (
@@ -141,7 +140,7 @@ def profiles(
             found[name] = (*_walk(criterion, directions[name], shape, sigma), scale)
         progress((k + 1) / len(names))
     out = []
-    least = unpack(problem.parameters(criterion.x), names)
+    least = unpack(joint.parameters(criterion.x), names)
     for name in names:
         steps, deviance, scale = found[name]
         here = least[name]
@@ -172,9 +171,9 @@ def crossings(values: Array, deviance: Array) -> tuple[float | None, float | Non
     return ends[0], ends[1]
 
 
-def _directions(problem: Problem, names: tuple[str, ...]) -> Array:
+def _directions(point: Point, names: tuple[str, ...]) -> Array:
     """Return each named parameter as a row of weights of the free vector, shape (p, p)."""
-    order = [problem.free.index(INDEX[n]) for n in names]
+    order = [point.free.index(INDEX[n]) for n in names]
     out = np.zeros((len(names), len(names)))
     out[:, order] = rise_to_static(names)
     return out
@@ -210,12 +209,12 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
     J.
 
     The equation is the error of J with the other parameters at their least squares: its slope is -1
-    where the problem is linear.
+    where the experiment is linear.
     """
-    problem, x = criterion.problem, criterion.x
-    jacobian = problem.jacobian(x, criterion.residual)
+    held, x = criterion.held, criterion.x
+    jacobian = held.jacobian(x, criterion.residual)
     influence = influence_on_inertia(
-        problem, instruments(problem, jacobian), jacobian, criterion.residual
+        held.point, instruments(held.point, jacobian), jacobian, criterion.residual
     )
     shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
 

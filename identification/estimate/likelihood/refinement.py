@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.estimate.uncertainty.parameter_table import typical_error
 from identification.filter.breakaway_times import search_breakaway_times
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.ladder import NOMINAL
@@ -59,6 +58,7 @@ def refine(
     names: Sequence[str],
     model: Model,
     bandwidth_Hz: float,
+    rng: np.random.Generator,
 ) -> Found:
     """Refine equation-error values by prediction errors, test them, and correct their bias.
 
@@ -69,6 +69,7 @@ def refine(
         names: Parameters to fit.
         model: Declared terms and fixed values.
         bandwidth_Hz: Bandwidth of the equation error.
+        rng: Spawns the noises of the simulated replicates.
     """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
@@ -81,7 +82,7 @@ def refine(
         starts = () if refined is None else refined.starts
         kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
-    bias = likelihood_bias(refined.joint, refined.names)
+    bias = likelihood_bias(refined.joint, refined.names, rng)
     found = Found(
         dict(refined.values),
         spread_of(refined),
@@ -117,7 +118,7 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
     return np.diag([bias.variances[name] for name in names])
 
 
-def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
+def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     """Solve the inertia's equation with instruments of replicates too (M32); the others follow.
 
     Floors are theirs.
@@ -125,9 +126,9 @@ def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
     It is solved at the bias-corrected values, as replicates solve it at their true values: errors
     of the others enter in second order, which counts at several standard deviations.
     """
-    names, there = found.spread.names, copy(joint)
-    there.start = pack(found.values, joint.alpha)
-    search_breakaway_times(there, HUBER_THRESHOLD)
+    names = found.spread.names
+    begun = replace(joint, vector=pack(found.values, joint.alpha))
+    there = search_breakaway_times(begun, HUBER_THRESHOLD)
     solved = covariances(there, bias.replicates)
     x = there.origin()
     x[: len(solved.step)] += solved.step

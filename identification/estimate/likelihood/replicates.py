@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 from itertools import islice
 
@@ -26,7 +25,7 @@ import numpy as np
 from identification.estimate.inertia.estimating_equations import segment_inflation
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.filter.breakaway_times import search_breakaway_times
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import (
@@ -55,8 +54,8 @@ at most.
 """
 _UNSEEN = 0.5
 """Logged share of the noise variance where the recordings do not show it (M34)."""
-_DRAW = 1000
-"""Seed of the noise for the drive's answer to noise."""
+_SEEDS = 1 << 63
+"""Seeds of the noises are drawn below this."""
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
 _FARTHEST = 20.0
@@ -80,26 +79,27 @@ class Bias:
     replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
 
 
-def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
-    """Return the bias of the likelihood at a problem's start (M35); none for the inertia.
+def likelihood_bias(joint: Point, names: Sequence[str], rng: np.random.Generator) -> Bias | None:
+    """Return the bias of the likelihood at a point (M35); none for the inertia.
 
     None where the experiment cannot be simulated: the recordings do not show the drive's loop, a
     load is not made by a weight, or the filter does not follow the replicates.
 
     Args:
-        joint: At the estimate; it is not changed.
+        joint: The estimate.
         names: Of the fitted parameters.
+        rng: Spawns the source of all noises; its own stream stays where it is.
     """
     loop = _loop(joint.motions)
     if loop is None or OFFSET in joint.free:
         return None
-    share = logged_share(joint, loop)
-    start, found = joint.start, None
+    (source,) = rng.spawn(1)
+    seeds = source.integers(_SEEDS, size=_TRIED).tolist()
+    share = logged_share(joint, loop, source)
+    there, found = joint, None
     replicates: tuple[Replicate, ...] = ()
     for turn in range(1, _TURNS + 1):
-        there = copy(joint)
-        there.start = start
-        noises = iter(range(_TRIED))
+        noises = iter(seeds)
         pairs = list(islice(_pairs(there, loop, share, noises), PAIRS))
         if len(pairs) < _ENOUGH:
             break
@@ -115,7 +115,7 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
         if last:
             break
         # The bias at the true values is that at the corrected estimate.
-        start = joint.parameters(_away(joint, mean))
+        there = replace(joint, vector=joint.parameters(_away(joint, mean)))
     if found is None:
         return None
     moved = np.array([_named(joint, pair, names) for pair in found])
@@ -130,7 +130,7 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     )
 
 
-def logged_share(joint: Problem, loop: Loop) -> float:
+def logged_share(joint: Point, loop: Loop, rng: np.random.Generator) -> float:
     """Return the share of the torque noise's variance that is in the logged torque and not in the
     true one (M34).
 
@@ -139,13 +139,13 @@ def logged_share(joint: Problem, loop: Loop) -> float:
     noise of the measurement. Where that answer exceeds the noise, half is taken.
 
     Args:
-        joint: At the estimate; it is not changed.
+        joint: The estimate.
         loop: The drive.
+        rng: Of the noise that the simulated drive answers to.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
         return _UNSEEN
-    rng = np.random.default_rng(_DRAW)
     answers = [
         _response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque
         for m in joint.motions
@@ -177,11 +177,11 @@ _Pair = tuple[_Scored, _Scored]
 """Replicates with one noise, and with its sign turned."""
 
 
-def _pairs(there: Problem, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
+def _pairs(there: Point, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
     """Yield pairs of replicates that both succeed, until the noises are used up.
 
     Args:
-        there: The problem of the experiment, at the simulated values.
+        there: The experiment, at the simulated values.
         loop: The drive.
         share: Logged share of the noise variance.
         noises: Their seeds.
@@ -210,18 +210,18 @@ def _uncertain(pairs: Sequence[_Pair]) -> bool:
     return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
 
 
-def _away(joint: Problem, step: Array) -> Array:
-    """Return the free vector that lies a step of the parameters before the problem's start."""
+def _away(joint: Point, step: Array) -> Array:
+    """Return the free vector that lies a step of the parameters before the point."""
     there = joint.origin()
     there[: len(step)] -= step
     return there
 
 
-def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of named parameters in a step that ends at the start, in their own units,
+def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
+    """Return the change of named parameters in a step that ends at the point, in their own units,
     shape (p,).
     """
-    before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.start))
+    before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.vector))
     return np.array([here[n] - before[n] for n in names])
 
 
@@ -241,7 +241,7 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
+def _step(joint: Point, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
     """Simulate a replicate and return its scoring step; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
     motions = [
@@ -250,29 +250,28 @@ def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
-    problem = Problem(seen, joint.start, [], Model(), joint.noise)
-    problem.free = tuple(k for k in joint.free if k != INERTIA)
-    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
-    search_breakaway_times(problem, HUBER_THRESHOLD)
-    problem.inflation = segment_inflation(problem)
-    problem.free = joint.free
-    return _scored(problem, seed)
+    others = [k for k in joint.free if k != INERTIA]
+    point = search_breakaway_times(
+        Point.of(seen, joint.vector, others, Model(), joint.noise), HUBER_THRESHOLD
+    )
+    point = replace(point, inflation=segment_inflation(point)).freeing(joint.free)
+    return _scored(point, seed)
 
 
-def _scored(problem: Problem, noise: int) -> _Scored | None:
+def _scored(point: Point, noise: int) -> _Scored | None:
     """Return the parameters' part of a scoring step (M23) over them and breakaway times, the
     inertia held.
 
     Args:
-        problem: Of the replicate.
+        point: Of the replicate.
         noise: Seed of its noise.
     """
-    x, count = problem.origin(), len(problem.free)
-    errors, deviations = problem.predictions(x)
-    every, widening = problem.derivatives(x, errors, deviations)
-    inflation = problem.inflation[problem.owners]
-    replicate = Replicate(problem, every.scaled(inflation), errors / deviations * inflation, noise)
-    held = [j for j, k in enumerate(problem.free) if k == INERTIA]
+    x, count = point.origin(), len(point.free)
+    errors, deviations = point.predictions(x)
+    every, widening = point.derivatives(x, errors, deviations)
+    inflation = point.inflation[point.owners]
+    replicate = Replicate(point, every.scaled(inflation), errors / deviations * inflation, noise)
+    held = [j for j, k in enumerate(point.free) if k == INERTIA]
     jacobian = every
     for j in held:
         jacobian, widening = jacobian.without(j), widening.without(j)
@@ -292,16 +291,16 @@ def _scored(problem: Problem, noise: int) -> _Scored | None:
     return _Scored(step, deviation, replicate)
 
 
-def _drawn(joint: Problem, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
+def _drawn(joint: Point, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
     """Return the torque noise that moves the joint, and that of the log, N m, shape (2, n)."""
     rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
     return rows * np.sqrt([[1.0 - share], [share]])
 
 
-def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Response:
-    """Return the simulated response to a recording's command at the problem's values."""
+def _response(joint: Point, m: Motion, loop: Loop, disturbance: Array) -> Response:
+    """Return the simulated response to a recording's command at the point's values."""
     r = m.recording
-    values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
+    values = unpack(joint.vector, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
     command = np.asarray(r.channels["command"], dtype=np.float64)
     return respond(
@@ -309,8 +308,8 @@ def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Resp
     )
 
 
-def _replicate(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:
-    """Return the replicate of a recording at the problem's values, with noise of shape (2, n)."""
+def _replicate(joint: Point, m: Motion, loop: Loop, noise: Array) -> Motion | None:
+    """Return the replicate of a recording at the point's values, with noise of shape (2, n)."""
     r = m.recording
     response = _response(joint, m, loop, noise[0])
     step = _step_of_encoder(m)

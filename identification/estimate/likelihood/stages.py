@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from identification.estimate.inertia.estimating_equations import (
 from identification.estimate.likelihood.searches import (
     SAME_END,
     STARTS,
+    LoadedFit,
     basins,
     breakaway_starts,
     likeliest_together,
@@ -33,7 +34,7 @@ from identification.estimate.likelihood.searches import (
     refine_from,
 )
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point, Searched
 from identification.filter.noise import Noise
 from identification.filter.noise_level import (
     HUBER_THRESHOLD,
@@ -60,12 +61,8 @@ from identification.numerics.arrays import Array
 from identification.recording import Model
 from identification.result import Starts
 
-_Start = tuple[Array, Sequence[Array], float]
-"""Start of a solution of the unloaded fit: parameters, breakaway times, inertia over that of the
-parameters.
-"""
-_Solved = tuple[float, Array, list[Array], Noise]
-"""End of a solution of the unloaded fit: chi-square (M29), parameters, breakaway times, noise."""
+_Free = tuple[Sequence[int], Sequence[int]]
+"""Parameters that least squares find first, then the inertia; empty where it is known."""
 _AGAIN = 2
 """Solutions started from the best end where no start is solved; the first without a gain is the
 last.
@@ -101,7 +98,7 @@ class Refined:
             positive where the least squares at raised noise left the basin and the likelihood did
             not return to it.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
-        joint: The joint problem, at the estimate.
+        joint: The estimate in the joint experiment.
         starts: Ends of the searches by start.
     """
 
@@ -119,113 +116,123 @@ class Refined:
     breakaways: int
     likelihood_drop: float
     equations_chi2: float
-    joint: Problem
+    joint: Point
     starts: tuple[Starts, ...] = ()
 
 
-def solve_unloaded(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """End of a solution of the unloaded fit.
+
+    Attributes:
+        chi2: Chi-square of the estimating equations (M29).
+        point: Where it ended.
+    """
+
+    chi2: float
+    point: Point
+
+
+def solve_unloaded(
+    begun: Point, system: Sequence[int], inertia: Sequence[int]
+) -> tuple[Solved, tuple[float, ...]]:
     """Solve the unloaded fit from one start after another, until the estimating equations are
     solved.
 
     Least squares with the inertia held lead into the basin of that inertia; the equation error's
-    may be off by half and more. Leaves the problem at the best end; returns its chi-square (M29).
+    may be off by half and more.
+
+    Args:
+        begun: At the equation error's values.
+        system: Free parameters but the inertia.
+        inertia: The inertia, where it is free.
+
+    Returns:
+        The best end, and the chi-square of every solution.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments determine the parameters from none of the starts.
     """
-    vector, begins, noise = problem.start, problem.breakaway_times, problem.noise
     free = system, inertia
     both = bool(system) and bool(inertia)
-    problem.free = tuple(system)
-    searched = breakaway_starts(problem, MC, SYSTEM_RISE, OMEGA_SF) if system else []
-    starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
+    at_system = begun.freeing(system)
+    searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
+    starts = [_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,))]
     starts += [
-        (p, times, share)
-        for p, times in searched[:STARTS]
+        _heavier(start, share)
+        for start in searched[:STARTS]
         for share in _INERTIAS[: len(inertia) * 3]
     ]
-    best = _best_of(problem, starts, noise, free, None)
-    last: _Solved | None = None
+    found: list[float] = []
+    best = _best_of(starts, free, None, found)
+    last: Solved | None = None
     for _ in range(_AGAIN if both else 0):
-        if best is None or best is last or best[0] < SOLVED:
+        if best is None or best is last or best.chi2 < SOLVED:
             break
         last = best
-        best = _best_of(problem, [(best[1], best[2], 1.0)], noise, free, best)
-    if both and (best is None or not best[0] < SOLVED):
-        best = _best_of(problem, _far(problem, vector, noise, system), noise, free, best)
+        again = replace(best.point, noise=begun.noise)
+        best = _best_of([again], free, best, found)
+    if both and (best is None or not best.chi2 < SOLVED):
+        best = _best_of(_far(at_system), free, best, found)
     if best is None:
         raise np.linalg.LinAlgError("no start pins the parameters")
-    chi2, problem.start, problem.breakaway_times, problem.noise = best
-    return chi2
+    return best, tuple(found)
 
 
-def _far(problem: Problem, vector: Array, noise: Noise, system: Sequence[int]) -> Iterator[_Start]:
+def _heavier(point: Point, share: float) -> Point:
+    """Return the point with its inertia multiplied by a factor."""
+    vector = point.vector.copy()
+    vector[INERTIA] *= share
+    return replace(point, vector=vector)
+
+
+def _far(point: Point) -> Iterator[Point]:
     """Yield starts at inertias far from the equation error's, each with its likeliest breakaway
     times.
     """
     for share in _FAR:
-        problem.start, problem.noise, problem.free = vector.copy(), noise, tuple(system)
-        problem.start[INERTIA] *= share
-        for p, times in breakaway_starts(problem, MC, SYSTEM_RISE, OMEGA_SF)[:1]:
-            yield p, times, 1.0
+        yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
 
 
 def _best_of(
-    problem: Problem,
-    starts: Iterable[_Start],
-    noise: Noise,
-    free: tuple[Sequence[int], Sequence[int]],
-    best: _Solved | None,
-) -> _Solved | None:
+    starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
+) -> Solved | None:
     """Solve from one start after another until the equations are solved; return the best end,
     including ``best``.
+
+    Args:
+        starts: Tried in turn.
+        free: Free parameters.
+        best: The best end so far.
+        found: Gains the chi-square of every solution.
     """
-    for start, times, share in starts:
-        found = _solved_from(problem, start, times, share, noise, free)
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-        if best is not None and best[0] < SOLVED:
+    for start in starts:
+        solved = _solved_from(start, free)
+        if solved is not None:
+            found.append(solved.chi2)
+            if best is None or solved.chi2 < best.chi2:
+                best = solved
+        if best is not None and best.chi2 < SOLVED:
             break
     return best
 
 
-def _solved_from(
-    problem: Problem,
-    start: Array,
-    times: Sequence[Array],
-    share: float,
-    noise: Noise,
-    free: tuple[Sequence[int], Sequence[int]],
-) -> _Solved | None:
-    """Solve the unloaded fit from one start; None where that fails.
-
-    Args:
-        problem: Left at the end.
-        start: Parameter vector.
-        times: Breakaway times.
-        share: Inertia at first, over that of the start.
-        noise: Noise at first.
-        free: Parameters that least squares find first, then the inertia.
-    """
+def _solved_from(start: Point, free: _Free) -> Solved | None:
+    """Solve the unloaded fit from one start; None where that fails."""
     system, inertia = free
-    problem.start, problem.breakaway_times, problem.noise = start.copy(), list(times), noise
-    problem.start[INERTIA] *= share
-    problem.free = tuple(system)
+    point = start.freeing(system)
     try:
         if system:
-            refine(problem, (1.0,))
-        problem.free = (*system, *inertia)
-        if problem.free:
-            solve(problem)
-        chi2 = equations_chi2(problem) if problem.free else 0.0
+            point = refine(point, (1.0,)).point
+        point = point.freeing((*system, *inertia))
+        if point.free:
+            point = solve(point)
+        chi2 = equations_chi2(point) if point.free else 0.0
     except np.linalg.LinAlgError:
         # From a start without a rise, as the equation error finds it in slips, the Stribeck speed
         # is undetermined.
         return None
-    if not math.isfinite(chi2):
-        return None
-    problem.solution_chi2.append(chi2)
-    return chi2, problem.start, problem.breakaway_times, problem.noise
+    return Solved(chi2, point) if math.isfinite(chi2) else None
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
@@ -244,26 +251,24 @@ def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
     return system, load, [] if INERTIA in fixed else [INERTIA]
 
 
-def _first_problem(
+def _first_point(
     unloaded: Sequence[Motion],
     start: Mapping[str, float],
     system: Sequence[int],
     model: Model,
     correlated: bool,
-) -> Problem:
-    """Return the problem of the unloaded fit at the equation error's values, with the likeliest
-    noise there.
+) -> Point:
+    """Return the point of the unloaded fit at the equation error's values, with the likeliest noise
+    there.
     """
-    first = Problem(
-        unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
-    )
     # Without load the equation error is a good start already; with it, friction falls too steeply
     # to be filtered.
-    first.breakaway_times = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
+    first = Point.of(
+        unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
+    )
     if correlated:
-        first.noise = first_correlated_noise(first)
-    first.noise = likeliest_noise(first)
-    return first
+        first = replace(first, noise=first_correlated_noise(first))
+    return replace(first, noise=likeliest_noise(first))
 
 
 def refine_stages(
@@ -283,60 +288,104 @@ def refine_stages(
         correlated: Whether the torque noise has a correlated part.
     """
     system, load, inertia = _sought(model)
-    first = _first_problem(unloaded, start, system, model, correlated)
-    chi2 = solve_unloaded(first, system, inertia)
+    begun = _first_point(unloaded, start, system, model, correlated)
+    first, chi2s = solve_unloaded(begun, system, inertia)
     starts = [
-        Starts(
-            "unloaded",
-            "defect of the estimating equations",
-            tuple(first.solution_chi2),
-            SOLVED,
-            absolute=True,
-        )
+        Starts("unloaded", "defect of the estimating equations", chi2s, SOLVED, absolute=True)
     ]
-    evaluations = first.evaluations
-    motions, begins, noise = tuple(unloaded), list(first.breakaway_times), first.noise
-    free, likelihood_drop = system, 0.0
-    vector, others = first.start, []
+    evaluations, likelihood_drop = begun.filter.evaluations, 0.0
+    free, ends = [*system, *inertia], [first.point]
     if loaded:
-        second = Problem(loaded, vector, load, model, noise)
-        likelihood_drop = refine_from(second, breakaway_starts(second, MU_C, LOAD_RISE, OMEGA_SL))
-        evaluations += second.evaluations
-        ends = tuple(end for _, end, *_ in second.search_ends if math.isfinite(end))
-        starts.append(
-            Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
-        )
-        motions, begins, free = (*motions, *loaded), begins + second.breakaway_times, system + load
-        vector = second.start
-        others = [(p, first.breakaway_times + times) for p, times in basins(second)]
-    free = [*free, *inertia]
-    joint = Problem(motions, vector, free, model, noise)
-    joint.breakaway_times = begins
-    if len(others) > 1:
-        likeliest_together(joint, others)
-    residual = fit_beside_inertia(joint, refine)
+        second, count = _loaded_fit(first.point, loaded, load, model)
+        evaluations, likelihood_drop = evaluations + count, second.drop
+        starts.append(_loaded_starts(second))
+        free, ends = [*system, *load, *inertia], basins(second)
+    fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
+    joint = fitted.point
     names = tuple(n for n, k in INDEX.items() if k in free)
+    residual = joint.weighted().residuals(joint.origin())
     achieved, floor = named_covariances(covariances(joint), joint, names)
-    # A slip of twenty samples that the filter loses is one segment of many; missing physics is in
-    # most of them.
-    inside = np.clip(
-        residual[: len(residual) - joint.breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD
-    )
+    innovation_rms, whiteness = innovation_statistics(residual, joint.breakaways)
     return Refined(
-        values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
+        values={**start, **unpack(joint.vector, [n for n in INDEX if n in start])},
         covariance=achieved,
         floor=floor,
         names=names,
-        innovation_rms=float(np.sqrt(np.mean(inside**2))),
-        whiteness=float(np.mean(inside[1:] * inside[:-1]) / np.mean(inside**2)),
+        innovation_rms=innovation_rms,
+        whiteness=whiteness,
         noise=joint.noise,
         repeating_share=repeating_share(joint) if correlated else 0.0,
-        torque_scatter=torque_noise(motions),
-        evaluations=evaluations + joint.evaluations,
-        iterations=joint.iterations,
+        torque_scatter=torque_noise(joint.motions),
+        evaluations=evaluations + joint.filter.evaluations,
+        iterations=fitted.iterations,
         breakaways=joint.breakaways,
         likelihood_drop=likelihood_drop,
-        equations_chi2=chi2,
+        equations_chi2=first.chi2,
         joint=joint,
         starts=tuple(starts),
     )
+
+
+def _loaded_fit(
+    first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
+) -> tuple[LoadedFit, int]:
+    """Return the fit of the load parameters, the others held at the end of the unloaded fit, and
+    the runs of the filter.
+    """
+    begun = Point.of(loaded, first.vector, load, model, first.noise)
+    found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
+    return found, begun.filter.evaluations
+
+
+def _loaded_starts(found: LoadedFit) -> Starts:
+    ends = tuple(end.deviance for end in found.ends if math.isfinite(end.deviance))
+    return Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
+
+
+def _joint_fit(
+    first: Point,
+    motions: Sequence[Motion],
+    free: Sequence[int],
+    ends: Sequence[Point],
+    model: Model,
+) -> Searched:
+    """Fit all recordings jointly, from the likeliest end where there are several.
+
+    Args:
+        first: End of the unloaded fit.
+        motions: Unloaded recordings, then loaded ones.
+        free: Free parameters.
+        ends: Ends of the loaded fit; the end of the unloaded one where nothing is loaded.
+        model: Declared terms and fixed values.
+    """
+    joint = Point.of(motions, first.vector, free, model, first.noise)
+    starts = [
+        replace(
+            joint,
+            vector=end.vector,
+            breakaway_times=(
+                first.breakaway_times
+                if end is first
+                else (*first.breakaway_times, *end.breakaway_times)
+            ),
+        )
+        for end in ends
+    ]
+    begun = likeliest_together(starts) if len(starts) > 1 else Searched(starts[0], 0)
+    found = fit_beside_inertia(begun.point, lambda point: refine(point, (1.0,)))
+    return Searched(found.point, begun.iterations + found.iterations)
+
+
+def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, float]:
+    """Return the rms of the innovations and the correlation of neighbouring ones, outliers clipped.
+
+    A segment of twenty samples that the filter loses is one of many; missing physics is in most of
+    them.
+
+    Args:
+        residual: Innovations over their deviations, then ties, shape (r,).
+        breakaways: Number of ties.
+    """
+    inside = np.clip(residual[: len(residual) - breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD)
+    power = np.mean(inside**2)
+    return float(np.sqrt(power)), float(np.mean(inside[1:] * inside[:-1]) / power)

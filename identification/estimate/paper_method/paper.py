@@ -25,7 +25,7 @@ from identification.model.friction import system_friction
 from identification.model.ladder import NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
-from identification.numerics.genetic_algorithm import GeneticAlgorithm
+from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, RecordingError
 from identification.result import Convergence, Identification, Parameter
@@ -180,9 +180,8 @@ class _Search:
             samples.torque, samples.velocity, samples.acceleration, samples.load, alpha
         )
         low, high = zip(*box.values(), strict=True)
-        algorithm = GeneticAlgorithm(
-            low, high, population=POPULATION, generations=self.generations, rng=self.rng
-        )
+        settings = GeneticSettings(population=POPULATION, generations=self.generations)
+        algorithm = GeneticAlgorithm(low, high, self.rng, settings)
         target = TARGETS[stage]
         costs: list[float] = []
         history: list[Array] = []

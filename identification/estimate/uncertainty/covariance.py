@@ -18,7 +18,7 @@ from identification.estimate.uncertainty.cramer_rao import (
     replicate_bound,
     replicate_information,
 )
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC
 from identification.numerics.arrays import Array
@@ -52,41 +52,38 @@ class Covariances:
     step: Array
 
 
-def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covariances:
-    """Return the achieved covariance of the free parameters and its floor at the problem's start.
+def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covariances:
+    """Return the achieved covariance of the free parameters and its floor at a point.
 
     The inertia has the variance of its estimating equation, and the others follow it (M39). Each
     parameter is scaled by the scatter of its scores from segment to segment (M40, M41; Liang and
     Zeger, Biometrika 73 (1986) 13); that of the inertia is never lowered.
 
     Args:
-        problem: At the estimate.
+        point: At the estimate.
         replicates: Of its experiment there, for the bound, the prior of the scatter, and
             instruments of the inertia.
     """
-    x = problem.origin()
-    problem.hold_weights()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    z = instruments(problem, jacobian)
-    count = len(problem.free)
-    least = bound(matching_means(jacobian, z, problem.matching_count))[:count, :count]
-    reached, floor = _replicate_bounds(problem, jacobian, replicates) or (least, least)
-    units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
+    x = point.origin()
+    held = point.weighted()
+    residual = held.residuals(x)
+    jacobian = held.jacobian(x, residual)
+    z = instruments(point, jacobian)
+    count = len(point.free)
+    least = bound(matching_means(jacobian, z, point.experiment.matching_count))[:count, :count]
+    reached, floor = _replicate_bounds(point, jacobian, replicates) or (least, least)
+    units = np.array([point.vector[k] if k in LOGARITHMIC else 1.0 for k in point.free])
     scale = np.outer(units, units)
     step = np.zeros(count)
-    if INERTIA not in problem.free:
+    if INERTIA not in point.free:
         spread, achieved = _spread(jacobian, residual, [r.inflated() for r in replicates]), reached
     else:
-        j = problem.free.index(INERTIA)
-        equation = combined_equation(problem, z, jacobian, residual, replicates)
+        j = point.free.index(INERTIA)
+        equation = combined_equation(point, z, jacobian, residual, replicates)
         influence, weighted = equation.influence, residual * huber_weight(residual, HUBER_THRESHOLD)
         step = -float(influence @ weighted) * least[:, j] / least[j, j]
         step[
-            [
-                k in LOGARITHMIC and abs(s) > _FARTHEST
-                for k, s in zip(problem.free, step, strict=True)
-            ]
+            [k in LOGARITHMIC and abs(s) > _FARTHEST for k, s in zip(point.free, step, strict=True)]
         ] = 0.0
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(reached, j, variance)
@@ -94,7 +91,7 @@ def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covar
             (slopes.without(j), errors) for slopes, errors in (r.inflated() for r in replicates)
         ]
         spread = _spread(jacobian.without(j), residual, inflated)
-        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(
+        scatter = np.linalg.norm(np.bincount(point.owners, equation.parts)) / np.linalg.norm(
             influence * weighted
         )
         spread = np.insert(spread, j, max(float(scatter), 1.0))
@@ -102,7 +99,7 @@ def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covar
 
 
 def _replicate_bounds(
-    problem: Problem, jacobian: BlockArrow, replicates: Sequence[Replicate]
+    point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
     """Return the bound with variance inflation, and without, (p, p) each; None where replicates
     give none.
@@ -111,12 +108,14 @@ def _replicate_bounds(
     """
     if not replicates:
         return None
-    uninflated = jacobian.scaled(problem.inflation[problem.owners])
-    matching = matching_means(uninflated, instruments(problem, uninflated), problem.matching_count)
-    information = replicate_information(problem, matching, replicates)
+    uninflated = jacobian.scaled(point.inflation[point.owners])
+    matching = matching_means(
+        uninflated, instruments(point, uninflated), point.experiment.matching_count
+    )
+    information = replicate_information(point, matching, replicates)
     inflated, plain = (
         replicate_bound(information / f[:, None, None] ** 2)
-        for f in (problem.inflation, np.ones(len(information)))
+        for f in (point.inflation, np.ones(len(information)))
     )
     return None if inflated is None or plain is None else (inflated, plain)
 
@@ -180,7 +179,7 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
 
 
 def named_covariances(
-    found: Covariances, joint: Problem, names: Sequence[str]
+    found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
     """Return achieved covariance and floor in the order of ``names``, for static limits in place of
     rises, (p, p).

@@ -22,7 +22,7 @@ from identification.estimate.inertia.half_cycles import (
     ReplicatedSegment,
     replicated_segments,
 )
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.least_squares import equilibrated
@@ -62,22 +62,22 @@ def bound(matching: BlockArrow) -> Array:
 
 
 def replicate_information(
-    problem: Problem, matching: BlockArrow, replicates: Sequence[Replicate]
+    point: Point, matching: BlockArrow, replicates: Sequence[Replicate]
 ) -> Array:
     """Return the information of each segment on the free parameters by replicates (M37, M12), shape
     (m, p, p).
 
     Args:
-        problem: At its start.
+        point: Where the sensitivities were taken.
         matching: Sensitivities by matching half cycles without inflation, for ties and for samples
             that fewer than two noises cover.
         replicates: With two noises at least.
     """
-    count = len(problem.free)
+    count = len(point.free)
     rows = np.column_stack([matching.parameters, matching.own])
-    ties = rows[len(rows) - problem.breakaways :]
-    out = np.zeros((problem.breakaways, count, count))
-    for segment in replicated_segments(problem, replicates):
+    ties = rows[len(rows) - point.breakaways :]
+    out = np.zeros((point.breakaways, count, count))
+    for segment in replicated_segments(point, replicates):
         tie = ties[segment.number]
         here = _products(segment, rows[segment.rows]) + np.outer(tie, tie)
         out[segment.number] = here[:count, :count]

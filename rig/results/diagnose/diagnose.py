@@ -102,7 +102,7 @@ def diagnose_source(
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
-            found = _refined_if_possible(dataset, found)
+            found = _refined_if_possible(dataset, found, seed)
     except RecordingError as error:
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
@@ -133,16 +133,22 @@ def burning(dataset: Dataset) -> Dataset:
     return dataclasses.replace(dataset, recordings=kept)
 
 
-def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
+def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     """Return a diagnosis whose nominal parameters are those of the default estimator with the
     effects taken out.
+
+    Args:
+        dataset: What was diagnosed.
+        found: The diagnosis.
+        seed: Of the estimator's random generator.
 
     Raises:
         RecordingError: The recordings cannot pin the nominal model.
     """
     record = {"parameters": found.parameters, "alpha": found.alpha, **effects_record(found)}
     model = model_of(record, [r.name for r in dataset.recordings])
-    result = refit(dataset, model, found.fit.bandwidth_Hz)
+    rng = np.random.default_rng(seed)
+    result = refit(dataset, model, found.fit.bandwidth_Hz, rng)
     values = result.values()
     shift = {
         n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()
@@ -170,12 +176,12 @@ def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, boo
     return dataclasses.replace(found, warnings=(*found.warnings, note)), False
 
 
-def _refined_if_possible(dataset: Dataset, found: Diagnosis) -> Diagnosis:
+def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     """Refine where the recordings allow it; where not, say why and keep the values of the
     search.
     """
     try:
-        return refined(dataset, found)
+        return refined(dataset, found, seed)
     except RecordingError as error:
         return dataclasses.replace(found, warnings=(*found.warnings, f"not refined: {error}"))
 

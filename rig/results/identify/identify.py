@@ -138,7 +138,7 @@ def identify_source(
     if request.score is not None and other is not None:
         progress("scoring", 0.0)
         with _named(request.score):
-            carried = transfer(results[0], dataset, other)
+            carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
     described_by = source / RUN_FILE if is_folder(source) else source
     provenance = Provenance.of(request.seed, read, time.perf_counter() - started, described_by)

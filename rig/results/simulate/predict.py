@@ -11,7 +11,7 @@ from pathlib import Path
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.score import Predicted, predictions, rms
-from identification.diagnosis.view import views
+from identification.diagnosis.rows.view import views
 from identification.recording import Dataset
 
 

@@ -11,8 +11,8 @@ from drivers.mock.direct import record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.joint import Joint, fit
-from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import views
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import views
 from identification.estimate.default import free_names, solve_stages
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Model, Recording

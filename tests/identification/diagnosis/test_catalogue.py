@@ -12,11 +12,11 @@ import pytest
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import EQUATIONS, equations
 from identification.diagnosis.gas.terms import GAS_TERMS
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import views
 from identification.diagnosis.stack import Stack, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
-from identification.diagnosis.view import views
 
 from .benches import honest
 

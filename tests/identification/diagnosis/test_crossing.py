@@ -11,10 +11,10 @@ from identification.diagnosis.crossing import CARRIED, crossed, told_apart
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.judgement import REJECTED
-from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Verdict
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.view import View, views
 from identification.recording import Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit

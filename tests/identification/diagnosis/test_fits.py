@@ -16,13 +16,13 @@ from identification.diagnosis.begin import or_kept
 from identification.diagnosis.contest import broken
 from identification.diagnosis.equations import equations, noise, without_tones
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.rows.nominal import STATICS, Nominal
+from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import View, views
 from identification.recording import Pendulum, Recording
 
 from .benches import BENCH, CYCLE_S, campaign, honest, nominal_fit

@@ -14,12 +14,12 @@ from identification.diagnosis.contest import preference
 from identification.diagnosis.further import groups
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import alike, hopeless, left_beyond_noise
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.rows.view import views
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import views
 from identification.recording import Pendulum
 
 from .benches import campaign, honest, nominal_fit

@@ -97,6 +97,6 @@ def test_effects_are_listed_as_the_search_came_upon_them() -> None:
     )
     listed = replace(search, final=both, rounds=(Round(NAME, ()), Round(second.name, ())))
     assert [e.term.name for e in both.effects] == [second.name, NAME]
-    effects = effects_of(listed, Verdict.NAMED)
+    effects = effects_of(listed, np.random.default_rng(0))
     assert [e.name for e in effects] == [NAME, second.name]
     assert effects[0].parameters["torque_Nm"].value == pytest.approx(1.0, rel=0.05)

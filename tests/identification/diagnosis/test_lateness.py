@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.rows.view import views
 from identification.diagnosis.terms.lateness import computed, too_early
-from identification.diagnosis.view import views
 from identification.recording import Bench, Controller, Recording
 
 TIME = np.arange(3000) / 140.0

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.begin import begun, started
-from identification.diagnosis.clock import one_clock
 from identification.diagnosis.contest import implausible
 from identification.diagnosis.diagnose import diagnose, held_out
 from identification.diagnosis.intervals import pinned
 from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.search import DRAWS, chance, flipped
+from identification.diagnosis.rows.clock import one_clock
+from identification.diagnosis.rows.view import views
+from identification.diagnosis.significance import DRAWS, chance, flipped
 from identification.diagnosis.stack import Candidate, surprise, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import views
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit

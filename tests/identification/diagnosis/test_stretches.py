@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.result import ResidualTrace
+from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.stretches import crowded, shortest, standing
-from identification.diagnosis.view import View, views
 from identification.recording import Recording
 
 from .benches import campaign

@@ -21,12 +21,12 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.search import excess, screened
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.significance import excess, screened
 from identification.diagnosis.stack import Candidate, Stack, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import View, views
 from identification.estimate.default import identify, solve_stages
 from identification.prepare import default_bandwidth, prepare
 from identification.recording import Array, Dataset, Model, Recording

@@ -15,7 +15,7 @@ import pytest
 from scipy import stats
 
 from identification.diagnosis.baselines import greedy_bic, library
-from identification.diagnosis.search import chance, excess, generic, screened
+from identification.diagnosis.significance import chance, excess, generic, screened
 from identification.diagnosis.terms import friction
 from identification.diagnosis.terms.term import Context
 from identification.recording import Array

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.diagnosis import marks
-from identification.diagnosis.clock import run_starts
+from identification.diagnosis.rows import marks
+from identification.diagnosis.rows.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
     drive_torque,

@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.view import View
+from identification.diagnosis.rows.view import View
 from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
 

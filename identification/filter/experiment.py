@@ -1,0 +1,183 @@
+"""Recordings that are fitted together, and the filter that runs over all of their motion
+segments.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.filter.kalman import innovations
+from identification.filter.noise import Noise
+from identification.filter.segment_table import LAST, TORQUE_RATE
+from identification.filter.segments import Motion
+from identification.model.parameters import COULOMB_OF, INDEX
+from identification.numerics.arrays import Array
+from identification.recording import Model
+
+_FORGOTTEN = math.pi**2 / 3.0
+"""Exponent of the part of the quantisation error that noise of the angle leaves the same at every
+reading (M20): the first harmonic of that error, averaged over noise of variance v, falls by exp(-(2
+pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3
+(1956) 266).
+"""
+_LEAST_SHARED = 30000.0
+"""Integration steps above which a second thread saves time."""
+
+_Part = list[tuple[int, slice]]
+"""Some of the segments: number of the recording and rows of its table."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Recordings that are fitted together; m segments, r residuals.
+
+    Attributes:
+        motions: Recordings with their segments.
+        statics: Fixed static levels: place of the Coulomb level, place of the rise, value.
+    """
+
+    motions: tuple[Motion, ...]
+    statics: tuple[tuple[int, int, float], ...] = ()
+
+    @classmethod
+    def of(cls, motions: Sequence[Motion], model: Model) -> Experiment:
+        """Return the experiment of these recordings with the static levels that a model fixes."""
+        statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
+        return cls(tuple(motions), tuple(statics))
+
+    @cached_property
+    def breakaways(self) -> int:
+        """Number of segments."""
+        return sum(len(m.table) for m in self.motions)
+
+    @cached_property
+    def owners(self) -> NDArray[np.int64]:
+        """Segment of every residual, over all recordings, ties last, shape (r,)."""
+        inside = [self._owners(m, j) for j, m in enumerate(self.motions)]
+        return np.concatenate([*inside, np.arange(self.breakaways)])
+
+    def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
+        """Return the number, over all recordings, of the segment of each sample inside one."""
+        offset = sum(len(other.table) for other in self.motions[:j])
+        owner = np.zeros(len(m.time), dtype=np.int64)
+        for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
+            owner[first:last] = offset + k
+        return owner[m.inside]
+
+    @cached_property
+    def lengths(self) -> NDArray[np.int64]:
+        """Samples of each segment, shape (m,)."""
+        inside = self.owners[: len(self.owners) - self.breakaways]
+        return np.bincount(inside, minlength=self.breakaways)
+
+    @cached_property
+    def matching_count(self) -> Array:
+        """Number of matching half cycles of every residual's segment, itself included, shape
+        (r,).
+        """
+        counts = np.concatenate(
+            [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
+        )
+        return np.asarray(counts[self.owners])
+
+
+class Filter:
+    """Runs the Kalman filter over all recordings of an experiment, in buffers of its own.
+
+    It keeps nothing between runs but the number of them: each returns copies. It serves one caller
+    at a time.
+
+    Args:
+        experiment: The recordings.
+
+    Attributes:
+        experiment: The recordings.
+        evaluations: Runs so far.
+    """
+
+    def __init__(self, experiment: Experiment) -> None:
+        self.experiment = experiment
+        self.evaluations = 0
+        motions = experiment.motions
+        self._errors, self._deviations, self._speeds, self._correlated = (
+            [np.zeros(len(m.time)) for m in motions] for _ in range(4)
+        )
+        self._halves = _halves(motions)
+
+    def run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
+        """Filter every recording; return the innovations inside segments and their standard
+        deviations, rad.
+
+        Args:
+            p: Vector of :mod:`identification.model.parameters`.
+            times: Breakaway times, s, one array per recording.
+            noise: Noise of torque and angle.
+        """
+        self.evaluations += 1
+        one, other = self._halves
+        if other:
+            with ThreadPoolExecutor(1) as beside:
+                half = beside.submit(self._filter, other, p, times, noise)
+                self._filter(one, p, times, noise)
+            half.result()
+        else:
+            self._filter(one, p, times, noise)
+        inside = [m.inside for m in self.experiment.motions]
+        return _joined(self._errors, inside), _joined(self._deviations, inside)
+
+    def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
+        """Return the filtered correlated noise of the torque, N m, one array per recording;
+        meaningful inside segments. Arguments as of :meth:`run`.
+        """
+        self.run(p, times, noise)
+        return [hidden.copy() for hidden in self._correlated]
+
+    def _filter(self, part: _Part, p: Array, times: Sequence[Array], noise: Noise) -> None:
+        """Filter some segments; another thread may filter the others meanwhile."""
+        for j, rows in part:
+            m = self.experiment.motions[j]
+            variance = m.angle_variance + noise.angle**2
+            staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
+            level = np.array(
+                [noise.torque, variance, noise.correlated, noise.correlation_s, staying]
+            )
+            innovations(
+                m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
+                m.extra_inertia, level, m.steps, m.unsure, p,
+                self._errors[j], self._deviations[j], self._speeds[j], self._correlated[j],
+            )  # fmt: skip
+
+
+def _joined(values: Sequence[Array], inside: Sequence[NDArray[np.bool_]]) -> Array:
+    return np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
+
+
+def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:
+    """Return two sets of segments that take about equal time.
+
+    The second set is empty where a second thread would not save time. A segment that does not start
+    from rest continues the one before it and stays with it.
+    """
+    costs = [
+        [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]]
+        for m in motions
+    ]
+    whole = sum(map(sum, costs))
+    left = 0.5 * whole if whole > _LEAST_SHARED else math.inf
+    parts: tuple[_Part, _Part] = ([], [])
+    for j, (m, cost) in enumerate(zip(motions, costs, strict=True)):
+        cut = int(np.searchsorted(np.cumsum(cost), left))
+        while 0 < cut < len(cost) and not m.table[cut, TORQUE_RATE] > 0.0:
+            cut += 1
+        left -= sum(cost[:cut])
+        for part, rows in zip(parts, (slice(0, cut), slice(cut, len(cost))), strict=True):
+            if rows.stop > rows.start:
+                part.append((j, rows))
+    return parts
