@@ -53,7 +53,7 @@ In a CSV file the first line names the columns: the keys of a row, `device` and 
 def _packaged(kind: str) -> str:
     """Return a table of the packaged files, with the comment that each begins with."""
     rows = []
-    for path in sorted((ROOT / "rig" / kind).glob("*.yaml")):
+    for path in sorted((ROOT / "rig" / "config" / kind).glob("*.yaml")):
         lines = itertools.takewhile(
             lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines()
         )

@@ -160,12 +160,12 @@ def test_an_error_beyond_the_interval_replaces_its_half_width(
         if n in NAMES[:5]
     }
     found["J"] = Parameter("J", "", 1.25 * NOMINAL["J"], 1.24 * NOMINAL["J"], 1.26 * NOMINAL["J"])
-    monkeypatch.setattr(trials, "identify", lambda _: SimpleNamespace(parameters=found))
+    monkeypatch.setattr(trials, "identify", lambda *_, **__: SimpleNamespace(parameters=found))
     widths = attained([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
     assert widths["Mc"] == pytest.approx(0.01)
     assert widths["J"] == pytest.approx(0.2)
     refused = {n: replace(p, floor=None) for n, p in found.items()}
-    monkeypatch.setattr(trials, "identify", lambda _: SimpleNamespace(parameters=refused))
+    monkeypatch.setattr(trials, "identify", lambda *_, **__: SimpleNamespace(parameters=refused))
     assert math.isinf(attained([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).worst)
 
 

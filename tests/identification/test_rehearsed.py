@@ -418,7 +418,7 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     itself.
     """
     over = []
-    for seed in range(2):
+    for seed in range(4):
         point, bias = sticky_with_bias(seed)
         joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
         machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
