@@ -51,7 +51,7 @@ def tables(cells: Cells) -> list[str]:
     lines: list[str] = []
     for transport in TRANSPORTS:
         lines += [
-            f"### {TITLES[transport]}",
+            f"## {TITLES[transport]}",
             "",
             f"| | {' | '.join(PHASES)} |",
             "|---" * (len(PHASES) + 1) + "|",
@@ -61,7 +61,7 @@ def tables(cells: Cells) -> list[str]:
             if any(row):
                 lines.append(f"| {column} | {' | '.join(row)} |")
         lines.append("")
-    lines += ["### From the start", "", f"| | {' | '.join(TITLES[t] for t in TRANSPORTS)} |"]
+    lines += ["## From the start", "", f"| | {' | '.join(TITLES[t] for t in TRANSPORTS)} |"]
     lines.append("|---" * (len(TRANSPORTS) + 1) + "|")
     for start in STARTS:
         row = [cells.get((start, transport, START), Cell("", ())).text for transport in TRANSPORTS]

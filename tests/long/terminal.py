@@ -144,7 +144,7 @@ def page(names: list[str], results: Mapping[str, Result]) -> list[str]:
     for name in names:
         for title, screen in results[name].captures.items() if name in results else ():
             shown = re.sub(r"/dev/pts/\d+", "/dev/pts/N", screen)
-            lines += [f"### {title}", "", "```text", *shown.splitlines(), "```", ""]
+            lines += [f"## {title}", "", "```text", *shown.splitlines(), "```", ""]
     return lines
 
 
