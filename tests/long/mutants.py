@@ -77,6 +77,14 @@ ARGUED: Mapping[tuple[str, str], str] = {
     ("rig.wiring.guardian", "_CHUNK: 4096 -> 4095"): _READ_ON,
     ("rig.wiring.guardian", "_CHUNK: 4096 -> 4097"): _READ_ON,
     (
+        "rig.wiring.drive_limits",
+        "_step: 0.0 -> -1.0",
+    ): "the share of the limit counts where there is no step",
+    (
+        "rig.wiring.drive_limits",
+        "_step: float(getattr(steps, resolution)) -> without float",
+    ): "for the type checker",
+    (
         "rig.control.safety",
         "check: angle < limits.angle_min -> angle <= limits.angle_min",
     ): _OUTSIDE,

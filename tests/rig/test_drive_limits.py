@@ -293,3 +293,15 @@ def test_a_drive_that_stays_on_keeps_the_tight_limits(runner: Any, fake_bench: A
     _, outcome = runner(bench)
     assert not outcome.safe.verified
     assert bench.limits == runner.plan.servo_limits
+
+
+def test_a_thousandth_of_a_negative_limit_is_rounding_too() -> None:
+    require_held(changed(angle_min_rad=-0.5 * 1.0009), WANTED)
+    with pytest.raises(ConfigurationError):
+        require_held(changed(angle_min_rad=-0.5 * 1.0011), WANTED)
+
+
+def test_one_step_is_one_step_in_floating_point_numbers_too() -> None:
+    coarse = dataclasses.replace(STEPS, angle_rad=0.1)
+    assert 0.7 + 0.1 < 0.8
+    require_held(changed(angle_max_rad=0.8), changed(angle_max_rad=0.7), coarse)
