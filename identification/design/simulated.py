@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.estimate.inertia.estimating_equations import inflation_by
 from identification.estimate.inertia.half_cycles import Replicate
-from identification.estimate.likelihood.acceptance import WHITE
+from identification.estimator_settings import DEFAULT
 from identification.filter.breakaway_times import optimise_breakaway_times
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
@@ -178,7 +178,8 @@ def at_the_truth(
     x = point.origin()
     residual = held.residuals(x)
     inside = residual[: len(residual) - point.breakaways]
-    if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
+    white = DEFAULT.acceptance.whiteness
+    if abs(float(np.mean(inside[1:] * inside[:-1]))) > white * float(np.mean(inside**2)):
         return None
     jacobian = held.jacobian(x, residual)
     inflation = inflation_by(point.experiment, jacobian.without(free.index(INDEX["J"])))

@@ -28,6 +28,7 @@ from identification.estimate.uncertainty.parameter_table import (
     units_of,
 )
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
+from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording, RecordingError
@@ -44,6 +45,7 @@ def identify(
     progress: Progress | None = None,
     profile: bool = False,
     draws: int = 0,
+    settings: EstimatorSettings = DEFAULT,
 ) -> Identification:
     """Identify the nine parameters in two stages (five where nothing is loaded).
 
@@ -58,6 +60,7 @@ def identify(
         profile: Whether to profile the likelihood of every parameter as well, which takes several
         times as long.
         draws: Bootstrap draws, 0 for none.
+        settings: Of the estimator.
 
     Raises:
         RecordingError: The recordings cannot pin the model; the message says what is missing.
@@ -77,7 +80,7 @@ def identify(
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
-    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance)
+    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance, settings)
     curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(

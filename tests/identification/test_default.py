@@ -16,6 +16,7 @@ from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import innovation_statistics, refine_stages
 from identification.estimate.paper_method.paper import identify_paper
 from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.estimator_settings import AcceptanceLimits
 from identification.filter.likelihood import Point
 from identification.filter.segments import motion
 from identification.prepare import prepare
@@ -193,6 +194,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     )
     assert refusal(right, 1.0, 1.2) == ""
     assert "raise the equation error from 1 to 1.4" in refusal(right, 1.0, 1.4)
+    assert refusal(right, 1.0, 1.4, AcceptanceLimits(error_ratio=1.5)) == ""
     for lost in (
         replace(right, whiteness=math.nan),
         replace(right, values={**right.values, "J": math.nan}),

@@ -30,6 +30,7 @@ from identification.estimate.likelihood.replicates import (
 )
 from identification.estimate.uncertainty.covariance import Covariances, covariances
 from identification.estimate.uncertainty.cramer_rao import bound
+from identification.estimator_settings import ReplicateSettings
 from identification.filter.experiment import Experiment, Filter
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
@@ -83,9 +84,8 @@ def at(
 def sticky_with_bias(seed: int) -> tuple[Point, Bias]:
     """Return a sticky bench at the true values, and the likelihood's bias there."""
     point = at(STICKY, sticky(seed))
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(replicates, "_TURNS", 1)  # the true values are at hand
-        bias = likelihood_bias(point, NAMES, chance())
+    # The true values are at hand.
+    bias = likelihood_bias(point, NAMES, chance(), ReplicateSettings(turns=1))
     assert bias is not None
     return point, bias
 
@@ -164,7 +164,7 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
     likely = identify(dataset, profile=True, draws=20)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
     bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
-    monkeypatch.setattr(refinement, "likelihood_bias", lambda _joint, _names, _rng: bias)
+    monkeypatch.setattr(refinement, "likelihood_bias", lambda *_: bias)
     moved = identify(dataset, profile=True, draws=20)
     for name, shift in shifts.items():
         assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
@@ -276,7 +276,9 @@ def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.Monk
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     failing, order = {0}, Order()
 
-    def step(_joint: Point, _loop: object, _share: float, seed: int, sign: float) -> _Scored | None:
+    def step(
+        _joint: Point, _loop: object, _share: float, seed: int, sign: float, *_: float
+    ) -> _Scored | None:
         number = order(seed)
         if number in failing and sign < 0.0:
             return None
@@ -301,7 +303,9 @@ def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     taken, order = [], Order()
 
-    def step(_joint: Point, _loop: object, _share: float, seed: int, _sign: float) -> _Scored:
+    def step(
+        _joint: Point, _loop: object, _share: float, seed: int, _sign: float, *_: float
+    ) -> _Scored:
         taken.append(order(seed))
         out = np.zeros(len(point.free))
         out[point.free.index(INDEX["Ms"])] = spread * (-1.0) ** taken[-1]
@@ -320,7 +324,9 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(
     point = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     place = point.free.index(INDEX["Ms"])
 
-    def step(joint: Point, _loop: object, _share: float, _seed: int, _sign: float) -> _Scored:
+    def step(
+        joint: Point, _loop: object, _share: float, _seed: int, _sign: float, *_: float
+    ) -> _Scored:
         out = np.zeros(len(joint.free))
         out[place] = 0.1 * joint.origin()[place]
         return _Scored(out, np.full(len(joint.free), deviation), silent(joint))

@@ -9,25 +9,14 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from identification.estimate.likelihood.stages import Refined
-
-WHITE = 0.15
-"""Greatest correlation of neighbouring innovations."""
-GREATEST_CHI2 = 10.0
-"""Greatest chi-square of the estimating equations of the unloaded fit (M29)."""
-GREATEST_NOISE_RATIO = 2.0
-"""Greatest torque noise over the torque scatter."""
-GREATEST_DROP = 10.0
-"""Greatest drop of the likelihood of the loaded fit, as deviance."""
-GREATEST_REPEATING_SHARE = 0.25
-"""Greatest repeating share of the correlated noise (M26)."""
-GREATEST_ERROR_RATIO = 1.3
-"""Greatest equation error over that of the start values; true values reach 1.14."""
+from identification.estimator_settings import DEFAULT, AcceptanceLimits
 
 
 def try_refinements(
     attempt: Callable[[bool], Refined | str],
     error: Callable[[Mapping[str, float]], float],
     values: Mapping[str, float],
+    limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> tuple[Refined | None, str]:
     """Refine with white torque noise, and with correlated noise where innovations refuse white
     noise.
@@ -37,6 +26,7 @@ def try_refinements(
         apply.
         error: Values to typical equation error.
         values: Start values.
+        limits: Of the tests.
 
     Returns:
         The refinement, None where there is none, and why it is refused; empty where it is accepted.
@@ -45,12 +35,12 @@ def try_refinements(
     if isinstance(refined, str):
         return None, refined
     before = error(values)
-    fault = refusal(refined, before, error(refined.values))
-    if fault and _coloured(refined):
+    fault = refusal(refined, before, error(refined.values), limits)
+    if fault and _coloured(refined, limits):
         # What correlates may be noise of the sensor and not physics.
         other = attempt(True)
         if not isinstance(other, str):
-            also = refusal(other, before, error(other.values))
+            also = refusal(other, before, error(other.values), limits)
             return (
                 (refined, f"{fault}; nor is it noise of the torque: {also}")
                 if also
@@ -59,23 +49,29 @@ def try_refinements(
     return refined, fault
 
 
-def _coloured(refined: Refined) -> bool:
+def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
     """Return whether innovations correlate, or require more torque noise than the torque
     scatters.
     """
     return (
-        abs(refined.whiteness) > WHITE
-        or refined.noise.torque > GREATEST_NOISE_RATIO * refined.torque_scatter
+        abs(refined.whiteness) > limits.whiteness
+        or refined.noise.torque > limits.noise_ratio * refined.torque_scatter
     )
 
 
-def refusal(refined: Refined, before: float, after: float) -> str:
+def refusal(
+    refined: Refined,
+    before: float,
+    after: float,
+    limits: AcceptanceLimits = DEFAULT.acceptance,
+) -> str:
     """Return why the refined values are refused; empty where they are accepted.
 
     Args:
         refined: The refinement.
         before: Typical equation error of the start values.
         after: That of the refined values.
+        limits: Of the tests.
     """
     judged = (
         refined.whiteness,
@@ -86,13 +82,13 @@ def refusal(refined: Refined, before: float, after: float) -> str:
     )
     if not np.all(np.isfinite(judged)):
         return "the search ran off to values that are no numbers"
-    if abs(refined.whiteness) > WHITE:
+    if abs(refined.whiteness) > limits.whiteness:
         return (
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, "
-            f"limit {WHITE}), "
+            f"limit {limits.whiteness}), "
             "so physics is missing that the refinement would hide in the parameters"
         )
-    if refined.noise.torque > GREATEST_NOISE_RATIO * refined.torque_scatter:
+    if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
             f"prediction errors ask for a torque noise of {refined.noise.torque:.3g}, but the "
             f"torque scatters by "
@@ -100,22 +96,22 @@ def refusal(refined: Refined, before: float, after: float) -> str:
             f"refinement would hide "
             "in the parameters"
         )
-    if refined.repeating_share > GREATEST_REPEATING_SHARE:
+    if refined.repeating_share > limits.repeating_share:
         return (
             f"{100.0 * refined.repeating_share:.0f} % of what correlates comes again with the "
             f"motion (limit "
-            f"{100.0 * GREATEST_REPEATING_SHARE:.0f} %), so physics is missing"
+            f"{100.0 * limits.repeating_share:.0f} %), so physics is missing"
         )
-    if refined.equations_chi2 > GREATEST_CHI2:
+    if refined.equations_chi2 > limits.chi2:
         return (
             f"no start solves the estimating equations of the unloaded stage (defect "
             f"{refined.equations_chi2:.3g})"
         )
-    if refined.likelihood_drop > GREATEST_DROP:
+    if refined.likelihood_drop > limits.drop:
         return (
             f"the loaded stage's search ends less likely than it began (deviance "
             f"{refined.likelihood_drop:+.0f})"
         )
-    if after > GREATEST_ERROR_RATIO * before:
+    if after > limits.error_ratio * before:
         return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"
     return ""

@@ -15,6 +15,7 @@ from identification.estimate.likelihood.replicates import Bias, likelihood_bias
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.filter.breakaway_times import search_breakaway_times
 from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
@@ -59,6 +60,7 @@ def refine(
     model: Model,
     bandwidth_Hz: float,
     rng: np.random.Generator,
+    settings: EstimatorSettings = DEFAULT,
 ) -> Found:
     """Refine equation-error values by prediction errors, test them, and correct their bias.
 
@@ -70,19 +72,21 @@ def refine(
         model: Declared terms and fixed values.
         bandwidth_Hz: Bandwidth of the equation error.
         rng: Spawns the noises of the simulated replicates.
+        settings: Of the estimator.
     """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
         lambda correlated: refine_recordings(recordings, values, names, model, correlated),
         lambda v: typical_error(active, v, model.alpha),
         values,
+        settings.acceptance,
     )
     stages = () if refined is None else (joint_convergence(refined),)
     if refined is None or fault:
         starts = () if refined is None else refined.starts
         kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
-    bias = likelihood_bias(refined.joint, refined.names, rng)
+    bias = likelihood_bias(refined.joint, refined.names, rng, settings.replicates)
     found = Found(
         dict(refined.values),
         spread_of(refined),

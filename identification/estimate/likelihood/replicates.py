@@ -24,6 +24,7 @@ import numpy as np
 
 from identification.estimate.inertia.estimating_equations import segment_inflation
 from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimator_settings import DEFAULT, ReplicateSettings
 from identification.filter.breakaway_times import search_breakaway_times
 from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
@@ -40,28 +41,8 @@ from identification.recording import Model
 from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
 
-PAIRS, MOST_PAIRS = 3, 6
-"""Noises, each used with both signs: at first, and at most where the bias is uncertain."""
-_UNCERTAIN = 0.15
-"""Error of the bias, in standard errors of the estimate, up to which no more noises are taken."""
-_TRIED, _ENOUGH = 9, 2
-"""Pairs tried at most, and least number of pairs, where replicates fail because the filter loses
-the joint.
-"""
-_LARGE, _TURNS = 2.0, 3
-"""Bias, in standard errors, above which the simulation is repeated at corrected values, and times
-at most.
-"""
-_UNSEEN = 0.5
-"""Logged share of the noise variance where the recordings do not show it (M34)."""
 _SEEDS = 1 << 63
 """Seeds of the noises are drawn below this."""
-_HEADROOM = 2.0
-"""The drive's greatest torque over the greatest in the recordings."""
-_FARTHEST = 20.0
-"""Step, in standard deviations, above which the filter has lost the joint and the replicate is
-dropped.
-"""
 
 
 @dataclass(frozen=True)
@@ -79,7 +60,12 @@ class Bias:
     replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
 
 
-def likelihood_bias(joint: Point, names: Sequence[str], rng: np.random.Generator) -> Bias | None:
+def likelihood_bias(
+    joint: Point,
+    names: Sequence[str],
+    rng: np.random.Generator,
+    settings: ReplicateSettings = DEFAULT.replicates,
+) -> Bias | None:
     """Return the bias of the likelihood at a point (M35); none for the inertia.
 
     None where the experiment cannot be simulated: the recordings do not show the drive's loop, a
@@ -89,24 +75,26 @@ def likelihood_bias(joint: Point, names: Sequence[str], rng: np.random.Generator
         joint: The estimate.
         names: Of the fitted parameters.
         rng: Spawns the source of all noises; its own stream stays where it is.
+        settings: Number of noises, and when they are repeated or dropped.
     """
-    loop = _loop(joint.motions)
+    loop = _loop(joint.motions, settings.headroom)
     if loop is None or OFFSET in joint.free:
         return None
     (source,) = rng.spawn(1)
-    seeds = source.integers(_SEEDS, size=_TRIED).tolist()
-    share = logged_share(joint, loop, source)
+    seeds = source.integers(_SEEDS, size=settings.tried).tolist()
+    share = logged_share(joint, loop, source, settings.unseen)
     there, found = joint, None
     replicates: tuple[Replicate, ...] = ()
-    for turn in range(1, _TURNS + 1):
+    for turn in range(1, settings.turns + 1):
         noises = iter(seeds)
-        pairs = list(islice(_pairs(there, loop, share, noises), PAIRS))
-        if len(pairs) < _ENOUGH:
+        pairs = list(islice(_pairs(there, loop, share, noises, settings.farthest), settings.pairs))
+        if len(pairs) < settings.enough:
             break
         mean = np.mean(_even(pairs), axis=0)
-        last = turn == _TURNS or float(np.max(np.abs(mean) / _deviation(pairs))) < _LARGE
-        while last and len(pairs) < MOST_PAIRS and _uncertain(pairs):
-            more = next(_pairs(there, loop, share, noises), None)
+        size = float(np.max(np.abs(mean) / _deviation(pairs)))
+        last = turn == settings.turns or size < settings.large
+        while last and len(pairs) < settings.most_pairs and _uncertain(pairs, settings.uncertain):
+            more = next(_pairs(there, loop, share, noises, settings.farthest), None)
             if more is None:
                 break
             pairs.append(more)
@@ -130,7 +118,12 @@ def likelihood_bias(joint: Point, names: Sequence[str], rng: np.random.Generator
     )
 
 
-def logged_share(joint: Point, loop: Loop, rng: np.random.Generator) -> float:
+def logged_share(
+    joint: Point,
+    loop: Loop,
+    rng: np.random.Generator,
+    unseen: float = DEFAULT.replicates.unseen,
+) -> float:
     """Return the share of the torque noise's variance that is in the logged torque and not in the
     true one (M34).
 
@@ -142,19 +135,20 @@ def logged_share(joint: Point, loop: Loop, rng: np.random.Generator) -> float:
         joint: The estimate.
         loop: The drive.
         rng: Of the noise that the simulated drive answers to.
+        unseen: The share where the recordings do not show it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
-        return _UNSEEN
+        return unseen
     answers = [
-        _response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque
+        _response(joint, m, loop, _drawn(joint, m, rng, 1.0, unseen)[0]).torque
         for m in joint.motions
     ]
     answer = torque_noise(
         [replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)]
     )
     if answer > noise:
-        return _UNSEEN
+        return unseen
     return float(np.clip((torque_noise(joint.motions) ** 2 - answer**2) / noise**2, 0.0, 1.0))
 
 
@@ -177,7 +171,9 @@ _Pair = tuple[_Scored, _Scored]
 """Replicates with one noise, and with its sign turned."""
 
 
-def _pairs(there: Point, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
+def _pairs(
+    there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
+) -> Iterator[_Pair]:
     """Yield pairs of replicates that both succeed, until the noises are used up.
 
     Args:
@@ -185,9 +181,10 @@ def _pairs(there: Point, loop: Loop, share: float, noises: Iterator[int]) -> Ite
         loop: The drive.
         share: Logged share of the noise variance.
         noises: Their seeds.
+        farthest: Step, in standard deviations, above which a replicate is dropped.
     """
     for noise in noises:
-        one, other = (_step(there, loop, share, noise, sign) for sign in (1.0, -1.0))
+        one, other = (_step(there, loop, share, noise, sign, farthest) for sign in (1.0, -1.0))
         if one is not None and other is not None:
             yield one, other
 
@@ -202,12 +199,12 @@ def _deviation(pairs: Sequence[_Pair]) -> Array:
     return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
 
 
-def _uncertain(pairs: Sequence[_Pair]) -> bool:
+def _uncertain(pairs: Sequence[_Pair], most: float) -> bool:
     """Return whether the bias of some parameter is uncertain beside the standard error of the
     estimate.
     """
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
-    return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
+    return bool(np.max(error / _deviation(pairs)) > most)
 
 
 def _away(joint: Point, step: Array) -> Array:
@@ -225,7 +222,7 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
     return np.array([here[n] - before[n] for n in names])
 
 
-def _loop(motions: Sequence[Motion]) -> Loop | None:
+def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
     """Return the drive's loop, where recordings show it and their loads can be simulated."""
     recordings = [m.recording for m in motions]
     plain = all(
@@ -233,7 +230,7 @@ def _loop(motions: Sequence[Motion]) -> Loop | None:
     )
     if not plain:
         return None
-    limit = _HEADROOM * max(float(np.max(np.abs(m.torque))) for m in motions)
+    limit = headroom * max(float(np.max(np.abs(m.torque))) for m in motions)
     return drive_loop(recordings, limit, _step_of_encoder(motions[0]))
 
 
@@ -241,7 +238,9 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(joint: Point, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
+def _step(
+    joint: Point, loop: Loop, share: float, seed: int, sign: float, farthest: float
+) -> _Scored | None:
     """Simulate a replicate and return its scoring step; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
     motions = [
@@ -255,16 +254,17 @@ def _step(joint: Point, loop: Loop, share: float, seed: int, sign: float) -> _Sc
         Point.of(seen, joint.vector, others, Model(), joint.noise), HUBER_THRESHOLD
     )
     point = replace(point, inflation=segment_inflation(point)).freeing(joint.free)
-    return _scored(point, seed)
+    return _scored(point, seed, farthest)
 
 
-def _scored(point: Point, noise: int) -> _Scored | None:
+def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
     """Return the parameters' part of a scoring step (M23) over them and breakaway times, the
     inertia held.
 
     Args:
         point: Of the replicate.
         noise: Seed of its noise.
+        farthest: Step, in standard deviations, above which there is none.
     """
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -284,7 +284,7 @@ def _scored(point: Point, noise: int) -> _Scored | None:
     except np.linalg.LinAlgError:
         return None
     step, deviation = -(inverse @ score)[:sought], np.sqrt(np.diag(inverse)[:sought])
-    if np.any(np.abs(step) > _FARTHEST * deviation):
+    if np.any(np.abs(step) > farthest * deviation):
         return None
     for j in held:
         step, deviation = np.insert(step, j, 0.0), np.insert(deviation, j, np.inf)
