@@ -10,7 +10,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.terminal.stop_button import OperatorStopError, StopButton, ignore_stops
 
 CAUSES = {
     "SIGINT": "Ctrl-C",
@@ -33,6 +33,7 @@ def _given_back() -> Iterator[None]:
     """Whatever a test does, the signals are afterwards as they were."""
     numbers = [getattr(signal, name) for name in TAKEN]
     before = [signal.getsignal(number) for number in numbers]
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # nohup ignores it
     yield
     for number, handler in zip(numbers, before, strict=True):
         signal.signal(number, handler)
@@ -179,3 +180,19 @@ def test_a_stop_asked_for_before_does_not_leave_it_interruptible() -> None:
             pytest.fail("it was not heard")
         signal.raise_signal(signal.SIGINT)
         assert stop.presses == 2
+
+
+def test_after_a_stopped_run_every_stop_signal_is_ignored() -> None:
+    ignore_stops()
+    for name in CAUSES:
+        assert signal.getsignal(getattr(signal, name)) is signal.SIG_IGN
+        signal.raise_signal(getattr(signal, name))
+
+
+def test_a_system_may_lack_a_signal_that_is_to_be_ignored(monkeypatch: pytest.MonkeyPatch) -> None:
+    hangup = signal.SIGHUP
+    before = signal.getsignal(hangup)
+    monkeypatch.delattr(signal, "SIGHUP")
+    ignore_stops()
+    assert signal.getsignal(hangup) is before
+    assert signal.getsignal(signal.SIGQUIT) is signal.SIG_IGN
