@@ -37,7 +37,7 @@ _FROM_PAPER = (
 
 @dataclass(frozen=True)
 class Duration:
-    """How long a run takes, as far as that can be told.
+    """How long a run takes, as far as that is known.
 
     Attributes:
         under_power_s: In motion and at rest, s.
