@@ -65,8 +65,8 @@ def node(tree: Any) -> Node:
 
 @pytest.fixture
 def trees_from_json(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the program read the thousands of mutants, which are JSON, without the YAML parser, ten
-    times slower than everything that judges them.
+    """Let the program read the thousands of mutants, which are JSON, without the YAML parser, which
+    takes longer than all that judges them.
     """
     monkeypatch.setattr(configuration, "parse", lambda text: (node(json.loads(text)), []))
 
