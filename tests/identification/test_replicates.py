@@ -429,15 +429,13 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     """Its sensitivities hold none, and at the noise levels of the noisy one give the bound
     itself.
     """
-    over = []
+    over, count = [], len(NAMES)
+    joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
+    machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
+    quiet = at(STICKY, [seen(logged(simulated(9, w, machine), w)) for w in (0.0, 30.6)])
     for seed in range(2):
         point, bias = sticky_with_bias(seed)
-        joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
-        machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
-        quiet = at(STICKY, [seen(logged(simulated(9, w, machine), w)) for w in (0.0, 30.6)])
-        quiet = replace(quiet, noise=point.noise)
-        count = len(NAMES)
-        right = np.diag(bound(slopes(quiet)))[:count]
+        right = np.diag(bound(slopes(replace(quiet, noise=point.noise))))[:count]
         found = np.diag(covariances(point, bias.replicates).floor)[:count]
         units = [point.vector[k] if k in LOGARITHMIC else 1.0 for k in point.free]
         over.append(np.sqrt(found / right) / units)

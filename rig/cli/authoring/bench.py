@@ -231,7 +231,7 @@ def remarks(answers: Answers) -> list[str]:
     return found
 
 
-def _torque_N_m(answers: Answers) -> float:
+def _torque_N_m(answers: Mapping[str, Any]) -> float:
     return float(answers["torque_constant"] * answers["gear_ratio"] * answers["current_limit"])
 
 
