@@ -154,7 +154,7 @@ def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("motion", "rest", "said"), [("linear", 3.1, "rest_rad 3.1"), ("rotary", 3.1, "")]
+    ("motion", "rest", "said"), [("linear", 3.1, "rest_m 3.1"), ("rotary", 3.1, "")]
 )
 def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     motion: Literal["linear", "rotary"], rest: float, said: str
