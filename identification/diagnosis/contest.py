@@ -17,6 +17,8 @@ from identification.diagnosis.promise import promise, risen, unkept
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context
 
+REJECTED = 1.645
+"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
 SAME = 0.01

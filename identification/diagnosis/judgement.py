@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.diagnosis.begin import NEAR_FLOOR
-from identification.diagnosis.contest import Contender, Round, broken, probability
+from identification.diagnosis.contest import REJECTED, Contender, Round, broken, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.intervals import estimates
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.kept import EXCESS
 from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
@@ -23,8 +24,6 @@ from identification.diagnosis.significance import EXCESS_OF_ONE, LEVEL
 from identification.diagnosis.wording import finding, title
 from identification.recording import Bench
 
-REJECTED = 1.645
-"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.70
 """Share of the mismatch's power beyond the noise that names must explain between them to be a
 diagnosis.
@@ -94,7 +93,9 @@ def judged(
     # judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
-    left = worst.after > NEAR_FLOOR or _most_of_one(found, worst.equation) > EXCESS_OF_ONE
+    if not found.final.effects and not _beyond(found.baseline, judges):
+        return Verdict.NOTHING_MISSING, None, drawn
+    left = worst.after > NEAR_FLOOR or _most_of_one(found.final, worst.equation) > EXCESS_OF_ONE
     short = worst.explained < ADEQUATE and left
     if (
         not found.final.effects
@@ -130,12 +131,19 @@ def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tup
     )
 
 
-def _most_of_one(found: Search, name: str) -> float:
-    """Return the mean square that names leave of an equation over the noise's, in the recording
+def _beyond(joint: Joint, judges: Sequence[_Excess]) -> bool:
+    """Whether the nominal model leaves more than noise: where no name was kept, a pattern within it
+    is no mismatch that anybody could look for.
+    """
+    return any(e.before > EXCESS or _most_of_one(joint, e.equation) > EXCESS_OF_ONE for e in judges)
+
+
+def _most_of_one(joint: Joint, name: str) -> float:
+    """Return the mean square that a fit leaves of an equation over the noise's, in the recording
     with most of it.
     """
-    equation = next(e for e in found.final.equations if e.name == name)
-    rows = found.final.residual[found.final.stack.part(name)]
+    equation = next(e for e in joint.equations if e.name == name)
+    rows = joint.residual[joint.stack.part(name)]
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )

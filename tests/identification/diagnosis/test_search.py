@@ -13,7 +13,7 @@ import pytest
 
 from identification.diagnosis.begin import begun, started
 from identification.diagnosis.contest import implausible
-from identification.diagnosis.diagnose import diagnose, held_out
+from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.intervals import pinned
 from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
@@ -24,6 +24,7 @@ from identification.diagnosis.significance import DRAWS, chance, flipped
 from identification.diagnosis.stack import Candidate, surprise, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
+from identification.diagnosis.unseen import held_out
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit
