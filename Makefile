@@ -86,7 +86,7 @@ structure:
 	$(PYTHON) tools/structure.py
 
 test: lint
-	$(BIN)/pytest -n auto --dist loadfile
+	$(BIN)/pytest -n auto --dist worksteal
 
 plan-study: $(VENV)/.runtime
 	$(BIN)/python benchmarks/plan_study.py --benches 20

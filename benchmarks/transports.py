@@ -70,17 +70,17 @@ def serve(kind: str, wire: Connection) -> None:
     """Let the devices live until told to stop; the body of the child process."""
     bench = simulated_bench(MACHINE, 1)
     bench.sampler.advance(bench.machine.loop_ns)
-    twin = RealTimeBench(bench.clock)
+    served = RealTimeBench(bench.clock)
     ports: Ports
     match kind:
         case "serial":
-            drive = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
-            ports = [drive, twin.open_pty(SimulatedAmt21(bench.clock, bench.sampler))]
+            drive = served.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+            ports = [drive, served.open_pty(SimulatedAmt21(bench.clock, bench.sampler))]
         case "slcan":
-            ports = [twin.open_pty(LawicelAdapter(bench.bus))]
+            ports = [served.open_pty(LawicelAdapter(bench.bus))]
         case _:
-            ports = [twin.open_socket(SocketcandServer(bench.bus))]
-    with twin:
+            ports = [served.open_socket(SocketcandServer(bench.bus))]
+    with served:
         wire.send(ports)
         wire.recv()
 

@@ -13,6 +13,8 @@ from contextlib import ExitStack, suppress
 from functools import wraps
 from typing import ParamSpec, TypeVar
 
+from drivers.errors import ConfigurationError, DeviceError, LinkError
+
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _TRACEBACK = "Traceback (most recent call last)"
@@ -50,6 +52,42 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
             raise OSError(words(error)) from error
 
     return translated
+
+
+def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
+    """Return a port that was opened.
+
+    Args:
+        connect: Opens it.
+        name: Of the port, for the message.
+        advice: What to check where it cannot be opened.
+
+    Raises:
+        LinkError: It cannot be opened.
+    """
+    try:
+        return connect()
+    except DeviceError:
+        raise
+    except Exception as error:
+        raise LinkError(f"{name} cannot be opened: {words(error)}; {advice}") from error
+
+
+def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None:
+    """Check that a device asks for the cycle time that a link runs at.
+
+    Args:
+        running_s: Cycle time of the link, s; None where it is not set yet.
+        cycle_s: What the device asks for, s.
+        who: The device.
+
+    Raises:
+        ConfigurationError: Another device has another one.
+    """
+    if running_s is not None and running_s != cycle_s:
+        raise ConfigurationError(
+            f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {running_s:g} s"
+        )
 
 
 def close_all(*closers: Callable[[], object]) -> None:

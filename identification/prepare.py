@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
+from identification.model.units import torque_word, unit_on
 from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Recording, RecordingError
 from identification.signals import (
@@ -153,7 +154,14 @@ def torque_unit(recording: Recording) -> str:
     """Return the unit of the fit: N m, N on a linear bench, A where no torque constant is known."""
     if "torque" not in recording.channels and recording.bench.torque_constant is None:
         return "A"
-    return "N" if recording.bench.motion == "linear" else "N m"
+    return unit_on(recording.bench.motion, "N m")
+
+
+def drive_channel(recording: Recording) -> str:
+    """Return the name of the logged quantity that the drive's torque is taken from."""
+    if "torque" in recording.channels:
+        return torque_word(recording.bench.motion)
+    return "current" if "current" in recording.channels else "voltage"
 
 
 def volts_per_torque(recording: Recording) -> float | None:

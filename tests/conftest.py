@@ -4,6 +4,7 @@ recordings.
 
 from __future__ import annotations
 
+import gc
 import os
 import threading
 from collections.abc import Iterator
@@ -13,6 +14,7 @@ import psutil
 import pytest
 from hypothesis import settings
 
+from rig.cli.entry import GARBAGE_THRESHOLD
 from rig.common.allocation import keep_freed_memory
 
 _GRACE_S = 1.0
@@ -21,17 +23,23 @@ _GRACE_S = 1.0
 # would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 keep_freed_memory()
+gc.set_threshold(GARBAGE_THRESHOLD)
 
 # The same examples on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
 
 
+def pytest_collection_finish() -> None:
+    # Modules and thousands of tests stay to the end: no collection of garbage walks over them.
+    gc.freeze()
+
+
 @pytest.fixture(autouse=True)
 def no_leaks() -> Iterator[None]:
     process = psutil.Process()
     threads = set(threading.enumerate())
-    children = set(process.children())
+    children = _children(process)
     ports = _listening(process)
     yield
     for thread in set(threading.enumerate()) - threads:
@@ -41,7 +49,7 @@ def no_leaks() -> Iterator[None]:
         for thread in set(threading.enumerate()) - threads
         if thread.is_alive()
     ]
-    _, alive = psutil.wait_procs(set(process.children()) - children, _GRACE_S)
+    _, alive = psutil.wait_procs(_children(process) - children, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]
     leaked += [f"port {port}" for port in _listening(process) - ports]
     assert not leaked, f"left behind: {', '.join(leaked)}"
@@ -59,6 +67,17 @@ def recordings() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return folder
+
+
+def _children(process: psutil.Process) -> set[psutil.Process]:
+    """Return the children, from where Linux lists them: psutil reads every process of the machine,
+    and it is asked twice per test.
+    """
+    try:
+        tasks = [task / "children" for task in Path(f"/proc/{process.pid}/task").iterdir()]
+        return {psutil.Process(int(pid)) for task in tasks for pid in task.read_text().split()}
+    except (OSError, psutil.NoSuchProcess):
+        return set(process.children())
 
 
 def _listening(process: psutil.Process) -> set[int]:

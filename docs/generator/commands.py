@@ -12,31 +12,13 @@ from keys import table
 
 from rig.cli import entry as cli
 
-STATUSES = (
-    (cli.DONE, "The work is done. All four verdicts of a diagnosis count as done."),
-    (cli.BAD_VERDICT, "The work is done and its verdict is bad: a limit tripped, a check failed."),
-    (
-        cli.BAD_INPUT,
-        "Bad input: each error with `file:line:column: path: message (got VALUE)`, all at once.",
-    ),
-    (cli.STOPPED, "The operator stopped it."),
-    (
-        cli.DEVICE_FAILED,
-        "A device, the bus or the storage failed, or another program holds the bench or run "
-        "folder.",
-    ),
-    (cli.CRASHED, "The program itself broke down."),
-)
-"""Exit status to its meaning."""
-
 
 def page() -> str:
     """Return the page."""
     parts = [
         "# Commands",
         "`rig` is the one command. `rig --verbose COMMAND` also shows what the bus libraries log.",
-        "## Exit statuses",
-        table(("status", "meaning"), [(str(status), words) for status, words in STATUSES]),
+        "Every command ends with one of six statuses: [how a command ends](../errors.md).",
     ]
     for name in cli.COMMANDS:
         parts += _command(name)

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.clock import NS, Clock
-from drivers.errors import DeviceError, LinkError
+from drivers.errors import LinkError
 from drivers.interfaces import RawFrame
-from drivers.port_errors import close_all, words
+from drivers.port_errors import close_all, opened, words
 from drivers.serial_port import BytePort, raw_frames
 
 DEFAULT_ADDRESS: Final = 0x54
@@ -59,15 +59,8 @@ class Amt21Line:
             LinkError: It cannot be opened.
         """
         if self._port is None:
-            try:
-                self._port = self._connect()
-            except DeviceError:
-                raise
-            except Exception as error:
-                raise LinkError(
-                    f"{self.name} cannot be opened: {words(error)}; check the port and the rights "
-                    f"to it"
-                ) from error
+            advice = "check the port and the rights to it"
+            self._port = opened(self._connect, self.name, advice)
 
     def close(self) -> None:
         """Close the line; safe to call twice and after a failure. Raises nothing."""

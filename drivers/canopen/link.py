@@ -25,11 +25,12 @@ from drivers.canopen.node import (
     NMT_NAMES,
     OPERATIONAL,
     CanopenNode,
+    require_node,
 )
 from drivers.clock import NS, Clock
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
+from drivers.errors import DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
-from drivers.port_errors import close_all, words
+from drivers.port_errors import close_all, opened, require_one_cycle, words
 
 MASTER_ID: Final = 0x7F
 """Node identifier of this program's own heartbeat."""
@@ -128,10 +129,7 @@ class CanopenLink(Link):
         Raises:
             ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
         """
-        if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
-            raise ConfigurationError(
-                f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
-            )
+        require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self)
         self._network.add_node(node.remote)
@@ -146,15 +144,8 @@ class CanopenLink(Link):
         """
         if self._port is not None:
             return
-        try:
-            self._port = self._connect()
-        except DeviceError:
-            raise
-        except Exception as error:
-            raise LinkError(
-                f"{self._name} cannot be opened: {words(error)}; "
-                "check the interface, its driver and the rights to use it"
-            ) from error
+        advice = "check the interface, its driver and the rights to use it"
+        self._port = opened(self._connect, self._name, advice)
 
     def close(self) -> None:
         """Close the bus; safe to call twice and after a failure. Raises nothing."""
@@ -168,10 +159,7 @@ class CanopenLink(Link):
         Raises:
             ConfigurationError: Another device has another one.
         """
-        if self._cycle_s is not None and self._cycle_s != cycle_s:
-            raise ConfigurationError(
-                f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s"
-            )
+        require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
         self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))

@@ -5,7 +5,7 @@ configured.
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
@@ -28,6 +28,18 @@ NMT_NAMES: Final = {
     OPERATIONAL: "OPERATIONAL",
     PRE_OPERATIONAL: "PRE-OPERATIONAL",
 }
+
+
+def require_node(node_id: int, taken: Container[int]) -> None:
+    """Check the identifier of a device that is to be added to a link.
+
+    Raises:
+        ConfigurationError: It is out of range or taken.
+    """
+    if not 1 <= node_id <= 127 or node_id in taken:
+        raise ConfigurationError(
+            f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
+        )
 
 
 class CanopenNode:

@@ -12,13 +12,14 @@ from typing import Final
 
 from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
+from drivers.canopen.node import require_node
 from drivers.clock import NS, Clock
 from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
 from drivers.epos.node import EposSerialNode
 from drivers.epos.object_access import IDENTITY, Guard
-from drivers.errors import ConfigurationError, DeviceError, LinkError
+from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
-from drivers.port_errors import close_all, words
+from drivers.port_errors import close_all, opened, require_one_cycle, words
 from drivers.serial_port import BytePort, raw_frames
 
 _FRAMES_KEPT: Final = 1 << 16
@@ -88,10 +89,7 @@ class EposSerialLink(Link):
         Raises:
             ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
         """
-        if not 1 <= node_id <= 127 or node_id in self._nodes:
-            raise ConfigurationError(
-                f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
-            )
+        require_node(node_id, self._nodes)
         dictionary = read_eds(eds, node_id)
         node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
         return node
@@ -104,15 +102,8 @@ class EposSerialLink(Link):
         """
         if self._port is not None:
             return
-        try:
-            self._port = self._connect()
-        except DeviceError:
-            raise
-        except Exception as error:
-            raise LinkError(
-                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and "
-                f"the rights to use it"
-            ) from error
+        advice = "check the port, the adapter and the rights to use it"
+        self._port = opened(self._connect, self._name, advice)
         self._in_step = False
         self._marks.clear()
 
@@ -129,10 +120,7 @@ class EposSerialLink(Link):
             ConfigurationError: Another device has another one.
             LinkError: No answer.
         """
-        if self._cycle_s is not None and self._cycle_s != cycle_s:
-            raise ConfigurationError(
-                f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s"
-            )
+        require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
         self._learn_marks()

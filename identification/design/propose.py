@@ -54,7 +54,7 @@ class Proposal:
         pinned: Intervals of the proposal by simulation, the default method's among them.
         promised: Intervals of the proposal predicted by its Fisher information.
         judged: Excitations simulated.
-        rehearsed: Whole experiments that were simulated and identified by the default method.
+        identified: Whole experiments that were simulated and identified by the default method.
     """
 
     weakest: str
@@ -63,7 +63,7 @@ class Proposal:
     pinned: Pinned
     promised: Pinned
     judged: int
-    rehearsed: int
+    identified: int
 
 
 def propose(

@@ -16,6 +16,7 @@ from identification.diagnosis.joint import Added, Joint
 from identification.diagnosis.promise import promise, risen, unkept
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context
+from identification.model.units import LINEAR, PHASES, parameter_title
 
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
@@ -29,7 +30,6 @@ USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
 suit.
 """
-PHASES = ("phase", "zero")
 """How the names of parameters begin that are angles on a linear bench too."""
 
 
@@ -82,19 +82,18 @@ def implausible(joint: Joint) -> str:
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views)
-    slides = views[0].recording.bench.motion == "linear"
+    motion = views[0].recording.bench.motion
     for q in ENTRIES[last.term.name].parameters:
         scale = scales.get(q.unit, 1.0)
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
-        if slides and q.unit == "rad" and not q.name.startswith(PHASES):
+        if motion == LINEAR and q.unit == "rad" and not q.name.startswith(PHASES):
             # Metres, of which a radian says nothing: as far in travels as the range is on the usual
             # bench.
             low, high = (limit * _travels(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
-            return (
-                f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
-            )
+            name = parameter_title(motion, q.name)
+            return f"{name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
     return ""
 
 

@@ -18,6 +18,7 @@ import numpy as np
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
+from identification.model.units import unit_on
 from identification.recording import Array
 from identification.signals import BoolArray, Decimator, central_difference, quantum
 
@@ -324,7 +325,8 @@ def _transmission(views: Sequence[View]) -> Equation | None:
 
     kept = [np.ones(len(v.kept_times), bool) for v in both]
     names = [f"zero of {v.recording.name}" for v in both]
-    return _build("transmission", "rad", both, kept, measured, tangent, names)
+    unit = unit_on(both[0].recording.bench.motion, "rad")
+    return _build("transmission", unit, both, kept, measured, tangent, names)
 
 
 def _voltage(views: Sequence[View]) -> Equation | None:

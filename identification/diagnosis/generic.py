@@ -4,7 +4,7 @@ and locate it.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,19 +15,6 @@ from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 BINS = 8
-LINEAR_UNITS: Mapping[str, str] = {
-    "rad": "m",
-    "rad/s": "m/s",
-    "rad/s^2": "m/s^2",
-    "1/rad": "1/m",
-    "N m": "N",
-    "N m/s": "N/s",
-    "N m/rad": "N/m",
-    "N m s/rad": "N s/m",
-    "N m s^2/rad^2": "N s^2/m^2",
-    "kg m^2": "kg",
-}
-"""Unit of a rotary quantity to that of its counterpart on a linear bench."""
 
 
 @dataclass(frozen=True)

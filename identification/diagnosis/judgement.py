@@ -11,7 +11,6 @@ from identification.diagnosis.begin import NEAR_FLOOR
 from identification.diagnosis.contest import REJECTED, Contender, Round, broken, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation
-from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.intervals import estimates
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.kept import EXCESS
@@ -22,6 +21,8 @@ from identification.diagnosis.result import Effect, Estimate, Location, Map, Riv
 from identification.diagnosis.search import Search
 from identification.diagnosis.significance import EXCESS_OF_ONE, LEVEL
 from identification.diagnosis.wording import finding, title
+from identification.model.units import parameter_unit
+from identification.prepare import drive_channel
 from identification.recording import Bench
 
 ADEQUATE = 0.70
@@ -222,12 +223,8 @@ def _effect(
     rng: np.random.Generator,
 ) -> Effect:
     entry = ENTRIES[taken.name]
-    linear, amperes = own_bench(found).motion == "linear", found.baseline.equations[0].unit == "A"
-    units = {
-        q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters
-    }
-    if amperes:
-        units = {n: unit.replace("N m", "A") for n, unit in units.items()}
+    motion, amperes = own_bench(found).motion, found.baseline.equations[0].unit == "A"
+    units = {q.name: parameter_unit(motion, q.name, q.unit, amperes) for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
     stack = found.baseline.stack
     own = max(
@@ -259,7 +256,12 @@ def _effect(
         name=taken.name,
         alias_group=(taken.name, *open_names),
         confidence=confidence,
-        statement=finding(entry, parameters, where.recordings),
+        statement=finding(
+            entry,
+            parameters,
+            where.recordings,
+            drive_channel(found.baseline.equations[0].views[0].recording),
+        ),
         assumption_broken=entry.assumption,
         where=where,
         parameters=parameters,

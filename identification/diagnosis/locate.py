@@ -11,10 +11,11 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.equations import Equation
-from identification.diagnosis.generic import COORDINATES, LINEAR_UNITS, Coordinate, edges
+from identification.diagnosis.generic import COORDINATES, Coordinate, edges
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.stack import Stack
+from identification.model.units import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
@@ -63,8 +64,7 @@ def maps(
         if any(coordinate.values(v) is None for v in equation.views):
             continue
         values = equation.rows(partial(_known, coordinate))[:, 0]
-        linear = equation.views[0].recording.bench.motion == "linear"
-        unit = LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit
+        unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
         axis = Axis(coordinate.name, unit, values)
         made = mapped(equation, axis, before, after, block, stack.blocks, rng)
         if made is None:

@@ -3,7 +3,7 @@
 A sentence of the catalogue names parameters in braces. After the colon stands the unit to print
 (``{gap_rad:deg}``; with ``abs`` before it the size without its sign), or two words to choose from
 by sign (``{torque_Nm:?higher/lower}``). ``{recordings}`` names the recordings in which the effect
-shows.
+shows, ``{channel}`` the logged quantity that the drive's torque is taken from.
 """
 
 from __future__ import annotations
@@ -40,7 +40,10 @@ _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
 def sentence(
-    entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()
+    entry: Entry,
+    estimates: Mapping[str, Estimate],
+    recordings: Sequence[str] = (),
+    channel: str = "current",
 ) -> str:
     """Return the finding of one effect with its parameters, values first and 90 % intervals behind.
 
@@ -48,6 +51,7 @@ def sentence(
         entry: Row of the catalogue.
         estimates: Parameter name to estimate; every name in the sentence is there.
         recordings: Names of those in which it shows.
+        channel: Logged quantity that the drive's torque is taken from.
 
     Raises:
         KeyError: The sentence names a parameter without an estimate.
@@ -57,19 +61,28 @@ def sentence(
         words.append(text)
         if name == "recordings":
             words.append(_listed(recordings))
+        elif name == "channel":
+            words.append(channel)
         elif name is not None:
             words.append(_field(estimates[name], form or ""))
     return "".join(words)
 
 
-def finding(entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()) -> str:
+def finding(
+    entry: Entry,
+    estimates: Mapping[str, Estimate],
+    recordings: Sequence[str] = (),
+    channel: str = "current",
+) -> str:
     """Return the sentence with the effect's name and the assumption it breaks.
+
+    Args: as of :func:`sentence`.
 
     Raises:
         KeyError: The sentence names a parameter without an estimate.
     """
     what = f"{title(entry.name)} ({entry.group})"
-    return f"{sentence(entry, estimates, recordings)}: {what}, against {entry.assumption}"
+    return f"{sentence(entry, estimates, recordings, channel)}: {what}, against {entry.assumption}"
 
 
 def title(name: str) -> str:

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -30,11 +30,10 @@ from identification.estimate.uncertainty.parameter_table import (
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
+from identification.numerics.progress import Progress, silent
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Convergence, Identification, Profile, Resampled
-
-Progress = Callable[[str, float], None]
 
 
 def identify(
@@ -66,7 +65,7 @@ def identify(
         RecordingError: The recordings cannot pin the model; the message says what is missing.
     """
     started = perf_counter()
-    tell = progress or (lambda _stage, _share: None)
+    tell = progress or silent
     chance = rng or np.random.default_rng(0)
     fitted = dataset.part("fit")
     if not fitted:
@@ -80,7 +79,7 @@ def identify(
     values, stages = solve_stages(*by_load(active), model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
-    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance, settings)
+    found = refine(fitted, active, values, names, model, bandwidth_Hz, chance, settings, tell)
     curves, resampled, notes = _asked(found, units_of(active), profile, draws, chance, tell)
     tell("joint", 1.0)
     whole = replace(

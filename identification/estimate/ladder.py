@@ -7,7 +7,7 @@ a recording are too correlated to count as independent.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from identification.estimate.default import identify
 from identification.estimate.ladder_bootstrap import Indices, Redraw, Score
 from identification.model.ladder import LADDER, bears_load
+from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, default_bandwidth, prepare
 from identification.recording import Dataset, Recording, RecordingError
@@ -24,8 +25,6 @@ from identification.simulate.score import compare, pooled
 
 REPLICATES = 100
 """Draws of the bootstrap."""
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def climb(
     Raises:
         RecordingError: A recording is loaded, or cannot be fitted.
     """
-    tell = progress or (lambda _what, _share: None)
+    tell = progress or silent
     to_fit = _to_fit(dataset)
     to_score = dataset.part("validate") or to_fit
     if bandwidth_Hz is None:

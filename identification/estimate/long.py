@@ -14,7 +14,6 @@ import numpy as np
 
 from identification.estimate import default
 from identification.estimate.default import (
-    Progress,
     by_load,
     free_names,
     identification,
@@ -32,6 +31,7 @@ from identification.estimate.likelihood.refinement import (
 from identification.estimate.uncertainty.parameter_table import (
     typical_error,
 )
+from identification.numerics.progress import Progress, silent
 from identification.prepare import (
     default_bandwidth,
     joint_angle,
@@ -112,7 +112,7 @@ def identify_long(
         RecordingError: The recordings cannot pin the model; the message says what is missing.
     """
     started = perf_counter()
-    tell = progress or (lambda _stage, _share: None)
+    tell = progress or silent
     model = dataset.model
     cut = [(r, pieces(r)) for r in dataset.recordings]
     heads = [parts[0] for r, parts in cut if r.role == "fit"]

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from identification.model.units import LINEAR, unit_on
 from identification.numerics.arrays import Array
 
 SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
@@ -43,15 +44,7 @@ UNITS_ROTARY: Mapping[str, str] = {
     "offset": "N m",
 }
 UNITS_LINEAR: Mapping[str, str] = {
-    **UNITS_ROTARY,
-    "J": "kg",
-    "Mc": "N",
-    "Ms": "N",
-    "omega_sf": "m/s",
-    "sigma_2": "N s/m",
-    "omega_sL": "m/s",
-    "mu_2": "s/m",
-    "offset": "N",
+    name: unit_on(LINEAR, unit) for name, unit in UNITS_ROTARY.items()
 }
 
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)

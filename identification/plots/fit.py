@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identification.model.friction import load_coefficient, system_friction
+from identification.model.units import torque_word, unit_on
 from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,
@@ -54,7 +55,6 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         moments: Recording to its contact moment F_P L1, N m; None where that varies, and no curve
             belongs to it.
     """
-    rotary = result.motion == "rotary"
     unit = result.torque_unit
     made, (axis,) = figure(1, height=5.0)
     label: str | None = "fitted"
@@ -65,7 +65,7 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         by_load.setdefault(_VARYING if known is None else round(known, 6), []).append(trace)
     for color, (moment, traces) in zip(CYCLE * len(by_load), sorted(by_load.items()), strict=False):
         names = {0.0: "unloaded", _VARYING: "hot firing"}
-        name = names.get(moment, f"$F_P L_1$ = {moment:.4g} N m")
+        name = names.get(moment, f"$F_P L_1$ = {moment:.4g} {unit_on(result.motion, 'N m')}")
         speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
         torques = np.concatenate([t.friction[moving(t)] for t in traces])
         few = thinned(len(speeds), _POINTS_PER_LOAD)
@@ -89,8 +89,8 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
             model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
             axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
         label = None
-    axis.set_xlabel("velocity (rad/s)" if rotary else "velocity (m/s)")
-    axis.set_ylabel(f"friction torque ({unit})" if rotary else f"friction force ({unit})")
+    axis.set_xlabel(f"velocity ({unit_on(result.motion, 'rad/s')})")
+    axis.set_ylabel(f"friction {torque_word(result.motion)} ({unit})")
     axis.axhline(0.0, color=GREY, linewidth=0.8)
     axis.axvline(0.0, color=GREY, linewidth=0.8)
     legend = legend_above(axis, 3)

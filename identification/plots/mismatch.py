@@ -103,7 +103,7 @@ def curve(missing: Curve) -> Figure:
     axis.plot(along * missing.grid, factor * missing.value, color=VERMILION, linewidth=1.6)
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(missing.coordinate, unit))
-    axis.set_ylabel(f"missing {_quantity(missing.equation)} ({residual_unit})")
+    axis.set_ylabel(f"missing {_quantity(missing)} ({residual_unit})")
     return made
 
 
@@ -171,7 +171,6 @@ def _labelled(coordinate: str, unit: str) -> str:
     return f"{coordinate} ({unit or '1'})"
 
 
-def _quantity(equation: str) -> str:
-    return {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}.get(
-        equation, "torque"
-    )
+def _quantity(missing: Curve) -> str:
+    other = {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}
+    return other.get(missing.equation, "force" if missing.residual_unit == "N" else "torque")

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from identification.model.units import torque_word, unit_on
 from identification.plots.style import (
     BLACK,
     BLUE,
@@ -50,7 +51,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     top.plot(time, trace.angle[few] * scale, color=BLUE, linewidth=1.6, label="measured")
     top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
     middle.plot(time, trace.velocity[few], color=BLUE, linewidth=1.0, label="measured")
-    middle.set_ylabel("velocity (rad/s)" if rotary else "velocity (m/s)")
+    middle.set_ylabel(f"velocity ({unit_on(recording.bench.motion, 'rad/s')})")
     bottom.plot(time, trace.torque[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured")
     bottom.plot(
         time,
@@ -59,7 +60,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
         linewidth=0.9,
         label="model, where it moves",
     )
-    bottom.set_ylabel(f"{'torque' if rotary else 'force'} ({unit})")
+    bottom.set_ylabel(f"{torque_word(recording.bench.motion)} ({unit})")
     bottom.set_xlabel("time (s)")
     for axis in (top, middle, bottom):
         legend_above(axis, 2)
@@ -75,7 +76,6 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
         motion: ``rotary`` or ``linear``.
         unit: Of its torque.
     """
-    rotary = motion == "rotary"
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
     error = trace.torque - trace.torque_model
     few = thinned(len(error))
@@ -84,7 +84,7 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     top.plot(trace.time[few], shown, color=BLUE, linewidth=0.8)
     top.set_xlabel("time (s)")
     left.plot(trace.velocity[few], shown, ".", color=BLUE, markersize=2.0, alpha=0.5)
-    left.set_xlabel("velocity (rad/s)" if rotary else "velocity (m/s)")
+    left.set_xlabel(f"velocity ({unit_on(motion, 'rad/s')})")
     kept = error[used]
     right.hist(kept, bins=60, color=BLUE)
     right.set_xlabel(f"measured - model ({unit})")
@@ -101,5 +101,6 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     for axis in (top, left):
         axis.axhline(0.0, color=BLACK, linewidth=0.8)
         axis.set_ylabel(f"measured - model ({unit})")
-    made.suptitle(f"{trace.recording}: torque residual ({trace.role}, {trace.stage})", fontsize=11)
+    word = torque_word(motion)
+    made.suptitle(f"{trace.recording}: {word} residual ({trace.role}, {trace.stage})", fontsize=11)
     return made

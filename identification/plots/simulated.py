@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from identification.model.units import torque_word
 from identification.plots.style import BLACK, BLUE, VERMILION, figure, legend_above, thinned
 from identification.prepare import Prepared, joint_angle, torque_unit
 from identification.simulate.closed_loop import Response
@@ -39,7 +40,7 @@ def simulated(prepared: Prepared, response: Response) -> Figure:
     )
     torque = simulated_torque(prepared, response)
     bottom.plot(prepared.time[few], torque[few], color=VERMILION, linewidth=0.9, label="simulated")
-    bottom.set_ylabel(f"{'torque' if rotary else 'force'} ({torque_unit(recording)})")
+    bottom.set_ylabel(f"{torque_word(recording.bench.motion)} ({torque_unit(recording)})")
     bottom.set_xlabel("time (s)")
     for axis in (top, bottom):
         legend_above(axis, 2)

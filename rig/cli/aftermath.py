@@ -44,7 +44,7 @@ def conclude(
     status.
 
     How the run ended was shown and written down before; nothing here can hide it. What the operator
-    must know is told before the page is drawn, which may take its time and may fail.
+    must know is shown before the page is drawn, which may take its time and may fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
@@ -53,7 +53,7 @@ def conclude(
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
     if wrong:
-        with suppress(StorageError):  # The warnings are told all the same, and the run has ended.
+        with suppress(StorageError):  # The warnings are shown all the same, and the run has ended.
             folder.save()
     _tell(folder, screen)
     screen.drain()

@@ -207,6 +207,22 @@ class ConsoleOperator(AutomaticOperator):
             self.tell(f"{typed!r} is not one of `go on`, `repeat`, `abort`")
 
 
+def operator_for(
+    yes: bool, screen: Screen, patience_s: float | None, tolerance: float
+) -> AutomaticOperator:
+    """Return who answers the prompts of a run.
+
+    Args:
+        yes: Whether they are answered as planned, without asking.
+        screen: Where questions and messages go.
+        patience_s: How long an answer is waited for; None for ever.
+        tolerance: Share of the planned mass by which the typed one may differ.
+    """
+    if yes:
+        return AutomaticOperator(screen=screen)
+    return ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+
+
 def parse_mass_kg(text: str) -> float | None:
     """Return a mass as it is typed, in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None where
     it is none.

@@ -69,7 +69,7 @@ class Finding:
     remarks: tuple[str, ...] = ()
 
 
-class Saboteur:
+class FaultInjector:
     """One schedule at work on one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
 
     Args:
@@ -268,18 +268,18 @@ class Saboteur:
         self._answer_after_s = row.amount
 
 
-_Action = Callable[[Saboteur, FaultRow], None]
+_Action = Callable[[FaultInjector, FaultRow], None]
 
 
 ACTIONS: Mapping[tuple[str, str], _Action] = {
-    ("host", "killed"): Saboteur._kill,
-    ("host", "hangs"): Saboteur._hang_up,
+    ("host", "killed"): FaultInjector._kill,
+    ("host", "hangs"): FaultInjector._hang_up,
     ("host", "clock_step"): lambda s, r: s._clock.step(r.amount or 0.0),
     ("host", "recorder_fails"): lambda s, _: s._break_recorder(),
     ("disk", "full"): lambda s, _: s._fill_disk(),
     ("operator", "stop"): lambda s, _: s._stop.press(),
-    ("operator", "unanswered"): Saboteur._be_silent,
-    ("operator", "wrong_weight"): Saboteur._hang_wrong,
+    ("operator", "unanswered"): FaultInjector._be_silent,
+    ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
 """Target and name to what is done to this program and its operator.
 
@@ -287,12 +287,12 @@ What is done to the bench is in :mod:`rig.fault_injection.scene`.
 """
 
 
-def sabotage(
+def fault_injector(
     path: Path,
     bench: Document[Bench],
     sequence: Document[Sequence],
     patience_s: float | None = None,
-) -> Saboteur:
+) -> FaultInjector:
     """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
 
     Raises:
@@ -313,7 +313,7 @@ def sabotage(
         for number, row in enumerate(schedule.value.rows)
         if row.stage is not None and row.stage not in names
     )
-    return Saboteur(schedule.value, sequence.value, patience_s)
+    return FaultInjector(schedule.value, sequence.value, patience_s)
 
 
 def describe(findings: list[Finding]) -> str:

@@ -22,6 +22,9 @@ NOMINAL_ALPHA = 2.0
 RUNS = Path("runs")
 """Default folder of runs and of the identifications beside them."""
 
+_UNLOADED_FRICTION = ("Mc", "Ms")
+_LOAD_FRICTION = ("mu_c", "mu_s")
+
 
 @dataclass(frozen=True)
 class FrictionModel:
@@ -34,6 +37,7 @@ class FrictionModel:
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: Origin of the values, as text.
         measured: Whether they come from an identification.
+        from_paper: Names of the parameters whose values are the paper's.
     """
 
     values: Mapping[str, float]
@@ -42,6 +46,16 @@ class FrictionModel:
     moment_per_kg: float
     source: str
     measured: bool
+    from_paper: tuple[str, ...] = ()
+
+    def friction_measured(self, loaded: bool) -> bool:
+        """Return whether the friction torques of a stage were measured on this bench.
+
+        Args:
+            loaded: Whether the stage has a load, so that the load coefficients count too.
+        """
+        needed = _UNLOADED_FRICTION + (_LOAD_FRICTION if loaded else ())
+        return self.measured and not set(needed) & set(self.from_paper)
 
 
 def friction_model(
@@ -72,7 +86,10 @@ def friction_model(
         "identified on this bench; give --identification"
     )
     arm = bench.moment_arm or 0.0
-    return FrictionModel(NOMINAL, NOMINAL_ALPHA, arm, moment_per_kg(bench), words, measured=False)
+    per_kg = moment_per_kg(bench)
+    return FrictionModel(
+        NOMINAL, NOMINAL_ALPHA, arm, per_kg, words, measured=False, from_paper=tuple(NOMINAL)
+    )
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
@@ -131,6 +148,7 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     if missing:
         words += f"; {', '.join(missing)}, which it leaves open, from the paper"
     arm = bench.moment_arm or 0.0
+    per_kg = moment_per_kg(bench)
     return FrictionModel(
-        {**NOMINAL, **known}, alpha, arm, moment_per_kg(bench), words, measured=True
+        {**NOMINAL, **known}, alpha, arm, per_kg, words, measured=True, from_paper=tuple(missing)
     )

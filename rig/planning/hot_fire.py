@@ -38,7 +38,7 @@ class FlowPlan:
     angles: Array
 
 
-def believed(bench: Bench) -> GasGenerator | None:
+def nominal_generator(bench: Bench) -> GasGenerator | None:
     """Return the nominal gas generator of the bench file, or None."""
     section = bench.gas_generator
     return None if section is None else section.generator(bench.machine.moment_arm_m)
@@ -48,7 +48,7 @@ def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPl
     """Compute the closed-loop excitation of a stage; None where it has none, or the bench no gas
     generator.
     """
-    generator = believed(bench)
+    generator = nominal_generator(bench)
     if section.flow is None:
         return None
     flow = section.flow.command(section.duration_s, bench.cycle_s)
@@ -71,7 +71,7 @@ def steady_force(targets: Array, bench: Bench) -> Array:
 
     Zero on a bench without gas generator.
     """
-    generator = believed(bench)
+    generator = nominal_generator(bench)
     if generator is None or not len(targets):
         return np.zeros(len(targets))
     return np.asarray(
@@ -89,7 +89,7 @@ def hot_objections(
     """Yield key, message and value of everything that a hot firing requests beyond the limits."""
     if section.stage != "hot_fire":
         return
-    generator, limit_MPa = believed(bench), bench.limits.pressure_MPa
+    generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
     if bench.pressure is None or generator is None or limit_MPa is None:
         yield ("stage",), NEEDS_PRESSURE, section.stage
         return
@@ -135,7 +135,7 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
 
 def gas_limits(bench: Bench) -> GasLimits | None:
     """Return the limits on the gas generator; None on a bench without a pressure transmitter."""
-    generator, limit_MPa = believed(bench), bench.limits.pressure_MPa
+    generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
     if bench.pressure is None or generator is None or limit_MPa is None:
         return None
     valve = generator.valve

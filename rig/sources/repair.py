@@ -111,18 +111,17 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     pieces = list(pairwise(edges))
     long = tuple(piece for piece in pieces if piece[1] - piece[0] >= MIN_SAMPLES)
     notes = [
-        f"{gaps.size} gaps, the longest {steps[gaps].max():.4g} s: split into {len(pieces)} "
-        f"stretches"
+        f"{gaps.size} gaps, the longest {steps[gaps].max():.4g} s: split into {len(pieces)} spans"
     ]
     dropped = sum(stop - start for start, stop in pieces if stop - start < MIN_SAMPLES)
     if dropped:
         notes.append(
-            f"{len(pieces) - len(long)} stretches shorter than {MIN_SAMPLES} samples dropped "
+            f"{len(pieces) - len(long)} spans shorter than {MIN_SAMPLES} samples dropped "
             f"({dropped} samples)"
         )
     if not long:
         raise UnusableError(
-            f"{gaps.size} gaps leave no stretch of {MIN_SAMPLES} samples (median period "
+            f"{gaps.size} gaps leave no span of {MIN_SAMPLES} samples (median period "
             f"{median:.4g} s,"
             f" a gap is longer than {GAP_PERIODS:g} of them)",
             int(gaps[0]) + 1,

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Self
+import time
+from typing import Final, Self
 
 from tqdm import tqdm
+
+_PERIOD_S: Final = 0.1
+"""Shortest time between two showings of one kind of work."""
 
 
 class ShareBar:
@@ -12,6 +16,8 @@ class ShareBar:
 
     def __init__(self) -> None:
         tqdm.monitor_interval = 0  # no helper thread
+        self._what = ""
+        self._shown_at = -_PERIOD_S
         self._bar = tqdm(
             total=100.0, disable=None, leave=False, bar_format="{desc} |{bar}| {n:.0f} %, {elapsed}"
         )
@@ -26,5 +32,10 @@ class ShareBar:
         """Show ``what`` at ``share`` (0 to 1) of it."""
         if self._bar.disable:
             return
+        now = time.monotonic()
+        if what == self._what and now - self._shown_at < _PERIOD_S and share < 1.0:
+            return
+        self._what, self._shown_at = what, now
         self._bar.set_description_str(what, refresh=False)
-        self._bar.update(100.0 * share - self._bar.n)
+        self._bar.n = 100.0 * share
+        self._bar.refresh()

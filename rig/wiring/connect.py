@@ -74,12 +74,12 @@ def connect(
 
     Args:
         document: The bench.
-        seed: Of the mock bench's noise.
-        realtime: Hold the mock bench to real time.
+        seed: Of the simulated bench's noise.
+        realtime: Hold the simulated bench to real time.
         attach: Tampers with a simulated bench.
         torque_offset: Map the torque offset of a CANopen drive (60B2h); see
             :func:`rig.planning.feedforward.require_torque_offset`.
-        purpose: The command that connects, as whoever finds the bench in use is told.
+        purpose: The command that connects, as shown to whoever finds the bench in use.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -147,19 +147,19 @@ def _wire(
 ) -> _Wired:
     """Choose the drivers of a bench and put them on their link, which stays closed."""
     bench = document.value
-    twin: SimulatedBench | None = None
+    simulated: SimulatedBench | None = None
     hang: Hang | None
     link: Link
     servo: Servo
     guard: Guard | None = None
     if isinstance(bus, SerialBus):
-        link, servo, twin, guard = _epos(document, bus, seed, attach)
-        hang = None if twin is None else twin.machine.hang
+        link, servo, simulated, guard = _epos(document, bus, seed, attach)
+        hang = None if simulated is None else simulated.machine.hang
     elif isinstance(bench.servo, DbcServoSection):
         link, servo, hang = _dbc_servo(document, bench.servo, bus, seed, attach)
     else:
-        link, twin = _link(bench, bench.servo, bus, seed, attach)
-        hang = None if twin is None else twin.machine.hang
+        link, simulated = _link(bench, bench.servo, bus, seed, attach)
+        hang = None if simulated is None else simulated.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine.gear_ratio)
         servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
@@ -170,12 +170,12 @@ def _wire(
         )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
-        encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
+        encoder = amt21 = amt21_encoder(bench.encoder, simulated, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
-    ignite = None if twin is None or pressure is None else twin.machine.ignite
+    ignite = None if simulated is None or pressure is None else simulated.machine.ignite
     return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
 
@@ -187,15 +187,15 @@ def _epos(
     """
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
-    twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
+    simulated, clock = _simulated_bench(bench, bench.servo, 1_000_000, seed, attach)
     eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine.gear_ratio)
-    guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
-    link = epos_link(bus, twin, clock, guard)
-    return link, Cia402Servo(link.add_node(node, eds), link, scales), twin, guard
+    guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
+    link = epos_link(bus, simulated, clock, guard)
+    return link, Cia402Servo(link.add_node(node, eds), link, scales), simulated, guard
 
 
-def _twin(
+def _simulated_bench(
     bench: Bench, servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
 ) -> tuple[SimulatedBench | None, Clock]:
     """Return the simulated bench, if there is one, and the host's clock."""
@@ -208,19 +208,19 @@ def _twin(
     )
     transmitter_node = None if bench.pressure is None else bench.pressure.node
     rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
-    twin = simulated_bench(
+    simulated = simulated_bench(
         bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating
     )
-    return twin, twin.clock if attach is None else attach(twin)
+    return simulated, simulated.clock if attach is None else attach(simulated)
 
 
 def _link(
     bench: Bench, servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[CanopenLink, SimulatedBench | None]:
     """Return the link, and the bench behind it where that is simulated."""
-    twin, clock = _twin(bench, servo, bus.bitrate, seed, attach)
-    if twin is not None:
-        return CanopenLink(clock, lambda: twin.bus, name="simulated bus"), twin
+    simulated, clock = _simulated_bench(bench, servo, bus.bitrate, seed, attach)
+    if simulated is not None:
+        return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
     return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
 
 
@@ -264,7 +264,7 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs.
+    """Return a device's EDS file: packaged for a simulated device, else as the bench file names it.
 
     Raises:
         InputError: A real device has none.

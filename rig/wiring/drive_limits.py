@@ -110,7 +110,7 @@ def require_within_own(
     Args:
         wanted: What is about to be written.
         own: What the drive held when the bus was opened. Its quick stop option is compared as far
-            as a drive that takes the power off after the ramp must not be told to keep it; its
+            as a drive that takes the power off after the ramp must not be ordered to keep it; its
             deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
 

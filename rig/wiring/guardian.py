@@ -45,7 +45,7 @@ REPORT_FILE: Final = "guardian.json"
 READY: Final = b"ready\n"
 TOOK_OVER: Final = b"took over\n"
 SILENCE_S: Final = 0.2
-"""Time without a sign of life after which it acts, unless it is told another one."""
+"""Time without a sign of life after which it acts, unless it receives another one."""
 _PATIENCE_S: Final = 60.0
 _PAUSE_NS: Final = NS // 5
 """Between two attempts: a line that is gone answers at once, and a busy loop would help nobody."""
@@ -64,7 +64,7 @@ class Cause(Enum):
 
 @dataclass
 class Ward:
-    """What the guardian has been told so far.
+    """What the guardian has received so far.
 
     Attributes:
         drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.

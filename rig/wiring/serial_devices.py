@@ -20,26 +20,30 @@ from rig.wiring.guard import Guard
 
 
 def epos_link(
-    bus: SerialBus, twin: SimulatedBench | None, clock: Clock, guard: Guard | None
+    bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
 ) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port with its guard, or the twin's in
-    simulated time.
+    """Return the link of a drive on a serial line: a real port with its guard, or that of the
+    simulated bench in simulated time.
     """
-    if twin is None:
+    if simulated is None:
         assert guard is not None
         return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
-    station = SimulatedEposPort(twin.bus, twin.clock, twin.drive)
-    return EposSerialLink(clock, _simulated(twin, "drive", bus.baud, station), "simulated EPOS4")
+    station = SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive)
+    return EposSerialLink(
+        clock, _simulated(simulated, "drive", bus.baud, station), "simulated EPOS4"
+    )
 
 
-def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clock) -> Amt21Encoder:
+def amt21_encoder(
+    section: Amt21Section, simulated: SimulatedBench | None, clock: Clock
+) -> Amt21Encoder:
     """Return an encoder on its line, real or simulated."""
     connect: Callable[[], BytePort]
-    if twin is None:
+    if simulated is None:
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
     else:
-        station = SimulatedAmt21(twin.clock, twin.sampler, section.address)
-        connect, name = _simulated(twin, "encoder", section.baud, station), "simulated AMT21"
+        station = SimulatedAmt21(simulated.clock, simulated.sampler, section.address)
+        connect, name = _simulated(simulated, "encoder", section.baud, station), "simulated AMT21"
     line = Amt21Line(clock, connect, name, section.address)
     scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
     gate = Gate(
@@ -49,7 +53,7 @@ def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clo
 
 
 def _simulated(
-    twin: SimulatedBench, device: str, baud: int, station: Station
+    simulated: SimulatedBench, device: str, baud: int, station: Station
 ) -> Callable[[], BytePort]:
-    line = twin.lines[device] = SimulatedLine(twin.clock, baud, station)
+    line = simulated.lines[device] = SimulatedLine(simulated.clock, baud, station)
     return lambda: line

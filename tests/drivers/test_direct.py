@@ -76,17 +76,17 @@ def test_it_gives_the_samples_that_go_over_the_bus(
 
     bus = np.array(rows).T
     phase = (9 - np.flatnonzero(np.diff(bus[6]))[0]) % 10
-    twin = SimulatedMachine(constants, np.random.default_rng(SEED).spawn(2)[0])
-    load(twin, weight)
-    twin.advance(switched[0])
-    twin.power(True)
-    twin.advance(latched_ns[0] - 1_000_000 - switched[0])
-    twin.latch()
-    fast = record(twin, command, slow_phase=int(phase))
+    simulated = SimulatedMachine(constants, np.random.default_rng(SEED).spawn(2)[0])
+    load(simulated, weight)
+    simulated.advance(switched[0])
+    simulated.power(True)
+    simulated.advance(latched_ns[0] - 1_000_000 - switched[0])
+    simulated.latch()
+    fast = record(simulated, command, slow_phase=int(phase))
     assert np.ptp(fast.angle) > 0.35
     assert np.ptp(fast.temperature) > 10.0
     np.testing.assert_array_equal(np.array([fast.motor_angle, fast.angle, fast.velocity]), bus[:3])
-    assert twin.truth() == machine.truth()
+    assert simulated.truth() == machine.truth()
     # The means of the first cycle began with another latch, and the slow frame before it is not
     # known here.
     np.testing.assert_array_equal(np.array([fast.current, fast.voltage])[:, 1:], bus[3:5, 1:])

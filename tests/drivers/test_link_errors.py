@@ -99,9 +99,9 @@ class Bench:
 
 
 def canopen(make: Make, good: int = 0) -> Bench:
-    twin = simulated_bench(Machine(), 1)
-    port = Broken(twin.bus, make, good)
-    link = CanopenLink(twin.clock, lambda: port, "CAN")
+    simulated = simulated_bench(Machine(), 1)
+    port = Broken(simulated.bus, make, good)
+    link = CanopenLink(simulated.clock, lambda: port, "CAN")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     uses = {
         "exchange": link.exchange,
@@ -120,9 +120,9 @@ def canopen(make: Make, good: int = 0) -> Bench:
 
 
 def dbc(make: Make, good: int = 0) -> Bench:
-    twin = simulated_dbc_bench(Machine(), 1, 1_000_000)
-    port = Broken(twin.bus, make, good)
-    link = DbcLink(twin.clock, lambda: port, "CAN")
+    simulated = simulated_dbc_bench(Machine(), 1, 1_000_000)
+    port = Broken(simulated.bus, make, good)
+    link = DbcLink(simulated.clock, lambda: port, "CAN")
     channel = link.add_channel(bind(MAP, read_dbc(DRIVE_DBC)), "the house servo")
     servo = DbcServo(link, channel, DRIVE)
     slot = next(iter(channel.slots.values()))
@@ -139,13 +139,17 @@ def dbc(make: Make, good: int = 0) -> Bench:
 
 
 def epos(make: Make, good: int = 0) -> Bench:
-    twin = simulated_bench(Machine(), 1)
+    simulated = simulated_bench(Machine(), 1)
     port = Broken(
-        SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive)),
+        SimulatedLine(
+            simulated.clock,
+            1_000_000,
+            SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive),
+        ),
         make,
         good,
     )
-    link = EposSerialLink(twin.clock, lambda: port, "EPOS4")
+    link = EposSerialLink(simulated.clock, lambda: port, "EPOS4")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     uses = {
         "set_cycle": lambda: link.set_cycle(0.002, "node 1"),
@@ -343,7 +347,7 @@ def test_where_the_encoder_cannot_be_opened_the_drive_is_closed(error: BaseExcep
 
 
 def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> None:
-    twin = simulated_dbc_bench(Machine(), 1, 1_000_000)
+    simulated = simulated_dbc_bench(Machine(), 1, 1_000_000)
     sent: list[int] = []
 
     class Once:
@@ -361,7 +365,7 @@ def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> N
             sent.append(-1)
             raise TypeError
 
-    link = DbcLink(twin.clock, Once, "CAN")
+    link = DbcLink(simulated.clock, Once, "CAN")
     channels = [link.add_channel(bind(MAP, read_dbc(DRIVE_DBC)), f"drive {n}") for n in range(2)]
     link._channels = link._channels[:1]
     link.open()
@@ -371,7 +375,7 @@ def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> N
     link.close()
     stop = channels[0].wiring.stop_frame[0]
     assert sent == [stop, stop, -1]
-    twin.bus.shutdown()
+    simulated.bus.shutdown()
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
@@ -466,20 +470,24 @@ def test_good_frames_without_end_are_no_answer_either() -> None:
     """A drive in step is looked for by its identity; whole frames of another content must not keep
     that up for ever.
     """
-    twin = simulated_bench(Machine(), 1)
+    simulated = simulated_bench(Machine(), 1)
     ports: list[Any] = [
-        SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive))
+        SimulatedLine(
+            simulated.clock,
+            1_000_000,
+            SimulatedEposPort(simulated.bus, simulated.clock, simulated.drive),
+        )
     ]
-    link = EposSerialLink(twin.clock, lambda: ports.pop(), "EPOS4")
+    link = EposSerialLink(simulated.clock, lambda: ports.pop(), "EPOS4")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     link.open()
     link.set_cycle(0.002, "node 1")
-    link._port = Babble(twin.clock, [encode(Opcode.ANSWER, bytes(8))])
+    link._port = Babble(simulated.clock, [encode(Opcode.ANSWER, bytes(8))])
     link._in_step = False
-    began = twin.clock.now_ns()
+    began = simulated.clock.now_ns()
     with pytest.raises(LinkError, match="no good answer"):
         node.read(0x6041)
-    assert twin.clock.now_ns() - began < 2 * NS
+    assert simulated.clock.now_ns() - began < 2 * NS
 
 
 def test_answers_to_other_requests_without_end_are_none_to_this_one() -> None:
@@ -507,8 +515,8 @@ def test_answers_to_other_requests_without_end_are_none_to_this_one() -> None:
 
 
 def test_a_frame_that_canopen_cannot_take_counts_as_lost(monkeypatch: pytest.MonkeyPatch) -> None:
-    twin = simulated_bench(Machine(), 1)
-    link = CanopenLink(twin.clock, lambda: twin.bus, "CAN")
+    simulated = simulated_bench(Machine(), 1)
+    link = CanopenLink(simulated.clock, lambda: simulated.bus, "CAN")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     link.open()
 

@@ -64,15 +64,15 @@ class TestCanopenOverSocketcand(ServoContract):
 def test_the_twin_lives_in_real_time_behind_pyserial() -> None:
     """Short, and patient: how long a busy machine lets a process wait is not what is tested."""
     bench = simulated_bench(MACHINE, 1)
-    twin = RealTimeBench(bench.clock)
-    path = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+    simulated = RealTimeBench(bench.clock)
+    path = simulated.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
     clock = RealClock()
     link = EposSerialLink(
         clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0, silence_s=5.0
     )
     servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES, state_timeout_s=5.0)
     began = clock.now_ns()
-    with twin:
+    with simulated:
         link.open()
         servo.prepare(CYCLE_S)
         servo.enable()

@@ -73,7 +73,7 @@ def test_an_entry_is_whole(entry: Entry) -> None:
     assert (
         {q.name for q in entry.parameters}
         <= named
-        <= {q.name for q in entry.parameters} | {"recordings"}
+        <= {q.name for q in entry.parameters} | {"recordings", "channel"}
     )
 
 

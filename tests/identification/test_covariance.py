@@ -1,5 +1,5 @@
 """How sure an estimate is said to be: scores that scatter from stretch to stretch, in the recording
-and rehearsed.
+and in simulated replicates.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def test_an_estimate_beside_the_likeliest_is_no_scatter() -> None:
     assert _scatter(jacobian, beside)[0] == pytest.approx(_scatter(jacobian, residual)[0], rel=1e-9)
 
 
-def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
+def test_scatter_is_drawn_toward_that_of_replicates() -> None:
     jacobian = strokes()
     calm = np.zeros(STRETCHES * ROWS)
     pulls = np.random.default_rng(3).normal(size=(2, STRETCHES))

@@ -166,20 +166,20 @@ def slopes_at_the_truth(seed: int) -> tuple[Point, BlockArrow]:
     return point, held.jacobian(x, held.residuals(x))
 
 
-def rehearsal(point: Point, sensitivities: BlockArrow, noise: int) -> Replicate:
-    """Return a rehearsal that goes as foretold."""
+def replicate(point: Point, sensitivities: BlockArrow, noise: int) -> Replicate:
+    """Return a replicate that goes as predicted."""
     return Replicate(point, sensitivities, np.zeros(len(point.owners)), noise)
 
 
 def shaken(point: Point, jacobian: BlockArrow, noise: int, level: float) -> Replicate:
-    """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
+    """Return a replicate whose sensitivities have noise of a level over their own rms."""
     rng = np.random.default_rng(noise)
     rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))
     parameters = jacobian.parameters + level * rms * rng.standard_normal(jacobian.parameters.shape)
-    return rehearsal(point, replace(jacobian, parameters=parameters), noise)
+    return replicate(point, replace(jacobian, parameters=parameters), noise)
 
 
-def test_noise_of_rehearsals_is_no_excitation() -> None:
+def test_noise_of_replicates_is_no_excitation() -> None:
     point, jacobian = slopes_at_the_truth(1)
     count = len(SYSTEM)
     right = np.diag(bound(jacobian))[:count]
@@ -195,9 +195,9 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
     assert np.all(np.diag(low) < 0.85 * right)
 
 
-def test_rehearsals_that_go_as_foretold_give_the_bound_itself() -> None:
+def test_replicates_that_go_as_predicted_give_the_bound_itself() -> None:
     point, jacobian = slopes_at_the_truth(1)
-    alike = [rehearsal(point, jacobian, k) for k in range(2)]
+    alike = [replicate(point, jacobian, k) for k in range(2)]
     found = replicate_bound(replicate_information(point, jacobian, alike))
     assert found is not None
     assert np.diag(found) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
@@ -209,7 +209,7 @@ def test_too_few_noises_leave_no_bound() -> None:
     assert (
         replicate_bound(
             replicate_information(
-                point, jacobian, [rehearsal(point, jacobian, 0), rehearsal(point, opposed, 1)]
+                point, jacobian, [replicate(point, jacobian, 0), replicate(point, opposed, 1)]
             )
         )
         is None

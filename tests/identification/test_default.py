@@ -262,7 +262,10 @@ def test_without_inertia_to_start_from_nothing_is_refined(
 def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
     unloaded = practical_pair[0]
     other = replace(logged(simulated(3, 0.0), 0.0, name="other"), role="validate")
-    alone, scored = identify(Dataset((unloaded,))), identify(Dataset((unloaded, other)))
+    heard: list[str] = []
+    alone = identify(Dataset((unloaded,)), progress=lambda stage, _share: heard.append(stage))
+    scored = identify(Dataset((unloaded, other)))
+    assert {"unloaded fit, recordings: 1", "joint fit, recordings: 1"} <= set(heard)
     assert scored.values() == alone.values()
     assert scored.fit.train_rms == alone.fit.train_rms
     assert scored.fit.validate_rms == scored.fits_by_recording["other"].train_rms

@@ -410,7 +410,7 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
     found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert found.stages[0] == Part(0, stages[0].present.lasting(6.0))
     assert len(found.stages) > 1
-    assert found.rehearsed == 2
+    assert found.identified == 2
     assert 9.0 < sum(p.excitation.seconds for p in found.stages) <= 12.0
 
 

@@ -76,10 +76,10 @@ def _over_ptys(
     ports: Ports,
 ) -> Callable[[SimulatedBench, str, int, Station], Callable[[], BytePort]]:
     def line(
-        twin: SimulatedBench, _name: str, baud: int, station: Station
+        simulated: SimulatedBench, _name: str, baud: int, station: Station
     ) -> Callable[[], BytePort]:
         path = ports.open_pty(station)
-        return lambda: LockStepSerial(path, baud, LockStep(twin.clock, ports, path))
+        return lambda: LockStepSerial(path, baud, LockStep(simulated.clock, ports, path))
 
     return line
 
@@ -88,15 +88,17 @@ def _over_slcan(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench
     def link(
         bench: Any, servo: Any, bus: Any, seed: int, attach: Any
     ) -> tuple[CanopenLink, SimulatedBench]:
-        twin, clock = connect._twin(bench, servo, bus.bitrate, seed, attach)
-        assert twin is not None
-        path = ports.open_pty(LawicelAdapter(twin.bus))
-        step = LockStep(twin.clock, ports, path)
+        simulated, clock = connect._simulated_bench(bench, servo, bus.bitrate, seed, attach)
+        assert simulated is not None
+        path = ports.open_pty(LawicelAdapter(simulated.bus))
+        step = LockStep(simulated.clock, ports, path)
 
         def adapter() -> SlcanPort:
-            return SlcanPort(LockStepSerial(path, _ADAPTER_BAUD, step), twin.clock, bus.bitrate)
+            return SlcanPort(
+                LockStepSerial(path, _ADAPTER_BAUD, step), simulated.clock, bus.bitrate
+            )
 
-        return CanopenLink(clock, adapter, "slcan"), twin
+        return CanopenLink(clock, adapter, "slcan"), simulated
 
     return link
 
@@ -105,10 +107,10 @@ def _over_socketcand(ports: Ports) -> Callable[..., tuple[CanopenLink, Simulated
     def link(
         bench: Any, servo: Any, bus: Any, seed: int, attach: Any
     ) -> tuple[CanopenLink, SimulatedBench]:
-        twin, clock = connect._twin(bench, servo, bus.bitrate, seed, attach)
-        assert twin is not None
-        port = ports.open_socket(SocketcandServer(twin.bus))
-        step = LockStep(twin.clock, ports, port)
+        simulated, clock = connect._simulated_bench(bench, servo, bus.bitrate, seed, attach)
+        assert simulated is not None
+        port = ports.open_socket(SocketcandServer(simulated.bus))
+        step = LockStep(simulated.clock, ports, port)
         options = {
             "interface": "socketcand",
             "channel": "can0",
@@ -123,7 +125,7 @@ def _over_socketcand(ports: Ports) -> Callable[..., tuple[CanopenLink, Simulated
             count_socketcand(opened, step)
             return LockStepCan(opened, step)
 
-        return CanopenLink(clock, client, "socketcand"), twin
+        return CanopenLink(clock, client, "socketcand"), simulated
 
     return link
 

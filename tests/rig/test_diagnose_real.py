@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -184,9 +185,8 @@ def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) ->
     """Beside the machine's own constant force; no motion at one load tells it from asymmetric
     friction.
     """
-    dataset = load_source(CAMPAIGNS / "emps.yaml")
-    own = diagnosed_in_amperes(dataset, 0.0, declared=True).parameter_shift["offset"]
-    found = diagnosed_in_amperes(dataset, amperes, declared=False)
+    own = diagnosed_in_amperes(0.0, declared=True).parameter_shift["offset"]
+    found = diagnosed_in_amperes(amperes, declared=False)
     effect = next(e for e in found.effects if "current_offset" in e.alias_group)
     assert {"current_offset", "asymmetric_coulomb"} <= set(effect.alias_group)
     if effect.name == "current_offset":
@@ -205,7 +205,9 @@ def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) ->
     assert found.fit.validate_final_rms < 0.3 * found.fit.validate_baseline_rms
 
 
-def diagnosed_in_amperes(dataset: Dataset, added: float, declared: bool) -> Diagnosis:
+@cache
+def diagnosed_in_amperes(added: float, declared: bool) -> Diagnosis:
+    dataset = load_source(CAMPAIGNS / "emps.yaml")
     model = replace(dataset.model, terms=dataset.model.terms if declared else ())
     recordings = tuple(with_current(r, added) for r in dataset.recordings)
     return diagnose(Dataset(recordings, model), rng=np.random.default_rng(0))

@@ -13,8 +13,10 @@ from identification.model.nominal import NOMINAL
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
 from rig.planning.friction_model import friction_model, of_another_bench
-from rig.results.run.dry_run import PROMPT_S
+from rig.planning.plan import make_plan
+from rig.results.run.dry_run import PROMPT_S, dry_run
 from rig.runs.run import bench_constants
 
 from .benches import variant
@@ -62,35 +64,69 @@ def heavy(record: dict[str, Any]) -> float:
     return max(row["torque_N_m"] for row in record["predicted"] if row["stage"] == "heavy")
 
 
+@pytest.mark.parametrize("measured", [True, False])
 @pytest.mark.parametrize(
-    ("share", "code", "words"),
-    [(1.01, 0, "warning"), (0.99, 1, "problem"), (1.26, 0, None), (1.24, 0, "warning")],
+    ("share", "words", "bad"),
+    [
+        (1.01, "more than 80% of its limit", False),
+        (0.99, "above its limit", True),
+        (1.26, None, False),
+        (1.24, "more than 80% of its limit", False),
+    ],
 )
-def test_both_sides_of_a_limit_and_of_its_warning(
-    share: float, code: int, words: str | None, capsys: pytest.CaptureFixture[str]
+def test_a_limit_is_a_problem_only_where_the_friction_was_measured(
+    share: float, words: str | None, bad: bool, measured: bool, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    peak = heavy(dry()[1])
+    arguments = ("--identification", str(result(Path("known.json")))) if measured else ()
+    peak = heavy(dry(*arguments, "--no-first-pass")[1])
     Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
     capsys.readouterr()
-    found, record = dry()
+    found, record = dry(*arguments, "--no-first-pass")
     shown = capsys.readouterr().out
-    assert found == code
-    assert record["good"] is (code == 0)
+    problem = bad and measured
+    assert found == (1 if problem else 0)
+    assert record["good"] is not problem
     lines = [line for line in shown.splitlines() if line.startswith(("warning", "problem"))]
     if words is None:
         assert lines == record["warnings"] == record["problems"] == []
         return
     (line,) = lines
-    assert line.startswith(f"{words}: heavy: predicted peak torque {peak:.4g} N m is ")
-    assert ("above its limit" in line) is (words == "problem")
-    assert record[f"{words}s"] == [line.removeprefix(f"{words}: ")]
-    assert line.endswith("it is of the paper's values, and this bench may have others")
+    kind = "problem" if problem else "warning"
+    assert line.startswith(f"{kind}: heavy: predicted peak torque {peak:.4g} N m is ")
+    assert words in line
+    assert record[f"{kind}s"] == [line.removeprefix(f"{kind}: ")]
+    assert ("; predicted from the paper's friction" in line) is not measured
+    assert line.endswith("then give --identification RESULT") is not measured
+
+
+@pytest.mark.parametrize(
+    ("removed", "problems", "warnings"),
+    [([], 2, 0), (["mu_s"], 1, 1), (["Ms"], 0, 2), (["omega_sf"], 2, 0)],
+)
+def test_a_stage_whose_friction_is_the_paper_s_is_only_warned_of(
+    removed: list[str], problems: int, warnings: int
+) -> None:
+    path = Path("part.json")
+    raw = json.loads(result(path).read_text())
+    for name in removed:
+        raw["parameters"][name]["value"] = None
+    path.write_text(json.dumps(raw))
+    Path("one.yaml").write_text(SEQUENCE.format(torque=5))
+    model = friction_model(bench_constants(load_bench("practical").value), path)
+    bench = load_bench("practical")
+    plan = make_plan(load_sequence("one.yaml"), bench, False)
+    computed = dry_run(bench, plan, model, asks=False)
+    torques = [
+        [text for text in found if "torque" in text]
+        for found in (computed.problems, computed.warnings)
+    ]
+    assert [len(found) for found in torques] == [problems, warnings]
 
 
 def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
     text = SEQUENCE.format(torque=75).replace("torque_N_m: 75", "current_A: 3")
     Path("one.yaml").write_text(text)
-    code, record = dry()
+    code, record = dry("--no-first-pass", "--identification", str(result(Path("known.json"))))
     assert code == 1
     assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == [
         "current",

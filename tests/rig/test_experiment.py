@@ -150,5 +150,5 @@ def test_a_nominal_that_cannot_be_used(
 )
 def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
     now, then = Pinned({"omega_sL": 0.01}), Pinned({"omega_sL": 0.01 * tighter})
-    proposal = Proposal("omega_sL", now, (), then, then, judged=3, rehearsed=2)
+    proposal = Proposal("omega_sL", now, (), then, then, judged=3, identified=2)
     assert words in _advice(cast(Experiment, SimpleNamespace(proposal=proposal)))

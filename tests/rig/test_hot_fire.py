@@ -354,14 +354,14 @@ def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
     bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
     plan = make_plan(sequence, bench)
 
-    def attach(twin: Any) -> Clock:
+    def attach(simulated: Any) -> Clock:
         def lose(
             time_ns: int, identifier: int, data: bytes, _sent: bool
         ) -> tuple[int, bytes] | None:
             return None if identifier == 0x184 and time_ns > 1_200_000_000 else (identifier, data)
 
-        twin.bus.frame_filters.append(lose)
-        return twin.clock  # type: ignore[no-any-return]
+        simulated.bus.frame_filters.append(lose)
+        return simulated.clock  # type: ignore[no-any-return]
 
     folder = Path("silent")
     folder.mkdir()

@@ -10,7 +10,7 @@ from identification.design.pinning import NAMES
 from identification.model.nominal import NOMINAL
 from rig.common.errors import InputError
 from rig.common.result_files import IDENTIFY_SCHEMA
-from rig.results.design.planned_nominal import believed
+from rig.results.design.planned_nominal import nominal_values
 
 
 def result(folder: Path) -> Path:
@@ -37,7 +37,7 @@ def result(folder: Path) -> Path:
 
 
 def test_the_widest_for_its_value_is_the_weakest(tmp_path: Path) -> None:
-    known = believed(result(tmp_path))
+    known = nominal_values(result(tmp_path))
     assert known.weakest == "J"
     assert known.values["J"] == 2.0
     assert known.source == f"the identification {tmp_path / 'identify.json'}"
@@ -48,7 +48,7 @@ def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path
     record = json.loads(path.read_text())
     record["parameters"]["mu_2"] = {"value": None, "low": None, "high": None}
     path.write_text(json.dumps(record))
-    known = believed(path)
+    known = nominal_values(path)
     assert known.weakest == "mu_2"
     assert known.values["mu_2"] == pytest.approx(NOMINAL["mu_2"])
     assert "mu_2, which it leaves open" in known.source
@@ -60,7 +60,7 @@ def test_a_parameter_that_a_machine_can_have_is_taken(tmp_path: Path, value: flo
     record = json.loads(path.read_text())
     record["parameters"]["mu_2"]["value"] = value
     path.write_text(json.dumps(record))
-    assert believed(path).values["mu_2"] == value
+    assert nominal_values(path).values["mu_2"] == value
 
 
 @pytest.mark.parametrize("value", [0, -1.0, 0.9e-12, 1.1e12])
@@ -70,17 +70,17 @@ def test_a_parameter_that_no_machine_can_have_is_refused(tmp_path: Path, value: 
     record["parameters"]["mu_2"]["value"] = value
     path.write_text(json.dumps(record))
     with pytest.raises(InputError, match=r"parameters\.mu_2: must be from 1e-12 to 1e\+12"):
-        believed(path)
+        nominal_values(path)
 
 
 def test_recordings_that_have_changed_or_gone_say_nothing_of_the_drive(tmp_path: Path) -> None:
-    assert believed(result(tmp_path)).recordings == ()
-    assert believed(None).recordings == ()
+    assert nominal_values(result(tmp_path)).recordings == ()
+    assert nominal_values(None).recordings == ()
 
 
 def test_the_torque_s_noise_is_what_the_identification_found_of_both_parts(tmp_path: Path) -> None:
     path = result(tmp_path)
-    assert believed(path).torque_noise is None
+    assert nominal_values(path).torque_noise is None
     record = json.loads(path.read_text())
     for noise, expected in (
         ({"torque": 0.03, "correlated": 0.04, "unit": "N m"}, pytest.approx(0.05)),
@@ -88,7 +88,7 @@ def test_the_torque_s_noise_is_what_the_identification_found_of_both_parts(tmp_p
         (None, None),
     ):
         path.write_text(json.dumps({**record, "noise": noise}))
-        assert believed(path).torque_noise == expected
+        assert nominal_values(path).torque_noise == expected
 
 
 @pytest.mark.parametrize(
@@ -98,4 +98,4 @@ def test_a_damaged_noise_is_told(tmp_path: Path, noise: object) -> None:
     path = result(tmp_path)
     path.write_text(json.dumps({**json.loads(path.read_text()), "noise": noise}))
     with pytest.raises(InputError, match="damaged"):
-        believed(path)
+        nominal_values(path)

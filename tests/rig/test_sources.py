@@ -197,21 +197,21 @@ def shift(*starts: int) -> Callable[[Columns], object]:
     return change
 
 
-def test_gaps_split_and_short_stretches_go(tmp_path: Path) -> None:
+def test_gaps_split_and_short_spans_go(tmp_path: Path) -> None:
     first, second = load(tmp_path, shift(600, 649))
     assert (first.name, second.name) == ("a[1]", "a[2]")
     assert (len(first.time), len(second.time)) == (600, N - 649)
     assert first.notes == second.notes
     assert first.notes == (
-        "2 gaps, the longest 1.001 s: split into 3 stretches",
-        "1 stretches shorter than 50 samples dropped (49 samples)",
+        "2 gaps, the longest 1.001 s: split into 3 spans",
+        "1 spans shorter than 50 samples dropped (49 samples)",
     )
     assert [r.name for r in load(tmp_path, shift(600, 650))] == ["a[1]", "a[2]", "a[3]"]
 
 
 def test_nothing_but_gaps(tmp_path: Path) -> None:
     (line,) = problems(tmp_path, shift(*range(40, N, 40)))
-    assert line.startswith(f"{tmp_path}/a.csv:42: 49 gaps leave no stretch of 50 samples")
+    assert line.startswith(f"{tmp_path}/a.csv:42: 49 gaps leave no span of 50 samples")
 
 
 def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """How sure a result is, as text, record and pictures."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,9 +61,16 @@ def test_notes_name_what_trades_off_bounds_and_starts() -> None:
         "default: noise, as the prediction errors ask for it: torque 0.07 N m rms, white, and "
         "0.06 N m rms, correlated "
         "over 9.5 ms; encoder step 0.00115 deg, and 5.73e-05 deg rms beyond it",
-        "default: starts of the unloaded stage: 1 of 2 solved its equations (defect up to 3)",
+        "default: starts of the unloaded stage: 1 of 2 solved its estimating equations "
+        "(chi-square up to 3)",
         "default: starts of the loaded stage: 2 of 3 ended at the best",
     ]
+
+
+def test_the_encoder_of_a_linear_bench_is_in_micrometres() -> None:
+    linear = replace(RESULT, motion="linear")
+    (line,) = [text for text in uncertainty_notes(linear) if "encoder step" in text]
+    assert "encoder step 20 um, and 1 um rms beyond it" in line
 
 
 def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:

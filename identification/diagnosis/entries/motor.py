@@ -95,7 +95,7 @@ MOTOR: tuple[Entry, ...] = (
             "skew shifts it "
             "whole."
         ),
-        sentence="the motor's torque lags the measured current by {time_s:ms}, first order",
+        sentence="the motor's torque lags the measured {channel} by {time_s:ms}, first order",
     ),
     Entry(
         name="inverter_dead_time",

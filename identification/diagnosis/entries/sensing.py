@@ -15,7 +15,7 @@ SENSING: tuple[Entry, ...] = (
             "controller's law: "
             "U_logged(t) = U of command(t), U = that of command(t + T)"
         ),
-        assumption="the implied assumption that current and angle are sampled at the same instant",
+        assumption="the implied assumption that all channels are sampled at the same instant",
         shows_in="torque",
         coordinate="frequency: grows with the rate of change of the current, at any load and "
         "either way",
@@ -29,7 +29,7 @@ SENSING: tuple[Entry, ...] = (
             "whole."
         ),
         sentence=(
-            "the current is sampled {time_s:abs ms} {time_s:?before/after} the angles that carry "
+            "the {channel} is sampled {time_s:abs ms} {time_s:?before/after} the angles that carry "
             "its time stamp"
         ),
     ),

@@ -72,11 +72,11 @@ def noise_floor(
         share, count = _difference(p, p, lag, residuals, lag)
         total, samples, periods = total + share, samples + count, periods + (count > 0)
     for k, p in enumerate(prepared):
-        twin = next((q for q in prepared[k + 1 :] if _same_rig(p.recording, q.recording)), None)
-        if twin is None:
+        other = next((q for q in prepared[k + 1 :] if _same_rig(p.recording, q.recording)), None)
+        if other is None:
             continue
-        shift = float(twin.recording.time[0] - p.recording.time[0])
-        share, count = _difference(p, twin, shift, residuals, float(np.ptp(p.recording.time)))
+        shift = float(other.recording.time[0] - p.recording.time[0])
+        share, count = _difference(p, other, shift, residuals, float(np.ptp(p.recording.time)))
         total, samples, repeats = total + share, samples + count, repeats + (count > 0)
     if samples < LEAST_SAMPLES:
         return None

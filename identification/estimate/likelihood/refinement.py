@@ -23,6 +23,7 @@ from identification.filter.segments import motion
 from identification.model.ladder import NOMINAL
 from identification.model.parameters import STRIBECK_TERMS, pack, unpack
 from identification.numerics.arrays import Array
+from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared
 from identification.recording import Model, Recording
@@ -61,6 +62,7 @@ def refine(
     bandwidth_Hz: float,
     rng: np.random.Generator,
     settings: EstimatorSettings = DEFAULT,
+    progress: Progress = silent,
 ) -> Found:
     """Refine equation-error values by prediction errors, test them, and correct their bias.
 
@@ -73,10 +75,13 @@ def refine(
         bandwidth_Hz: Bandwidth of the equation error.
         rng: Spawns the noises of the simulated replicates.
         settings: Of the estimator.
+        progress: Called as each fit begins, and with every pair of replicates.
     """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
-        lambda correlated: refine_recordings(recordings, values, names, model, correlated),
+        lambda correlated: refine_recordings(
+            recordings, values, names, model, correlated, progress
+        ),
         lambda v: typical_error(active, v, model.alpha),
         values,
         settings.acceptance,
@@ -86,7 +91,7 @@ def refine(
         starts = () if refined is None else refined.starts
         kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
-    bias = likelihood_bias(refined.joint, refined.names, rng, settings.replicates)
+    bias = likelihood_bias(refined.joint, refined.names, rng, settings.replicates, progress)
     found = Found(
         dict(refined.values),
         spread_of(refined),
@@ -148,6 +153,7 @@ def refine_recordings(
     names: Sequence[str],
     model: Model,
     correlated: bool = False,
+    progress: Progress = silent,
 ) -> Refined | str:
     """Return the refined estimate, or a text that says why prediction errors do not apply.
 
@@ -157,6 +163,7 @@ def refine_recordings(
         names: Parameters to fit.
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
+        progress: Called as each fit begins.
     """
     if not names:
         return "every parameter is fixed"
@@ -183,7 +190,7 @@ def refine_recordings(
         # At the bandwidth of the equation error a rise may not show, and in the breakaways it does.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
-        return staged.refine_stages(unloaded, loaded, values, model, correlated)
+        return staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
     except np.linalg.LinAlgError:
         return "these recordings do not pin the parameters of the prediction error"
 

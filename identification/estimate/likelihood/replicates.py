@@ -37,6 +37,7 @@ from identification.model.parameters import (
     unpack,
 )
 from identification.numerics.arrays import Array
+from identification.numerics.progress import Progress, silent
 from identification.recording import Model
 from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
@@ -65,6 +66,7 @@ def likelihood_bias(
     names: Sequence[str],
     rng: np.random.Generator,
     settings: ReplicateSettings = DEFAULT.replicates,
+    progress: Progress = silent,
 ) -> Bias | None:
     """Return the bias of the likelihood at a point (M35); none for the inertia.
 
@@ -76,6 +78,7 @@ def likelihood_bias(
         names: Of the fitted parameters.
         rng: Spawns the source of all noises; its own stream stays where it is.
         settings: Number of noises, and when they are repeated or dropped.
+        progress: Called with every pair.
     """
     loop = _loop(joint.motions, settings.headroom)
     if loop is None or OFFSET in joint.free:
@@ -87,7 +90,10 @@ def likelihood_bias(
     replicates: tuple[Replicate, ...] = ()
     for turn in range(1, settings.turns + 1):
         noises = iter(seeds)
-        pairs = list(islice(_pairs(there, loop, share, noises, settings.farthest), settings.pairs))
+        pairs: list[_Pair] = []
+        for pair in islice(_pairs(there, loop, share, noises, settings.farthest), settings.pairs):
+            pairs.append(pair)
+            progress(f"simulated replicates, round {turn}", len(pairs) / settings.pairs)
         if len(pairs) < settings.enough:
             break
         mean = np.mean(_even(pairs), axis=0)
@@ -98,6 +104,7 @@ def likelihood_bias(
             if more is None:
                 break
             pairs.append(more)
+            progress("further simulated replicates", len(pairs) / settings.most_pairs)
         found = _even(pairs)
         replicates = tuple(r.replicate for pair in pairs for r in pair)
         if last:

@@ -58,6 +58,7 @@ from identification.model.parameters import (
     unpack,
 )
 from identification.numerics.arrays import Array
+from identification.numerics.progress import Progress, silent
 from identification.recording import Model
 from identification.result import Starts
 
@@ -277,6 +278,7 @@ def refine_stages(
     start: Mapping[str, float],
     model: Model,
     correlated: bool = False,
+    progress: Progress = silent,
 ) -> Refined:
     """Fit unloaded recordings, then loaded ones, then all jointly.
 
@@ -286,8 +288,10 @@ def refine_stages(
         start: Equation-error values of all parameters.
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
+        progress: Called as each of the three fits begins.
     """
     system, load, inertia = _sought(model)
+    progress(f"unloaded fit, recordings: {len(unloaded)}", 0.0)
     begun = _first_point(unloaded, start, system, model, correlated)
     first, chi2s = solve_unloaded(begun, system, inertia)
     starts = [
@@ -296,10 +300,12 @@ def refine_stages(
     evaluations, likelihood_drop = begun.filter.evaluations, 0.0
     free, ends = [*system, *inertia], [first.point]
     if loaded:
+        progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
         second, count = _loaded_fit(first.point, loaded, load, model)
         evaluations, likelihood_drop = evaluations + count, second.drop
         starts.append(_loaded_starts(second))
         free, ends = [*system, *load, *inertia], basins(second)
+    progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
     fitted = _joint_fit(first.point, (*unloaded, *loaded), free, ends, model)
     joint = fitted.point
     names = tuple(n for n, k in INDEX.items() if k in free)

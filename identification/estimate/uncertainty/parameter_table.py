@@ -20,9 +20,9 @@ from identification.model.parameters import (
     LOAD_PARAMETERS,
     STRIBECK_TERMS,
     SYSTEM_PARAMETERS,
-    UNITS_LINEAR,
     UNITS_ROTARY,
 )
+from identification.model.units import unit_on
 from identification.numerics.spread import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model
@@ -37,10 +37,9 @@ LEAST_RISE = 1e-3
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
     """Return name to unit; torques read A where no torque constant is known."""
     recording = prepared[0].recording
-    units = dict(UNITS_LINEAR if recording.bench.motion == "linear" else UNITS_ROTARY)
-    if torque_unit(recording) == "A":
-        units.update({"Mc": "A", "Ms": "A", "offset": "A", "sigma_2": "A s/rad", "J": "A s^2/rad"})
-    return units
+    amperes = torque_unit(recording) == "A"
+    motion = recording.bench.motion
+    return {name: unit_on(motion, unit, amperes) for name, unit in UNITS_ROTARY.items()}
 
 
 def fit_of(

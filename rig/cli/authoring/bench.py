@@ -9,7 +9,7 @@ from typing import Any, Final
 import click
 import yaml
 
-from drivers.mock.plant.parts.constants import Joint, Machine
+from drivers.mock.plant.parts.constants import Joint, Machine, Motor
 from rig.cli.authoring.questions import Answers, Number, Numbers, Question
 from rig.cli.authoring.yaml_text import Block, Raw, render
 from rig.common.yaml_tree import parse
@@ -29,6 +29,8 @@ _HARD_SHARE: Final = 0.8
 _PERIODS_MS: Final = (2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)
 """Control cycles on a serial line: those whose rate is a round number."""
 _SUPPLY_SHARE: Final = 0.2
+_ROTOR_SHARE: Final = 0.8
+"""Largest share of the rotor in the joint's inertia of a simulated bench."""
 _STALE_CYCLES: Final = 5
 
 
@@ -48,6 +50,14 @@ def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
     """Return the default limit on speed: what the supply allows, no more than is useful."""
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
+
+
+def _rotor_inertia_kg_m2(answers: Mapping[str, Any]) -> float:
+    """Return the default inertia of the simulated rotor, in proportion to the joint's."""
+    machine, limits = {"gear_ratio": answers["gear_ratio"]}, {"torque_N_m": _torque_N_m(answers)}
+    motor = derived({"machine": machine, "limits": limits})["motor"]
+    assert isinstance(motor, dict)
+    return float(f"{motor['rotor_inertia_kg_m2']:.3g}")
 
 
 _EDS: Final = "name the maker's EDS file, relative to the bench file"
@@ -121,13 +131,24 @@ QUESTIONS: Final = (
     Question("gear_ratio", "Gear ratio, motor turns per turn of the joint", default=100.0),
     Question("supply", "Supply voltage", "V", default=60.0),
     Question(
-        "rated_current", "Rated current of the drive, as in its object 6075h", "A", default=15.0
+        "rated_current",
+        "Rated current of the motor, as the drive holds it in object 6075h",
+        "A",
+        default=15.0,
     ),
     Question(
         "current_limit",
         "Limit on the motor current",
         "A",
         default=lambda a: float(f"{_OVER_RATED * a['rated_current']:.3g}"),
+    ),
+    Question(
+        "rotor_inertia",
+        "Inertia of the simulated motor's rotor",
+        "kg m^2",
+        kind=Number(at_least=0.0),
+        default=_rotor_inertia_kg_m2,
+        when=lambda a: not _real(a),
     ),
     Question(
         "motor_counts",
@@ -178,7 +199,7 @@ def bench_text(name: str, answers: Answers) -> str:
         "weights_kg": list(answers["weights"]),
     }
     if answers["devices"] == "simulated":
-        sections["mock"] = _mock(sections)
+        sections["mock"] = _mock(sections, answers["rotor_inertia"])
     head = (
         f"# Bench {name}, written by `rig new bench`. Every key is explained above it: meaning, "
         f"unit, default.\n"
@@ -210,7 +231,7 @@ def remarks(answers: Answers) -> list[str]:
     return found
 
 
-def _torque_N_m(answers: Answers) -> float:
+def _torque_N_m(answers: Mapping[str, Any]) -> float:
     return float(answers["torque_constant"] * answers["gear_ratio"] * answers["current_limit"])
 
 
@@ -342,9 +363,11 @@ def _limits(answers: Answers) -> Block:
     )
 
 
-def _mock(sections: Mapping[str, Any]) -> Block:
+def _mock(sections: Mapping[str, Any], rotor_inertia_kg_m2: float) -> Block:
     """Return the simulated machine: what nobody knows before it is identified; the rest follows
     from the bench.
+
+    The joint's inertia contains that of the rotor.
     """
     plain = {
         name: dict(section.values) if isinstance(section, Block) else section
@@ -352,8 +375,12 @@ def _mock(sections: Mapping[str, Any]) -> Block:
     }
     values = derived(plain)["joint"]
     assert isinstance(values, dict)
+    of_rotor = rotor_inertia_kg_m2 * plain["machine"]["gear_ratio"] ** 2
+    inertia = values["inertia_kg_m2"]
+    if of_rotor > _ROTOR_SHARE * inertia:
+        inertia = of_rotor / _ROTOR_SHARE
     friction = {
-        "inertia_kg_m2": values["inertia_kg_m2"],
+        "inertia_kg_m2": inertia,
         "Mc_N_m": values["Mc_N_m"],
         "Ms_N_m": values["Ms_N_m"],
         "omega_sf_rad_s": Joint.omega_sf_rad_s,
@@ -367,4 +394,6 @@ def _mock(sections: Mapping[str, Any]) -> Block:
         ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad"),
         "Left out, it is scaled by limits.torque_N_m.",
     )
-    return Block(Machine, {"joint": Block(Joint, friction, scaled), "effects": {}})
+    follows = {"rotor_inertia_kg_m2": "Left out, it follows from the joint's inertia."}
+    motor = Block(Motor, {"rotor_inertia_kg_m2": rotor_inertia_kg_m2}, follows)
+    return Block(Machine, {"motor": motor, "joint": Block(Joint, friction, scaled), "effects": {}})

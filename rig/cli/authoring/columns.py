@@ -7,6 +7,9 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Final, NamedTuple
 
+from identification.model.units import unit_on
+from identification.recording import CHANNELS
+
 _UNIT: Final[Mapping[str, tuple[str, float]]] = {
     "s": ("s", 1.0),
     "sec": ("s", 1.0),
@@ -27,6 +30,11 @@ _UNIT: Final[Mapping[str, tuple[str, float]]] = {
     "deg/s": ("rad/s", math.pi / 180.0),
     "°/s": ("rad/s", math.pi / 180.0),
     "rpm": ("rad/s", math.pi / 30.0),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+    "m/s": ("m/s", 1.0),
+    "mm/s": ("m/s", 1e-3),
     "nm": ("N m", 1.0),
     "mnm": ("N m", 1e-3),
     "n": ("N", 1.0),
@@ -40,30 +48,23 @@ _UNIT: Final[Mapping[str, tuple[str, float]]] = {
     "bar": ("Pa", 1e5),
 }
 """Unit as written, in lower case without blanks, to its SI unit and the scale to that."""
-_NAMES: Final[Mapping[str, tuple[str, str]]] = {
-    "time": ("s", r"t|time|timestamp|zeit|stamp|seconds|elapsed"),
-    "supply_voltage": ("V", r"supply|u_?dc|v_?dc|vbus|dc_?link|battery"),
-    "voltage": ("V", r"u|v|volt|voltage|u_?m|u_?motor|motor_?voltage|spannung"),
-    "current": ("A", r"i|iq|i_?q|current|i_?meas|i_?m|i_?motor|motor_?current|cur|strom"),
-    "torque": ("N m", r"torque|trq|tau|m_?d|moment|drehmoment|force"),
-    "motor_angle": (
-        "rad",
-        r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor",
-    ),
-    "command": (
-        "rad",
-        r"command|cmd|target|setpoint|reference|ref|desired|goal|(pos|position|angle)_?(ref|cmd|des)",
-    ),
-    "angle": (
-        "rad",
-        r"angle|pos|position|phi|theta|q|winkel|joint|joint_?angle|(pos|position|angle)_?(joint|load)",
-    ),
-    "velocity": ("rad/s", r"velocity|vel|speed|omega|dq|qd|dphi|dtheta|drehzahl"),
-    "load_force": ("N", r"load_?force|f_?load"),
-    "temperature": ("deg C", r"temp|temperature|t_?motor"),
-    "pressure": ("Pa", r"p|pressure|druck|chamber_?pressure"),
+_NAMES: Final[Mapping[str, str]] = {
+    "time": r"t|time|timestamp|zeit|stamp|seconds|elapsed",
+    "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
+    "voltage": r"u|v|volt|voltage|u_?m|u_?motor|motor_?voltage|spannung",
+    "current": r"i|iq|i_?q|current|i_?meas|i_?m|i_?motor|motor_?current|cur|strom",
+    "torque": r"torque|trq|tau|m_?d|moment|drehmoment|force",
+    "motor_angle": r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor",
+    "command": r"command|cmd|target|setpoint|reference|ref|desired|goal"
+    r"|(pos|position|angle)_?(ref|cmd|des)",
+    "angle": r"angle|pos|position|phi|theta|q|winkel|joint|joint_?angle"
+    r"|(pos|position|angle)_?(joint|load)",
+    "velocity": r"velocity|vel|speed|omega|dq|qd|dphi|dtheta|drehzahl",
+    "load_force": r"load_?force|f_?load",
+    "temperature": r"temp|temperature|t_?motor",
+    "pressure": r"p|pressure|druck|chamber_?pressure",
 }
-"""Channel to its unit and the names that columns of it have, the more particular channels first."""
+"""Channel to the names that columns of it have, the more particular channels first."""
 
 
 class Guess(NamedTuple):
@@ -87,7 +88,8 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     found = re.fullmatch(r"\s*(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
     if found is None:
-        for unit in sorted(_UNIT, key=len, reverse=True):
+        # "i_m" is a current of the motor: a bare m is a unit in brackets only.
+        for unit in sorted(_UNIT.keys() - {"m"}, key=len, reverse=True):
             tail = re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit)}\s*", name, re.IGNORECASE)
             tail = tail or re.fullmatch(
                 rf"\s*(.+?)[_/ ]{re.escape(unit.replace('/', '_'))}\s*", name, re.IGNORECASE
@@ -99,16 +101,29 @@ def split_unit(name: str) -> tuple[str, str]:
     return found[1].strip(), unit
 
 
-def guess_channels(names: Iterable[str]) -> dict[str, Guess]:
+def channel_unit(channel: str, linear: bool = False) -> str:
+    """Return the SI unit of a channel on a rotary or a linear bench."""
+    return unit_on("linear" if linear else "rotary", CHANNELS[channel])
+
+
+def scale_of(name: str, channel: str, linear: bool = False) -> float:
+    """Return the scale to SI that the name of a channel's column states; 1 where it states none."""
+    unit, scale = _UNIT.get(split_unit(name)[1], ("", 1.0))
+    return scale if unit == channel_unit(channel, linear) else 1.0
+
+
+def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Guess]:
     """Return the channels that columns of these names may hold, each column at most once.
 
     Args:
         names: Column names in the order of the file; empty for a column without one.
+        linear: Whether the bench is linear: positions in m, forces in N.
     """
     columns = [(name, *split_unit(name)) for name in names if name]
     found: dict[str, Guess] = {}
     taken: set[str] = set()
-    for channel, (unit, pattern) in _NAMES.items():
+    for channel, pattern in _NAMES.items():
+        unit = channel_unit(channel, linear)
         for column, bare, stated in columns:
             word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
             # A unit that is not known has a scale that is not known either.
@@ -119,6 +134,13 @@ def guess_channels(names: Iterable[str]) -> dict[str, Guess]:
             taken.add(column)
             break
     return found
+
+
+def is_linear(names: Iterable[str]) -> bool:
+    """Return whether the columns state a length or its rate, as on a linear bench."""
+    return any(
+        _UNIT.get(split_unit(name)[1], ("", 1.0))[0] in ("m", "m/s") for name in names if name
+    )
 
 
 def guess_mass(stem: str) -> float:

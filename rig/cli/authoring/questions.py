@@ -31,13 +31,17 @@ class Number(Kind):
     Args:
         above: What it must be greater than; None for any.
         at_least: What it may not be less than; None for any.
+        not_zero: Whether zero is refused.
     """
 
     name = "number"
 
-    def __init__(self, above: float | None = 0.0, at_least: float | None = None) -> None:
+    def __init__(
+        self, above: float | None = 0.0, at_least: float | None = None, not_zero: bool = False
+    ) -> None:
         self._above = above if at_least is None else None
         self._at_least = at_least
+        self._not_zero = not_zero
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -53,6 +57,8 @@ class Number(Kind):
             self.fail(f"{number:g} must be above {self._above:g}", param, ctx)
         if self._at_least is not None and number < self._at_least:
             self.fail(f"{number:g} must be at least {self._at_least:g}", param, ctx)
+        if self._not_zero and number == 0.0:
+            self.fail("0 would erase the channel", param, ctx)
         return number
 
 
@@ -86,6 +92,7 @@ class Question:
             an answer that must be given.
         when: Whether it is asked at all, from the answers before.
         why: What to do where it has no default, for the message.
+        refusal: Why an answer cannot be taken, from it and the answers before; None where it can.
     """
 
     name: str
@@ -95,6 +102,7 @@ class Question:
     default: Any = None
     when: Callable[[Mapping[str, Any]], bool] = lambda answers: True
     why: str = "it has no default"
+    refusal: Callable[[Any, Mapping[str, Any]], str | None] = lambda answer, answers: None
 
     @property
     def option(self) -> str:
@@ -143,6 +151,7 @@ def ask_all(
     given: Mapping[str, Any],
     asker: Asker | None,
     tell: Callable[[str], None],
+    before: Mapping[str, Any] | None = None,
 ) -> Answers:
     """Return the answer to every question that applies.
 
@@ -150,54 +159,99 @@ def ask_all(
         questions: In order.
         given: Answers by name that were given as options; None for those that were not.
         asker: Puts the others to the user; None to take the defaults.
-        tell: Says what is wrong with an answer.
+        tell: Shows what is wrong with an answer. Where somebody can be asked, an option that cannot
+            be taken is reported and asked for, so that no typed answer is lost.
+        before: Answers of an earlier round, which are the defaults of this one.
 
     Raises:
-        InputError: A question without default is not answered; lists them all. Or an option is
-            given that does not apply.
+        InputError: A question without default is not answered, or an option cannot be taken or does
+            not apply; lists them all. Or the input ended.
     """
+    asked = tuple(questions)
+    before = before or {}
     answers: Answers = {}
-    missing = []
-    for question in questions:
+    problems: list[str] = []
+    refuse = problems.append if asker is None else tell
+    for place, question in enumerate(asked):
         value = given.get(question.name)
         if not question.when(answers):
             if value is not None:
-                missing.append(
-                    f"{question.option}: does not apply to the other choices; leave it out"
-                )
+                refuse(f"{question.option}: does not apply to the other choices; leave it out")
             continue
-        default = question.default_for(answers)
+        default = before.get(question.name, question.default_for(answers))
+        if value is not None and (reason := question.refusal(value, answers)) is not None:
+            refuse(f"{question.option}: {reason}")
+            value = None if asker is not None else value
         if value is None and asker is not None:
-            value = _ask(question, default, asker, tell)
+            try:
+                value = _ask(question, default, asker, tell, answers)
+            except InputEndedError as error:
+                remedy = _remedy(_without_default(asked[place:], given, answers))
+                raise InputError(
+                    f"{question.option}: {error} before this was answered; {remedy}"
+                ) from error
         if value is None:
             value = default
         if value is None:
-            missing.append(f"{question.option}: missing; {question.why}")
-            # The questions that follow are still looked at, so that all that is missing is told at
-            # once.
-            value = 1.0 if isinstance(question.kind, Number) else ""
+            problems.append(f"{question.option}: missing; {question.why}")
+            value = _stand_in(question)
         answers[question.name] = value
-    if missing:
-        raise InputError(missing)
+    if problems:
+        raise InputError(problems)
     return answers
 
 
-def _ask(question: Question, default: Any, asker: Asker, tell: Callable[[str], None]) -> Any:
-    """Put one question until the answer can be read."""
+def _stand_in(question: Question) -> Any:
+    """Return an answer that lets the questions that follow be looked at as well."""
+    return 1.0 if isinstance(question.kind, Number) else ""
+
+
+def _without_default(
+    questions: Iterable[Question], given: Mapping[str, Any], answers: Mapping[str, Any]
+) -> list[str]:
+    """Return the options that must be given for questions, everything else left at its default."""
+    found, known = [], dict(answers)
+    for question in questions:
+        if not question.when(known):
+            continue
+        value = given.get(question.name)
+        value = question.default_for(known) if value is None else value
+        if value is None:
+            found.append(question.option)
+            value = _stand_in(question)
+        known[question.name] = value
+    return found
+
+
+def _remedy(required: list[str]) -> str:
+    if not required:
+        return "give the option, or --yes for the defaults"
+    return f"give the options; --yes takes the defaults, but {', '.join(required)} must be given"
+
+
+def _ask(
+    question: Question,
+    default: Any,
+    asker: Asker,
+    tell: Callable[[str], None],
+    answers: Mapping[str, Any],
+) -> Any:
+    """Put one question until the answer can be taken.
+
+    Raises:
+        InputEndedError: There is no input any more.
+    """
     while True:
-        try:
-            typed = asker.ask(question.prompt(default))
-        except InputEndedError as error:
-            raise InputError(
-                f"{question.option}: {error} before this was answered; give the option, or --yes "
-                f"for the defaults"
-            ) from error
-        if not typed:
-            if default is not None:
-                return default
+        typed = asker.ask(question.prompt(default))
+        if not typed and default is None:
             tell(f"an answer is needed: {question.why}")
             continue
         try:
-            return question.kind.convert(typed, None, None)
+            answer = question.kind.convert(typed, None, None) if typed else default
         except click.BadParameter as error:
             tell(error.message)
+            continue
+        reason = question.refusal(answer, answers)
+        if reason is None:
+            return answer
+        tell(reason)

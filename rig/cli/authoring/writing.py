@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from rig.cli.authoring.beside import FOLDER, first_line, require_schema_place, write_schema
 from rig.common.errors import InputError
 from rig.common.places import replacing, require_file
+
+
+class RefusedError(InputError):
+    """Answers make no valid file; nothing is written."""
 
 
 def require_new(path: Path, kind: str) -> None:
@@ -40,7 +45,8 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
         What was written.
 
     Raises:
-        InputError: It is not valid, which the answers are at fault for; or it can't be written.
+        RefusedError: It is not valid, which the answers are at fault for.
+        InputError: It can't be written.
     """
     require_new(path, kind)
     try:
@@ -49,8 +55,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
             try:
                 load(draft)
             except InputError as error:
-                named = (line.replace(str(draft), str(path)) for line in error.problems)
-                raise InputError(named) from error
+                raise RefusedError(_without_place(error.problems, draft)) from error
             schema = write_schema(kind, path.parent / FOLDER)
             if path.exists():
                 raise InputError(
@@ -61,3 +66,10 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
             f"{path}: cannot be written: {error.strerror}; choose another place"
         ) from error
     return [path, schema]
+
+
+def _without_place(problems: Iterable[str], draft: Path) -> Iterator[str]:
+    """Yield messages with the key of the file, and without lines of a file that is not there."""
+    place = re.compile(rf"{re.escape(str(draft))}:(\d+:\d+: )?")
+    for line in problems:
+        yield f"not written: {place.sub('', line).strip()}"

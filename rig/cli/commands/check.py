@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.places import require_file, write_asked
 from rig.config.bench import load_bench
@@ -17,19 +18,8 @@ from rig.wiring.ownership import say_taken_over
 
 @click.command("check")
 @click.argument("bench")
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the mock bench's noise.",
-)
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path),
-    help="Also write the findings to this file.",
-)
+@shared.simulated_seed
+@shared.record_file("Also write the findings to this file.")
 def command(bench: str, seed: int, json_file: Path | None) -> int:
     """Connect to BENCH, and read identities, live values, state and limits.
 

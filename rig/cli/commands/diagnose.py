@@ -8,15 +8,12 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
+
 
 @click.command("diagnose")
 @click.argument("source", type=click.Path(path_type=Path))
-@click.option(
-    "--bandwidth",
-    metavar="HZ",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Bandwidth of every error; chosen from the recordings if left out.",
-)
+@shared.bandwidth("Bandwidth of every error; chosen from the recordings if left out.")
 @click.option(
     "--refine/--no-refine",
     default=None,
@@ -32,30 +29,12 @@ import click
     help="Diagnose the gas generator, from pressure and valve angle; needed only where there is "
     "torque as well.",
 )
-@click.option(
-    "--partial",
-    is_flag=True,
-    help="Also take what was recorded of excitations that a run stopped in.",
+@shared.partial
+@shared.seed()
+@shared.out_folder(
+    "Folder for report, figures and corrected model; RUN/diagnosis, or ./CAMPAIGN-diagnosed."
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the random generator.",
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report, figures and corrected model; RUN/diagnosis, or ./CAMPAIGN-diagnosed.",
-)
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.result_file
 def command(
     source: Path,
     bandwidth: float | None,

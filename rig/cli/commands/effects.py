@@ -6,16 +6,12 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
+
 
 @click.command("effects")
 @click.argument("name", required=False)
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.result_file
 def command(name: str | None, json_file: Path | None) -> None:
     """List the effects that a diagnosis can name; with NAME, everything the catalogue knows of one.
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.common.input_files import source_name
@@ -19,11 +20,7 @@ from rig.sources import load_source
 @click.option(
     "--format", "kind", type=click.Choice(list(WRITERS)), default="csv", show_default=True
 )
-@click.option(
-    "--partial",
-    is_flag=True,
-    help="Also take what was recorded of excitations that a run stopped in.",
-)
+@shared.partial
 @click.option(
     "--out",
     type=click.Path(path_type=Path),

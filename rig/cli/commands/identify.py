@@ -10,6 +10,8 @@ from typing import Any, Literal
 
 import click
 
+from rig.cli import options as shared
+
 _METHODS: dict[str, tuple[str, ...]] = {
     "default": ("default",),
     "paper": ("paper",),
@@ -44,7 +46,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "draws",
     metavar="N",
     type=click.IntRange(min=20),
-    help="Also the spread over N draws of the stretches of motion, with replacement; half a "
+    help="Also the spread over N draws of the motion segments, with replacement; half a "
     "second each or so.",
 )
 @click.option(
@@ -74,17 +76,8 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "else a thousandth of "
     "the current limit]",
 )
-@click.option(
-    "--bandwidth",
-    metavar="HZ",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Bandwidth of torque and regressors; chosen from the recordings if left out.",
-)
-@click.option(
-    "--partial",
-    is_flag=True,
-    help="Also take what was recorded of excitations that a run stopped in.",
-)
+@shared.bandwidth("Bandwidth of torque and regressors; chosen from the recordings if left out.")
+@shared.partial
 @click.option(
     "--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well."
 )
@@ -95,26 +88,12 @@ _METHODS: dict[str, tuple[str, ...]] = {
     help="Another source to score the result on: its error there against the noise floor, and "
     "what moved.",
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the random generator.",
+@shared.seed()
+@shared.out_folder(
+    "Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or "
+    "./SEQUENCE-planned."
 )
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or "
-    "./SEQUENCE-planned.",
-)
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.result_file
 def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive
 from rig.cli.entry import DONE
@@ -41,25 +42,10 @@ SCHEMA = "loadrig.jog/1"
     help="Joint angle, deg; may be given several times.",
 )
 @click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
-@click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the mock bench's noise.",
-)
-@click.option(
-    "--reset-fault",
-    is_flag=True,
-    help="Clear a fault that the drive is in; its cause must be removed first.",
-)
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path),
-    help="Also write how it ended to this file.",
-)
+@click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
+@shared.simulated_seed
+@shared.reset_fault()
+@shared.record_file("Also write how it ended to this file.")
 def command(
     bench: str,
     angles: tuple[float, ...],

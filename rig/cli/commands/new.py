@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,9 @@ import click
 from rig.cli.authoring import bench as benches
 from rig.cli.authoring import campaign as campaigns
 from rig.cli.authoring import sequence as sequences
-from rig.cli.authoring.questions import ask_all, options
-from rig.cli.authoring.writing import require_new, write_new
+from rig.cli.authoring.campaign_questions import OPTIONS as CAMPAIGN_OPTIONS
+from rig.cli.authoring.questions import Answers, ask_all, options
+from rig.cli.authoring.writing import RefusedError, require_new, write_new
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
 from rig.config.sequence import load_sequence
@@ -71,8 +72,15 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
     """
     require_new(path, "bench")
     with _terminal(yes) as (asker, tell):
-        answers = ask_all(benches.QUESTIONS, given, asker, tell)
-        written = write_new(path, "bench", benches.bench_text(_name(path), answers), load_bench)
+        answers, written = _until_valid(
+            lambda before: ask_all(benches.QUESTIONS, given, asker, tell, before),
+            lambda found: write_new(
+                path, "bench", benches.bench_text(_name(path), found), load_bench
+            ),
+            given,
+            asker,
+            tell,
+        )
         for remark in benches.remarks(answers):
             tell(remark)
     _say(written, f"rig check {path}")
@@ -99,9 +107,18 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
     require_new(path, "sequence")
     limits = None if bench_name is None else load_bench(bench_name)
     with _terminal(yes) as (asker, tell):
-        answers = ask_all(sequences.QUESTIONS, given, asker, tell)
-    text = sequences.sequence_text(_name(path), answers)
-    written = write_new(path, "sequence", text, lambda draft: sequences.load_for(limits, draft))
+        _, written = _until_valid(
+            lambda before: ask_all(sequences.QUESTIONS, given, asker, tell, before),
+            lambda found: write_new(
+                path,
+                "sequence",
+                sequences.sequence_text(_name(path), found),
+                lambda draft: sequences.load_for(limits, draft),
+            ),
+            given,
+            asker,
+            tell,
+        )
     load_sequence(path)
     _say(written, f"rig run {path} --bench {bench_name or 'BENCH'} --dry-run")
 
@@ -109,28 +126,65 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 @command.command("campaign")
 @_PATH
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
-@options(campaigns.OPTIONS)
+@options(CAMPAIGN_OPTIONS)
 @_YES
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
     """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
 
     Columns are read from the files, and guesses of what they hold are proposed with a scale to SI
     where a name states a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on
-    the lever.
+    the lever. On a linear bench read m for rad and N for N m.
 
     \b
     Example:
-      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv --current i_meas --moment-arm 0.15
-      --lever-ratio 1
+      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv --current i_meas --lever-ratio 1
+      rig new campaign slide.yaml a.csv b.csv --motion linear --terms offset --validate b.csv
     """
     require_new(path, "campaign")
     tables = campaigns.read_names(files)
     with _terminal(yes) as (asker, tell):
-        answers = campaigns.answer(tables, given, asker, tell)
-    written = write_new(
-        path, "campaign", campaigns.campaign_text(path, tables, answers), load_campaign
-    )
+        _, written = _until_valid(
+            lambda before: campaigns.answer(tables, given, asker, tell, before),
+            lambda found: write_new(
+                path, "campaign", campaigns.campaign_text(path, tables, found), load_campaign
+            ),
+            given,
+            asker,
+            tell,
+        )
     _say(written, f"rig identify {path}")
+
+
+def _until_valid(
+    ask: Callable[[Answers], Answers],
+    write: Callable[[Answers], list[Path]],
+    given: Mapping[str, Any],
+    asker: Asker | None,
+    tell: Callable[[str], None],
+) -> tuple[Answers, list[Path]]:
+    """Ask until the answers make a valid file; return them, and what was written.
+
+    Args:
+        ask: From earlier answers, which become the defaults, to answers.
+        write: Writes the file.
+        given: Answers that were given as options.
+        asker: Who can be asked again; None for nobody.
+        tell: Shows why answers were refused.
+
+    Raises:
+        RefusedError: They make none, and nothing that was asked for could change that.
+    """
+    answers: Answers = {}
+    while True:
+        answers = ask(answers)
+        try:
+            return answers, write(answers)
+        except RefusedError as error:
+            if asker is None or all(given.get(name) is not None for name in answers):
+                raise
+            for line in error.problems:
+                tell(line)
+            tell("The questions again; what you answered is the default now.")
 
 
 def _say(written: list[Path], following: str) -> None:

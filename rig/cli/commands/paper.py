@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
+
 _STUDY_SHARE = 0.4  # of the time, with 20 seeds
 
 
@@ -18,9 +20,7 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
     show_default=True,
     help="Searches per method.",
 )
-@click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them."
-)
+@shared.seed("The first of them.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -28,13 +28,7 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
     show_default=True,
     help="Folder for page and figures.",
 )
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.result_file
 def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     """Reproduce the paper's tables and figures, each beside what the paper prints or shows, on one
     page (paper.html).

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
+
 
 @click.command("prove")
 @click.option(
@@ -26,13 +28,7 @@ import click
     help="Folder; one begun before is gone on with.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of draws and diagnosis.",
-)
+@shared.seed("Of draws and diagnosis.")
 @click.option(
     "--gas",
     is_flag=True,
@@ -41,13 +37,7 @@ import click
 @click.option(
     "--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each."
 )
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.result_file
 def command(
     rigs: int,
     source: Path | None,

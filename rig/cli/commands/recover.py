@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.aftermath import write_page
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
@@ -21,12 +22,7 @@ from rig.wiring.ownership import until_the_end
 
 @click.command("recover")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path),
-    help="Also write the completed run.json here.",
-)
+@shared.record_file("Also write the completed run.json here.")
 def command(run: Path, json_file: Path | None) -> int:
     """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and
     its page.

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.aftermath import conclude
 from rig.common.errors import InputError
 from rig.common.locks import hold_folder
 from rig.common.places import require_file
 from rig.common.provenance import utc_now
-from rig.common.text import valid
 from rig.control.attendance import connected, require_attendance
-from rig.control.operator import AutomaticOperator, ConsoleOperator
+from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import load_feedforward
@@ -33,39 +33,14 @@ from rig.wiring.preflight import require_startable
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option(
-    "--yes",
-    is_flag=True,
-    help="Answer the weight prompts as planned; refused with weights on a real bench.",
+@shared.yes
+@shared.operator_name
+@shared.identification
+@shared.first_pass
+@shared.reset_fault(
+    " Always done where the writer died, as the drive's own watch has then tripped."
 )
-@click.option(
-    "--operator",
-    "operator_name",
-    metavar="NAME",
-    type=valid,
-    help="Who runs it; kept with the recording.",
-)
-@click.option(
-    "--identification",
-    type=click.Path(path_type=Path),
-    help="Accepted result of `rig identify --json` on this bench; the weights are checked by it.",
-)
-@click.option(
-    "--first-pass/--no-first-pass",
-    default=None,
-    help="Go through each stage at 10 % first. [default: on a real bench, or with "
-    "--identification]",
-)
-@click.option(
-    "--reset-fault",
-    is_flag=True,
-    help="Clear a fault that the drive is in; its cause must be removed first. Always done where "
-    "the writer died, "
-    "as the drive's own watch has then tripped.",
-)
-@click.option(
-    "--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file."
-)
+@shared.record_file("Also write run.json to this file.")
 def command(
     run: Path,
     yes: bool,
@@ -99,8 +74,10 @@ def command(
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
-    told = record.inputs.get(FEEDFORWARD_INPUT)
-    feedforward = None if told is None else load_feedforward(recorded_input(run, told), constants)
+    stated = record.inputs.get(FEEDFORWARD_INPUT)
+    feedforward = (
+        None if stated is None else load_feedforward(recorded_input(run, stated), constants)
+    )
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died
@@ -138,11 +115,7 @@ def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path
         ) as devices:
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
-            operator = (
-                AutomaticOperator(screen=screen)
-                if yes
-                else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
-            )
+            operator = operator_for(yes, screen, patience_s, tolerance)
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)

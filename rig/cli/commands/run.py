@@ -9,21 +9,21 @@ from typing import Any
 
 import click
 
+from rig.cli import options as shared
 from rig.cli.aftermath import STATUS, conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE
 from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
-from rig.common.text import valid
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
-from rig.control.operator import AutomaticOperator, ConsoleOperator
+from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
 from rig.control.session import Inputs, execute
-from rig.fault_injection.inject import Saboteur, sabotage
+from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
 from rig.planning.feedforward import load_feedforward
 from rig.planning.friction_model import FrictionModel, friction_model, of_another_bench
@@ -53,40 +53,20 @@ from rig.wiring.preflight import require_startable
     type=click.Path(path_type=Path),
     help="Run folder, new or empty. [default: runs/<utc>-<name>]",
 )
-@click.option(
-    "--yes",
-    is_flag=True,
-    help="Answer the weight prompts as planned; refused with weights on a real bench.",
-)
-@click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
+@shared.yes
+@click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
 @click.option(
     "--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing."
 )
-@click.option(
-    "--seed",
-    type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of the mock bench's noise.",
-)
+@shared.simulated_seed
 @click.option(
     "--faults",
     "fault_file",
     type=click.Path(path_type=Path),
-    help="Schedule (YAML or CSV) of what goes wrong on the mock bench.",
+    help="Schedule (YAML or CSV) of what goes wrong on the simulated bench.",
 )
-@click.option(
-    "--operator",
-    "operator_name",
-    metavar="NAME",
-    type=valid,
-    help="Who runs it; kept with the recording.",
-)
-@click.option(
-    "--identification",
-    type=click.Path(path_type=Path),
-    help="Accepted result of `rig identify --json` on this bench; the weights are checked by it.",
-)
+@shared.operator_name
+@shared.identification
 @click.option(
     "--feedforward",
     "feedforward_file",
@@ -94,17 +74,8 @@ from rig.wiring.preflight import require_startable
     help="Result of `rig identify --json` on this bench: the drive adds the friction and inertia "
     "torque it predicts.",
 )
-@click.option(
-    "--first-pass/--no-first-pass",
-    default=None,
-    help="Go through each stage at 10 % first. [default: on a real bench, or with "
-    "--identification]",
-)
-@click.option(
-    "--reset-fault",
-    is_flag=True,
-    help="Clear a fault that the drive is in; its cause must be removed first.",
-)
+@shared.first_pass
+@shared.reset_fault()
 @click.option(
     "--prompt-timeout",
     "prompt_timeout_s",
@@ -112,12 +83,7 @@ from rig.wiring.preflight import require_startable
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
     "the bench file]",
 )
-@click.option(
-    "--json",
-    "json_file",
-    type=click.Path(path_type=Path),
-    help="Also write run.json to this file, or what --dry-run finds.",
-)
+@shared.record_file("Also write run.json to this file, or what --dry-run finds.")
 def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
 
@@ -194,10 +160,10 @@ def _run(options: _Options) -> int:
         options.reset_fault,
         feedforward,
     )
-    saboteur = (
+    injector = (
         None
         if options.fault_file is None
-        else sabotage(options.fault_file, bench, sequence, options.patience_s(bench.value))
+        else fault_injector(options.fault_file, bench, sequence, options.patience_s(bench.value))
     )
     require_startable(bench, utc_now().date(), lambda words: click.echo(words, err=True))
     require_attendance(plan, bench, options.yes, options.dry_run or at_terminal())
@@ -209,39 +175,32 @@ def _run(options: _Options) -> int:
     if options.dry_run:
         model = friction_model(constants, identification or feedforward_file)
         return _dry_run(bench, plan, model, options.yes, options.json_file)
-    return _carry_out(options, inputs, plan, path, saboteur)
+    return _carry_out(options, inputs, plan, path, injector)
 
 
 def _carry_out(
-    options: _Options, inputs: Inputs, plan: Plan, path: Path, saboteur: Saboteur | None
+    options: _Options, inputs: Inputs, plan: Plan, path: Path, injector: FaultInjector | None
 ) -> int:
     """Connect, run into a new folder, and say what came of it; return the status."""
     bench = inputs.bench
     screen = Screen()
     screen.silence()
     with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
-        attach = None if saboteur is None else saboteur.attach
+        attach = None if injector is None else injector.attach
         offset = inputs.feedforward is not None
         with connected(
             stop, bench, options.seed, options.realtime, attach, offset, "rig run"
         ) as devices:
             say_taken_over(devices.lock, screen)
             until_the_end(create_folder(path, "rig run"))
-            operator = (
-                AutomaticOperator(screen=screen)
-                if options.yes
-                else ConsoleOperator(
-                    screen,
-                    patience_s=options.patience_s(bench.value),
-                    tolerance=bench.value.weight_tolerance,
-                )
-            )
-            carry_out = execute if saboteur is None else saboteur.execute
+            patience_s = options.patience_s(bench.value)
+            operator = operator_for(options.yes, screen, patience_s, bench.value.weight_tolerance)
+            carry_out = execute if injector is None else injector.execute
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
-    if saboteur is not None:
-        click.echo(describe_findings(saboteur.conclude(STATUS[outcome.ending], outcome.message)))
+    if injector is not None:
+        click.echo(describe_findings(injector.conclude(STATUS[outcome.ending], outcome.message)))
     return status
 
 

@@ -6,6 +6,8 @@ from pathlib import Path
 
 import click
 
+from rig.cli import options as shared
+
 
 @click.command("simulate")
 @click.argument("source", type=click.Path(path_type=Path))
@@ -18,24 +20,9 @@ import click
     type=click.Path(path_type=Path, dir_okay=False),
     help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
-@click.option(
-    "--bandwidth",
-    metavar="HZ",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Bandwidth of the errors; that of the first result if left out.",
-)
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report and figures; ./SOURCE-simulated.",
-)
-@click.option(
-    "--json",
-    "json_file",
-    metavar="FILE",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file.",
-)
+@shared.bandwidth("Bandwidth of the errors; that of the first result if left out.")
+@shared.out_folder("Folder for report and figures; ./SOURCE-simulated.")
+@shared.result_file
 def command(
     source: Path,
     results: tuple[Path, ...],

@@ -22,7 +22,9 @@ def plan_document(experiment: Experiment) -> Document:
 def _summary(experiment: Experiment) -> Iterator[Section]:
     now, then = experiment.proposal.present, experiment.proposal.pinned
     sequence, proposed = experiment.sequence.name, experiment.proposed.name
-    head = "90 % interval over the value, half width, from a rehearsal on the nominal model:"
+    head = (
+        "90 % interval over the value, half width, from simulated replicates of the nominal model:"
+    )
     yield Section("", (Note(head),))
     yield Section("", (_widths(experiment),))
     lines = (
@@ -35,7 +37,8 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
     last = (
         f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
         f"rms; {_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
-        f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s"
+        f"{experiment.proposal.identified} experiments simulated and "
+        f"identified, in {experiment.seconds:.1f} s"
     )
     yield Section("", (Note(last),))
 
@@ -65,15 +68,14 @@ def _stages(experiment: Experiment) -> Table:
 
 
 def _advice(experiment: Experiment) -> str:
-    """Say what the proposal is for; or that nothing better bore a rehearsal, and it is the sequence
-    as it was.
+    """Say what the proposal is for; or that no better one was found, and it is the sequence as it
+    was.
     """
     aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
     if experiment.proposal.pinned == experiment.proposal.present:
         return (
-            f"{aim}: no experiment that promises more bore its rehearsal, so the sequence is "
-            f"proposed as it is; "
-            "another --seed tries others"
+            f"{aim}: no other experiment had narrower intervals when it was simulated and "
+            "identified, so the sequence is proposed as it is; another --seed tries others"
         )
     return f"{aim}; where another parameter comes out wider, run both and identify them together"
 

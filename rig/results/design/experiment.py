@@ -24,12 +24,12 @@ from rig.config.configuration import Document
 from rig.config.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
 from rig.planning.limits import Limits
 from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
-from rig.results.design.planned_nominal import Believed, believed
+from rig.results.design.planned_nominal import NominalValues, nominal_values
 from rig.runs.run import bench_constants
 
 NOISE_SHARE = 1e-3
 """Current noise, as a share of the bench's current limit, where neither the caller nor an
-identification tells it.
+identification states it.
 """
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses to choose from, beside those of the sequence, where the bench file lists none."""
@@ -73,7 +73,7 @@ def plan_experiment(
 
     Args:
         sequence: The experiment in mind.
-        bench: Its limits, sensors and believed constants; nothing is taken from the description of
+        bench: Its limits, sensors and stated constants; nothing is taken from the description of
         a simulated machine.
         nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's
         nominal values.
@@ -88,7 +88,7 @@ def plan_experiment(
     started = time.perf_counter()
     limits = make_plan(sequence, bench).limits
     _require_tones_and_weights(sequence)
-    known = believed(nominal_file)
+    known = nominal_values(nominal_file)
     noise = current_noise_A
     if noise is None and known.torque_noise is not None:
         noise = known.torque_noise / limits.torque_per_ampere
@@ -143,7 +143,7 @@ def _torque(bench: Bench, limits: Limits) -> float:
     return min(limits.torque, bench_limits(bench).torque_per_ampere * bench.limits.current_A)
 
 
-def _nominal(bench: Bench, known: Believed, limits: Limits, noise_A: float) -> Nominal:
+def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float) -> Nominal:
     torque, step = _torque(bench, limits), _joint_step(bench)
     return Nominal(
         known.values,

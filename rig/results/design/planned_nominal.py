@@ -1,4 +1,4 @@
-"""What `rig identify --plan` is told of a bench: the result of an identification, and the drive in
+"""What `rig identify --plan` takes of a bench: the result of an identification, and the drive in
 its recordings.
 """
 
@@ -22,8 +22,8 @@ _SMALLEST = 1e-12
 
 
 @dataclass(frozen=True)
-class Believed:
-    """What is believed of a bench before an experiment.
+class NominalValues:
+    """What is known of a bench before an experiment.
 
     Attributes:
         values: The nine, SI.
@@ -40,7 +40,7 @@ class Believed:
     torque_noise: float | None = None
 
 
-def believed(path: Path | None) -> Believed:
+def nominal_values(path: Path | None) -> NominalValues:
     """Return what a result of `rig identify --json` says; what it left open comes from the
     catalogue.
 
@@ -48,7 +48,7 @@ def believed(path: Path | None) -> Believed:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
     """
     if path is None:
-        return Believed(dict(NOMINAL), "the catalogue's nominal values")
+        return NominalValues(dict(NOMINAL), "the catalogue's nominal values")
     raw = read_identification(path)
     try:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
@@ -70,7 +70,7 @@ def believed(path: Path | None) -> Believed:
     if open_names:
         words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
     weakest = max(widths, key=lambda n: widths[n]) if widths else None
-    return Believed({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
+    return NominalValues({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:

@@ -35,7 +35,7 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
             n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()
         },
         "judged": experiment.proposal.judged,
-        "rehearsed": experiment.proposal.rehearsed,
+        "rehearsed": experiment.proposal.identified,
     }
 
 

@@ -29,7 +29,7 @@ from rig.sources import load_source
 
 RESULT_FILE = "diagnose.json"
 EFFORT = frozenset({"torque", "current", "voltage"})
-"""Channels any of which tells the drive's torque."""
+"""Channels any of which gives the drive's torque."""
 REFINED_SAMPLES = 60_000
 """Samples up to which refining takes about as long as the search, some ten seconds."""
 
@@ -191,7 +191,7 @@ def settled(found: Diagnosis) -> Diagnosis:
 
     The equation errors at a low bandwidth may leave static friction at any height above a speed too
     low to be seen, and a machine made of that never breaks away: it is brought down to Coulomb's,
-    and the reader told.
+    and the result says so.
     """
     parameters, notes = dict(found.parameters), []
     for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c"), ("mu_gs", "mu_gc")):

@@ -75,8 +75,15 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
     for effect in found.effects:
         if effect.statement not in found.statement:
             yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
-    for made in (effect_table, where_table, rival_table, fit_table, shift_table):
-        if shown := _if_any(made(found)):
+    tables = (
+        _effect_table(outcome),
+        where_table(found),
+        rival_table(found),
+        fit_table(found),
+        shift_table(found),
+    )
+    for table in tables:
+        if shown := _if_any(table):
             yield Section("", shown)
     for effect in found.effects:
         if len(effect.alias_group) > 1:
@@ -85,6 +92,10 @@ def _summary(outcome: Outcome) -> Iterator[Section]:
     notes = (*map(Note, reading_notes(outcome.dataset.recordings)), *_warnings(found))
     if notes:
         yield Section("", notes)
+
+
+def _effect_table(outcome: Outcome) -> Table:
+    return effect_table(outcome.diagnosis, outcome.dataset.recordings[0].bench.motion)
 
 
 def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
@@ -96,7 +107,7 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     )
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
-        yield Section("What was left out", (effect_table(found), *effects))
+        yield Section("What was left out", (_effect_table(outcome), *effects))
     yield Section("Error before and after", (fit_table(found),))
     yield Section("Where", (*_if_any(where_table(found)), *_curve(found), *_maps(found)))
     if rivals := _if_any(rival_table(found)):

@@ -34,7 +34,7 @@ def gas_text(found: Diagnosis, bench: Bench) -> str:
 
     Args:
         found: The diagnosis.
-        bench: With what was believed.
+        bench: With the nominal constants.
     """
     g = bench.gas_generator
     assert g is not None

@@ -6,6 +6,7 @@ import math
 
 from identification.diagnosis.result import Diagnosis, Fit, Location
 from identification.diagnosis.wording import readable
+from identification.model.units import parameter_title
 from rig.common.tables import number, percent
 from rig.results.document import Table
 
@@ -27,8 +28,13 @@ _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
-def effect_table(found: Diagnosis) -> Table:
-    """Return one row per parameter of each effect."""
+def effect_table(found: Diagnosis, motion: str) -> Table:
+    """Return one row per parameter of each effect, named with the units of the bench.
+
+    Args:
+        found: The diagnosis.
+        motion: ``rotary`` or ``linear``.
+    """
     rows = []
     for effect in found.effects:
         lead = (effect.name, number(effect.confidence, 3))
@@ -36,7 +42,7 @@ def effect_table(found: Diagnosis) -> Table:
             unit = READABLE.get(estimate.unit, "")
             if estimate.unit == "s" and abs(estimate.value) < _SHORT_S:
                 unit = "ms"
-            rows.append((*lead, name, readable(estimate, unit)))
+            rows.append((*lead, parameter_title(motion, name), readable(estimate, unit)))
             lead = ("", "")
     return Table(("effect", "confidence", "parameter", "value (90 % interval)"), tuple(rows), (1,))
 

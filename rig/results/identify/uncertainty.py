@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from identification.model.units import LINEAR
 from identification.plots import profile as plots
 from identification.result import Identification, MeasuredNoise, Profile, Resampled
 from rig.common.tables import interval, number
@@ -21,9 +22,9 @@ PROFILE_NOTE = (
 
 
 BOOTSTRAP_NOTE = (
-    "Bootstrap: the central 90 % of estimates from stretches of motion drawn with replacement, "
-    "which ask nothing of "
-    "the noise but that stretches err independently; from few stretches they are somewhat narrow."
+    "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. It "
+    "assumes nothing of the noise but that the errors of segments are independent; with few "
+    "segments the ranges are somewhat narrow."
 )
 
 
@@ -37,11 +38,11 @@ def uncertainty_notes(result: Identification) -> list[str]:
     hit = [p.name for p in result.parameters.values() if p.at_bound]
     lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
     if result.noise:
-        lines.append(_noise_statement(result.noise))
+        lines.append(_noise_statement(result.noise, result.motion))
     lines += [
         f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
         + (
-            f"solved its equations (defect up to {number(s.reached)})"
+            f"solved its estimating equations (chi-square up to {number(s.reached)})"
             if s.absolute
             else "ended at the best"
         )
@@ -50,15 +51,15 @@ def uncertainty_notes(result: Identification) -> list[str]:
     return [f"{result.method}: {line}" for line in lines]
 
 
-def _noise_statement(noise: MeasuredNoise) -> str:
+def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
     """Return in words what noise the recordings were found to have."""
     torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
     if noise.correlated:
         over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
         torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
+    factor, unit = (1e6, "um") if motion == LINEAR else (math.degrees(1.0), "deg")
     step, beyond = (
-        f"{number(math.degrees(1.0) * each, 3)} deg"
-        for each in (noise.encoder_step_rad, noise.angle_rad)
+        f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
     )
     return (
         f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and "

@@ -18,7 +18,7 @@ from rig.config.flow import FlowSection
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.flow_control import pressure_for
-from rig.planning.hot_fire import believed
+from rig.planning.hot_fire import nominal_generator
 from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.machine import true_machine
@@ -63,7 +63,7 @@ def fire(scratch: Path, seed: int) -> Firing:
     dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
     recording = next(r for r in dataset.recordings if r.name == STAGE)
     flow = next(stage.flow for stage in sequence.value.stages if stage.name == STAGE)
-    generator = believed(bench.value)
+    generator = nominal_generator(bench.value)
     if flow is None or generator is None:
         raise ValueError(f"{SEQUENCE} has no flow command, or {BENCH} no gas generator")
     machine = true_machine(BENCH)

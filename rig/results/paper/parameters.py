@@ -135,10 +135,10 @@ def simulate_cases() -> tuple[Dataset, dict[str, float]]:
     machine = bench.mock
     if machine is None:
         raise ValueError("the packaged bench 'literal' has no simulated machine")
-    believed = bench_constants(bench)
+    constants = bench_constants(bench)
     cases = (
-        _case(machine, believed, "Case 1", 0.0),
-        _case(machine, believed, "Case 2", CONTACT_FORCE_N),
+        _case(machine, constants, "Case 1", 0.0),
+        _case(machine, constants, "Case 2", CONTACT_FORCE_N),
     )
     return Dataset(cases), true_parameters(machine)
 

@@ -29,11 +29,15 @@ NOT_PREDICTED = (
     "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
     "simulated benches that is up to a fifth."
 )
+_FROM_PAPER = (
+    "predicted from the paper's friction, which may differ from this bench's: run a small, slow "
+    "motion, `rig identify` it, then give --identification RESULT"
+)
 
 
 @dataclass(frozen=True)
 class Duration:
-    """How long a run takes, as far as that can be told.
+    """How long a run takes, as far as that is known.
 
     Attributes:
         under_power_s: In motion and at rest, s.
@@ -88,23 +92,35 @@ class DryRun:
 
     @property
     def problems(self) -> list[str]:
-        """Peaks above their limits, in words."""
-        return [text + self._doubt for peak in self.peaks for text in _above(peak, 1.0, "above")]
+        """Peaks above their limits, predicted from measured friction, in words."""
+        return [
+            text
+            for peak in self.peaks
+            if self._measured(peak)
+            for text in _above(peak, 1.0, "above")
+        ]
 
     @property
     def warnings(self) -> list[str]:
-        """Peaks near their limits, in words."""
-        near = [peak for peak in self.peaks if WARNING_SHARE < peak.share <= 1.0]
-        words = f"more than {WARNING_SHARE:.0%} of"
-        return [text + self._doubt for peak in near for text in _above(peak, WARNING_SHARE, words)]
+        """Peaks near their limits, and those above that are predicted from the paper's friction."""
+        found: list[str] = []
+        for peak in self.peaks:
+            measured = self._measured(peak)
+            if peak.share > 1.0:
+                texts = [] if measured else list(_above(peak, 1.0, "above"))
+            else:
+                texts = list(_above(peak, WARNING_SHARE, f"more than {WARNING_SHARE:.0%} of"))
+            found += [text if measured else f"{text}; {_FROM_PAPER}" for text in texts]
+        return found
 
-    @property
-    def _doubt(self) -> str:
-        return (
-            ""
-            if self.model.measured
-            else "; it is of the paper's values, and this bench may have others"
+    def _measured(self, peak: PredictedPeak) -> bool:
+        """Return whether the friction of a peak's stage was measured on this bench."""
+        loaded = any(
+            stage.weight_kg > 0.0 or stage.stage == "hot_fire"
+            for stage in self.plan.stages
+            if stage.name == peak.stage
         )
+        return self.model.friction_measured(loaded)
 
 
 def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool) -> DryRun:

@@ -15,7 +15,6 @@ from rig.results.simulate.simulate import Simulation
 
 _SHOWN_PER_ROLE = 3
 _FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
-_UNITS = {"transmission": "mrad", "voltage": "V"}
 
 
 def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
@@ -85,15 +84,15 @@ def _left_out(found: Simulation) -> list[str]:
 def _errors_of_equations(found: Simulation) -> Table:
     """Return one row per model, equation and role."""
     rows = []
+    units = {"transmission": "mrad" if found.rotary else "um", "voltage": "V"}
+    small = 1e3 if found.rotary else 1e6
     for one in found.predictions:
         for equation in dict.fromkeys(p.equation for p in one.parts):
             errors = [one.error(equation, role) for role in ("fit", "validate")]
-            scale = 1e3 if equation == "transmission" else 1.0
+            scale = small if equation == "transmission" else 1.0
             cells = (number(None if e is None else scale * e, 4) for e in errors)
             effects = ", ".join(one.effects) or "none"
-            rows.append(
-                (one.file.stem, effects, equation, *cells, _UNITS.get(equation, found.unit))
-            )
+            rows.append((one.file.stem, effects, equation, *cells, units.get(equation, found.unit)))
     return Table(
         ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
     )

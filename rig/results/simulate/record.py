@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from identification.simulate.score import Sums
-from rig.results.simulate.predict import Prediction
 from rig.results.simulate.simulate import Case, Simulation
 
 SIMULATE_SCHEMA = "loadrig.simulate/1"
@@ -19,23 +17,24 @@ def simulation_record(found: Simulation) -> dict[str, Any]:
         "unit": found.unit,
         "angle_unit": "rad" if found.rotary else "m",
         "bandwidth_Hz": found.bandwidth_Hz,
-        "equations": error_record(found.predictions, found.unit),
+        "equations": _errors(found),
         "cases": [_case_record(found, case) for case in found.cases],
     }
 
 
-def error_record(found: Sequence[Prediction], unit: str) -> list[dict[str, object]]:
-    """Return the same for the result file, SI units."""
+def _errors(found: Simulation) -> list[dict[str, object]]:
+    """Return the errors of every equation, SI units."""
+    units = {"transmission": "rad" if found.rotary else "m", "voltage": "V"}
     return [
         {
             "result": str(one.file),
             "effects": list(one.effects),
             "equation": equation,
-            "unit": {"transmission": "rad", "voltage": "V"}.get(equation, unit),
+            "unit": units.get(equation, found.unit),
             "rms": one.error(equation, "fit"),
             "validate_rms": one.error(equation, "validate"),
         }
-        for one in found
+        for one in found.predictions
         for equation in dict.fromkeys(p.equation for p in one.parts)
     ]
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.cli.authoring.columns import guess_channels, guess_mass, split_unit
+from rig.cli.authoring.columns import guess_channels, guess_mass, is_linear, split_unit
 
 
 @pytest.mark.parametrize(
@@ -63,3 +63,23 @@ def test_any_names_are_looked_at(names: list[str]) -> None:
     for name in names:
         assert guess_mass(name) >= 0
         assert isinstance(split_unit(name), tuple)
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "scale"),
+    [
+        ("pos [mm]", "angle", 1e-3),
+        ("pos_mm", "angle", 1e-3),
+        ("speed [m/s]", "velocity", 1.0),
+        ("force_kN", "torque", 1e3),
+        ("pos", "angle", 1.0),
+        ("pos [deg]", None, 1.0),
+        ("i_m", "current", 1.0),
+    ],
+)
+def test_guesses_on_a_linear_bench(name: str, channel: str | None, scale: float) -> None:
+    guesses = guess_channels([name], linear=True)
+    assert list(guesses) == ([channel] if channel else [])
+    if channel:
+        assert guesses[channel].scale == pytest.approx(scale)
+    assert is_linear([name]) is (name in ("pos [mm]", "pos_mm", "speed [m/s]"))

@@ -137,6 +137,82 @@ def test_a_campaign_says_which_column_is_not_there_and_which_value_is_missing(
     assert not Path("c.yaml").exists()
 
 
+def test_a_linear_campaign_has_scales_terms_and_a_recording_to_validate() -> None:
+    for name in ("a", "b"):
+        Path(f"{name}.csv").write_text(
+            "t,vir,pos [mm],F\n" + "".join(f"{n},{n},{n * n},1\n" for n in range(50))
+        )
+    options = (
+        *("--time-scale", "0.001", "--torque", "vir", "--torque-scale", "-35.15", "--validate"),
+        *("b.csv", "--terms", "offset", "--yes"),
+    )
+    assert status(["new", "campaign", "c.yaml", "a.csv", "b.csv", *options]) == 0
+    assert schema_accepts(Path("c.yaml"))
+    campaign = load_campaign(Path("c.yaml")).value
+    assert campaign.bench.motion == "linear"
+    assert campaign.model.terms == ("offset",)
+    assert [recording.role for recording in campaign.recordings] == ["fit", "validate"]
+    channels = campaign.recordings[1].channels
+    assert {name: (c.column, c.scale) for name, c in channels.items()} == {
+        "time": ("t", 1e-3),
+        "torque": ("vir", -35.15),
+        "angle": ("pos [mm]", 1e-3),
+    }
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "words"),
+    [
+        ("--terms", "backlash", "unknown: backlash; known are offset"),
+        ("--validate", "c.csv", "--validate: no recording c.csv; there are a.csv"),
+        ("--validate", "a.csv", "at least one recording must be left to fit"),
+        ("--time-scale", "0", "0 would erase the channel"),
+        ("--motion", "round", "round"),
+    ],
+)
+def test_a_campaign_refuses_options_that_make_no_file(
+    option: str, value: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("a.csv").write_text("t,torque,angle\n0,1,2\n1,2,3\n")
+    assert status(["new", "campaign", "c.yaml", "a.csv", option, value, "--yes"]) == 2
+    assert words in capsys.readouterr().err
+    assert not Path("c.yaml").exists()
+
+
+def test_a_refused_answer_is_asked_for_again(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("a.csv").write_text("t,y,z\n0,1,2\n1,2,3\n")
+    given = ("--motion", "rotary", "--time", "t", "--current", "-", "--voltage", "-")
+    given += ("--motor-angle", "-", "--velocity", "-", "--command", "-", "--masses", "0")
+    given += ("--gear-ratio", "1", "--validate", "none", "--terms", "none", "--time-scale", "1")
+    # No such column; then no torque at all, which only the whole file shows.
+    typed = ["nowhere", "-", "z", "2", "y", "", "", ""]
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n".join(typed) + "\n"))
+    assert status(["new", "campaign", "c.yaml", "a.csv", *given]) == 0
+    shown = "".join(capsys.readouterr())
+    assert "a.csv has no column 'nowhere'; it has t, y, z" in shown
+    assert "no `torque`, `current` or `voltage`; map at least one" in shown
+    assert "c.yaml:" not in shown
+    channels = load_campaign(Path("c.yaml")).value.recordings[0].channels
+    assert {name: (c.column, c.scale) for name, c in channels.items()} == {
+        "time": ("t", 1.0),
+        "torque": ("y", 1.0),
+        "angle": ("z", 2.0),
+    }
+
+
+@pytest.mark.parametrize("rotor", [1e-5, 1.4e-4])
+def test_the_rotor_of_the_simulated_motor_is_written(rotor: float) -> None:
+    options = ("--lever-ratio", "1", "--rotor-inertia", str(rotor), "--yes")
+    assert status(["new", "bench", "b.yaml", *options]) == 0
+    mock = load_bench(Path("b.yaml")).value.mock
+    assert mock is not None
+    assert mock.motor.rotor_inertia_kg_m2 == rotor
+    # The joint's inertia contains it.
+    assert mock.joint.inertia_kg_m2 > rotor * 100**2
+
+
 @pytest.mark.parametrize("kind", ["bench", "sequence"])
 def test_nothing_is_overwritten(kind: str, capsys: pytest.CaptureFixture[str]) -> None:
     options = ["--lever-ratio", "1"] if kind == "bench" else []
@@ -157,8 +233,10 @@ def test_answers_that_make_no_valid_file_leave_nothing(capsys: pytest.CaptureFix
     assert (
         status(["new", "sequence", "s.yaml", "--bench", "b.yaml", "--weights", "20", "--yes"]) == 2
     )
-    assert "s.yaml:" in (text := capsys.readouterr().err)
+    text = capsys.readouterr().err
+    assert "not written: stages[1].weight_kg: " in text
     assert "above the bench limit weight_kg" in text
+    assert "s.yaml" not in text
     assert sorted(path.name for path in Path().glob("*")) == ["b.yaml", "schemas"]
 
 
@@ -234,6 +312,34 @@ def test_questions_are_put_until_they_are_answered(capsys: pytest.CaptureFixture
         InputError, match=r"--lever: the input has ended before this was answered; give the option"
     ):
         ask_all(questions, {"gear": 1.0}, Answering([]), said.append)
+
+
+def test_where_the_input_ends_the_options_without_default_are_named() -> None:
+    with pytest.raises(InputError) as caught:
+        ask_all(QUESTIONS, {}, Answering(["canopen"]), str)
+    assert caught.value.problems == (
+        "--devices: the input has ended before this was answered; give the options; --yes takes "
+        "the defaults, but --lever-ratio must be given",
+    )
+    with pytest.raises(InputError, match="give the option, or --yes for the defaults"):
+        ask_all(QUESTIONS, {"lever_ratio": 1.0}, Answering([]), str)
+
+
+def test_options_that_cannot_be_taken_are_told_and_asked_for() -> None:
+    questions = (
+        Question("a", "A", refusal=lambda value, _: "too large" if value > 5 else None),
+        Question("b", "B", default=2.0, when=lambda answers: answers["a"] > 5),
+    )
+    said: list[str] = []
+    given = {"a": 7.0, "b": 3.0}
+    assert ask_all(questions, given, Answering(["8", "4"]), said.append) == {"a": 4.0}
+    assert said == [
+        "--a: too large",
+        "too large",
+        "--b: does not apply to the other choices; leave it out",
+    ]
+    with pytest.raises(InputError, match="--a: too large"):
+        ask_all(questions, given, None, str)
 
 
 def test_options_are_not_asked_for_and_those_that_do_not_apply_are_refused() -> None:

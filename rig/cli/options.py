@@ -1,0 +1,117 @@
+"""Options that several commands share, each with one meaning and one type."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.common.text import valid
+
+Decorator = Callable[[Any], Any]
+
+
+def result_file(command: Any) -> Any:
+    """Give a command ``--json`` for its result file, as ``json_file``."""
+    return click.option(
+        "--json",
+        "json_file",
+        metavar="FILE",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Result file.",
+    )(command)
+
+
+def record_file(words: str) -> Decorator:
+    """Return a decorator that gives a command ``--json`` for a copy of its record, as
+    ``json_file``.
+    """
+    return click.option("--json", "json_file", type=click.Path(path_type=Path), help=words)
+
+
+def out_folder(words: str) -> Decorator:
+    """Return a decorator that gives a command ``--out`` for the folder of its report."""
+    return click.option("--out", type=click.Path(path_type=Path, file_okay=False), help=words)
+
+
+def seed(words: str = "Of the random generator.") -> Decorator:
+    """Return a decorator that gives a command ``--seed``."""
+    return click.option(
+        "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=words
+    )
+
+
+def simulated_seed(command: Any) -> Any:
+    """Give a command ``--seed`` for the noise of a simulated bench."""
+    return seed("Of the simulated bench's noise.")(command)
+
+
+def bandwidth(words: str) -> Decorator:
+    """Return a decorator that gives a command ``--bandwidth``, Hz."""
+    return click.option(
+        "--bandwidth", metavar="HZ", type=click.FloatRange(min=0.0, min_open=True), help=words
+    )
+
+
+def partial(command: Any) -> Any:
+    """Give a command ``--partial``."""
+    return click.option(
+        "--partial",
+        is_flag=True,
+        help="Also take what was recorded of excitations that a run stopped in.",
+    )(command)
+
+
+def yes(command: Any) -> Any:
+    """Give a command ``--yes`` for the weight prompts."""
+    return click.option(
+        "--yes",
+        is_flag=True,
+        help="Answer the weight prompts as planned; refused with weights on a real bench.",
+    )(command)
+
+
+def operator_name(command: Any) -> Any:
+    """Give a command ``--operator``, as ``operator_name``."""
+    return click.option(
+        "--operator",
+        "operator_name",
+        metavar="NAME",
+        type=valid,
+        help="Who runs it; kept with the recording.",
+    )(command)
+
+
+def identification(command: Any) -> Any:
+    """Give a command ``--identification``."""
+    return click.option(
+        "--identification",
+        type=click.Path(path_type=Path),
+        help="Accepted result of `rig identify --json` on this bench; the weights are checked by "
+        "it.",
+    )(command)
+
+
+def first_pass(command: Any) -> Any:
+    """Give a command ``--first-pass`` and ``--no-first-pass``."""
+    return click.option(
+        "--first-pass/--no-first-pass",
+        default=None,
+        help="Go through each stage at 10 % first. [default: on a real bench, or with "
+        "--identification]",
+    )(command)
+
+
+def reset_fault(more: str = "") -> Decorator:
+    """Return a decorator that gives a command ``--reset-fault``.
+
+    Args:
+        more: Added to its help.
+    """
+    return click.option(
+        "--reset-fault",
+        is_flag=True,
+        help="Clear a fault that the drive is in; its cause must be removed first." + more,
+    )
