@@ -101,12 +101,12 @@ def predicted(joint: Joint, parts: Array) -> Array:
 
     Args:
         joint: From :func:`within_limits`.
-        parts: Number of each row's part, shape (n,).
+        parts: Number of each row's part, shape (n,); of rows in none (-1) nothing is left.
     """
     point = _Point(joint.nominal, joint.effects, joint.stack, joint.residual)
     every, begin, limits, drawn = _problem(point, ())
-    out = joint.residual.copy()
-    for part in np.unique(parts):
+    out = np.where(parts < 0, 0.0, joint.residual)
+    for part in np.unique(parts[parts >= 0]):
         mine = parts == part
         found = _solved(every[~mine], point.left[~mine] + every[~mine] @ begin, limits, drawn)
         out[mine] += every[mine] @ (begin - found)

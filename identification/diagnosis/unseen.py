@@ -31,7 +31,7 @@ from identification.recording import Array
 UNPAID = "unpaid"
 """What a step says of a name that does not pay."""
 PARTS = 4
-"""Parts of its time that a recording is cut into where it alone tells of something."""
+"""Parts that blocks of time are dealt to where a recording tells of something alone."""
 MOST_OF_ONE = 0.99
 """Share of what is told of a constant from which on a recording tells of it alone."""
 
@@ -52,9 +52,9 @@ def rows_left(joint: Joint, aside: Sequence[View], unit: str) -> tuple[Stack, Ar
     left = np.concatenate([e.residual / e.sigma for e in rows])
     for effect in joint.effects:
         # What a recording alone shows cannot be told of another one: a mislabelled weight, a slip.
-        if effect.term.place is None:
-            columns = stack.whitened(stack.columns(effect.term, effect.shape))
-            left -= columns @ np.array(effect.coefficients)
+        columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
+        if columns:
+            left -= stack.whitened(columns) @ np.array(effect.coefficients)
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
         if equation.name != "torque":
             part = stack.part(equation.name)
@@ -204,19 +204,22 @@ def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
 
 
 def folds(joint: Joint) -> Array:
-    """Return for each row the number of the part that it is predicted in: its recording, or a part
-    of its time where something is told by one recording alone, as friction under the only load.
+    """Return for each row the number of the part that it is predicted in.
+
+    Parts are recordings, or every few blocks of time where something is told by one recording
+    alone, as friction under the only load. Rows that tell of something alone even so are in no part
+    (-1): nothing could predict them.
     """
     stack = joint.stack
-    owner = np.concatenate([e.owner for e in stack.equations])
     told = moves(joint) ** 2
-    energy = np.array([np.sum(told[owner == index], axis=0) for index in np.unique(owner)])
-    if len(energy) > 1 and np.all(energy <= MOST_OF_ONE * np.sum(energy, axis=0)):
+    owner = np.concatenate([e.owner for e in stack.equations])
+    if len(np.unique(owner)) > 1 and not np.any(_alone(told, owner)):
         return owner
-    time = np.concatenate([e.time for e in stack.equations])
-    out = np.zeros(len(owner))
-    for view in {v.index: v for e in stack.equations for v in e.views}.values():
-        mine = owner == view.index
-        share = (time[mine] - view.time[0]) / float(np.ptp(view.time))
-        out[mine] = np.minimum(np.floor(PARTS * share), PARTS - 1)
-    return out
+    parts = stack.block % PARTS
+    return np.where(np.isin(parts, np.unique(parts)[_alone(told, parts)]), -1, parts)
+
+
+def _alone(told: Array, parts: Array) -> Array:
+    """Return which parts tell of some constant alone, shape (parts,)."""
+    energy = np.array([np.sum(told[parts == part], axis=0) for part in np.unique(parts)])
+    return np.asarray(np.any(energy > MOST_OF_ONE * np.sum(energy, axis=0), axis=1))
