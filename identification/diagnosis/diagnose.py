@@ -89,10 +89,10 @@ def diagnose(
     here, found, gives = _searched(dataset, (here, first), terms, bandwidth, chance, tell)
     aside = _aside(dataset, bandwidth, gives)
     tell("what each name is worth on recordings that took no part", 0.92)
-    found = paying(found, here, aside, unit)
+    searched, found = found, paying(found, here, aside, unit)
     baseline = found.baseline
     tell("locating", 0.95)
-    verdict, where, drawn = judged(found, chance)
+    verdict, where, drawn = judged(found, chance, searched)
     effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else baseline
     fits = _fits(baseline, scored, aside, unit, bandwidth)

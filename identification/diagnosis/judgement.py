@@ -79,9 +79,17 @@ def _excess(found: Search) -> list[_Excess]:
 
 
 def judged(
-    found: Search, rng: np.random.Generator
+    found: Search, rng: np.random.Generator, searched: Search | None = None
 ) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
-    """Return the verdict, where the mismatch is, and its maps."""
+    """Return the verdict, where the mismatch is, and its maps.
+
+    Args:
+        found: The search with its fits within their limits, less names that do not pay.
+        rng: Of the maps' bands.
+        searched: The search before; None where it is the same. Whether names explain enough is
+            asked of it, and of what is kept where less is.
+    """
+    searched = searched or found
     stack = found.baseline.stack
     main = _main_equation(found)
     rows = stack.part(main.name)
@@ -93,17 +101,16 @@ def judged(
     # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
     # judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
-    worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     if not found.final.effects and not _beyond(found.baseline, judges):
         return Verdict.NOTHING_MISSING, None, drawn
-    left = worst.after > NEAR_FLOOR or _most_of_one(found.final, worst.equation) > EXCESS_OF_ONE
-    short = worst.explained < ADEQUATE and left
+    fewer = len(found.final.effects) < len(searched.final.effects)
     if (
         not found.final.effects
-        or short
+        or _short(searched)
+        or (fewer and _short(found))
         or one_way(found.final)
-        or broken(found.final)
-        or _remembered(found)
+        or broken(searched.final)
+        or _remembered(searched)
     ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
@@ -130,6 +137,14 @@ def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tup
         f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be "
         f"explained if {words}",
     )
+
+
+def _short(found: Search) -> bool:
+    """Whether names explain too little of what is beyond the noise."""
+    judges = [e for e in _excess(found) if e.equation != "breakaway"]
+    worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
+    left = worst.after > NEAR_FLOOR or _most_of_one(found.final, worst.equation) > EXCESS_OF_ONE
+    return worst.explained < ADEQUATE and left
 
 
 def _beyond(joint: Joint, judges: Sequence[_Excess]) -> bool:
