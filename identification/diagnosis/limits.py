@@ -17,10 +17,10 @@ from scipy.optimize import lsq_linear
 
 from identification.diagnosis.equations import equations
 from identification.diagnosis.joint import Joint, begun, told
-from identification.diagnosis.linear import Added
+from identification.diagnosis.linear import Added, directions
 from identification.diagnosis.rows.nominal import LARGEST_STEP, SPEEDS, Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.stack import Stack, stacked
+from identification.diagnosis.stack import Stack, granting, stacked
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
@@ -87,7 +87,9 @@ def within_limits(views: Sequence[View], unit: str, joint: Joint) -> Joint:
         best = better
         if done:
             break
-    return Joint(best.nominal, best.effects, best.stack.equations, best.left, best.stack)
+    left = replace(best.stack, residual=best.stack.projected(best.left[:, None])[:, 0])
+    granted = granting(left, directions(left, best.effects))
+    return Joint(best.nominal, best.effects, best.stack.equations, best.left, granted)
 
 
 def moves(joint: Joint) -> Array:

@@ -106,6 +106,10 @@ def test_an_effect_keeps_its_size_within_limits() -> None:
     assert found.effects[0].coefficients[0] == pytest.approx(6.0, rel=0.1)
     torque = found.stack.part("torque")
     assert float(np.mean(found.residual[torque] ** 2)) < 1.3
+    # What is sought next starts from what neither constants nor effects can take up.
+    again = found.stack.projected(found.stack.residual[:, None])[:, 0]
+    np.testing.assert_allclose(again, found.stack.residual, atol=1e-9)
+    assert found.stack.term(TERM["quadratic_drag"], ()) is None
 
 
 def test_each_part_is_predicted_from_the_others() -> None:
