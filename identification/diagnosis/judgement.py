@@ -29,6 +29,10 @@ ADEQUATE = 0.70
 """Share of the mismatch's power beyond the noise that names must explain between them to be a
 diagnosis.
 """
+MOST = 0.5
+"""The same of names that lessen the error on unseen recordings, where others did not and were
+dropped: more than half.
+"""
 WHOLE = 0.95
 """The same, below which what is left may not go by a coordinate that no name has.
 
@@ -107,7 +111,7 @@ def judged(
     if (
         not found.final.effects
         or _short(searched)
-        or (fewer and _short(found))
+        or (fewer and _short(found, MOST))
         or one_way(found.final)
         or broken(searched.final)
         or _remembered(searched)
@@ -139,12 +143,12 @@ def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tup
     )
 
 
-def _short(found: Search) -> bool:
-    """Whether names explain too little of what is beyond the noise."""
+def _short(found: Search, share: float = ADEQUATE) -> bool:
+    """Whether names explain less than a share of what is beyond the noise."""
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     left = worst.after > NEAR_FLOOR or _most_of_one(found.final, worst.equation) > EXCESS_OF_ONE
-    return worst.explained < ADEQUATE and left
+    return worst.explained < share and left
 
 
 def _beyond(joint: Joint, judges: Sequence[_Excess]) -> bool:
@@ -194,9 +198,17 @@ def _main_equation(found: Search) -> Equation:
 
     if found.final.effects:
         return max(found.baseline.equations, key=taken)
+    # A breakaway judges no model, however sure its pattern is.
+    judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     loudest = found.loudest.split(" ")[0]
-    named = [e for e in found.baseline.equations if e.name == loudest]
-    return named[0] if named else found.baseline.equations[0]
+    named = [e for e in judges if e.name == loudest]
+    return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
+
+
+def _beyond_noise(joint: Joint, equation: Equation) -> float:
+    """Return the sum of whitened squares that a fit leaves of an equation beyond the noise."""
+    rows = joint.residual[joint.stack.part(equation.name)]
+    return float(rows @ rows) - len(rows)
 
 
 def _open(taken: Round) -> tuple[str, ...]:

@@ -178,6 +178,10 @@ def _worth(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
     if not left or left[0] is None or left[1] is None:
         return fitted(names)
     stack, before = left[1]
+    shown = stack.columns(effect.term, effect.shape).values()
+    if not any(np.any(columns) for columns in shown):
+        # As a phase that each recording has to itself.
+        return fitted(names)
     unseen = _lessened(stack, [left[0][1], before], names)
     rows = np.concatenate([before[stack.part(name)] for name in names])
     if (len(rows) and float(np.mean(rows**2)) > 1.0) or unseen < -REJECTED:
