@@ -57,7 +57,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.simulate.record:simulation_record",
         "rig.results.simulate.record:_case_record",
         "rig.results.simulate.record:_sums_record",
-        "rig.results.simulate.record:error_record",
+        "rig.results.simulate.record:_errors",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",

@@ -27,14 +27,22 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
     "rig.wiring.guardian": ("tests/rig/test_guardian_process.py", "tests/rig/test_guardian.py"),
     "drivers.canopen.cia402": ("tests/drivers/test_cia402.py",),
     "drivers.canopen.cia402_servo": ("tests/drivers/test_cia402_servo.py",),
-    "drivers.canopen.cia402_checks": ("tests/drivers/test_cia402_servo.py",),
+    "drivers.canopen.cia402_checks": (
+        "tests/drivers/test_cia402_servo.py",
+        "tests/drivers/test_eds_file.py",
+        "tests/drivers/test_readings.py",
+    ),
     "drivers.canopen.cia402_objects": ("tests/drivers/test_cia402_servo.py",),
     "drivers.canopen.transitions": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo_steps.py",
     ),
     "drivers.dbc.servo": ("tests/drivers/test_dbc_servo_steps.py",),
-    "drivers.dbc.feedback": ("tests/drivers/test_dbc_servo_steps.py",),
+    "drivers.dbc.feedback": (
+        "tests/drivers/test_dbc_servo_steps.py",
+        "tests/drivers/test_dbc_servo.py",
+        "tests/drivers/test_readings.py",
+    ),
 }
 """Module to the tests that guard it."""
 
