@@ -176,6 +176,9 @@ def volts_per_torque(recording: Recording) -> float | None:
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     """Mark runs of at least ``samples`` samples in which the angle changes by at most one encoder
     step.
+
+    What parts two such runs is rest as well where the encoder only flickers: it stays within a step
+    to either side of where the run before ended, and so does the next one.
     """
     tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
@@ -185,7 +188,17 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     marks = np.zeros(len(angle) + 1)
     np.add.at(marks, np.flatnonzero(still), 1.0)
     np.add.at(marks, np.flatnonzero(still) + samples, -1.0)
-    return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+    found = np.asarray(np.cumsum(marks)[:-1] > 0.5)
+    ends = np.flatnonzero(found[:-1] & ~found[1:])
+    begins = np.flatnonzero(~found[:-1] & found[1:]) + 1
+    for last in ends:
+        after = begins[np.searchsorted(begins, last) :]
+        if len(after):
+            level = float(np.median(angle[max(last + 1 - samples, 0) : last + 1]))
+            apart = np.abs(angle[last : after[0] + samples] - level)
+            if np.all(apart[:-samples] <= tolerance) and np.median(apart[-samples:]) <= tolerance:
+                found[last : after[0]] = True
+    return found
 
 
 def irregular(time: Array, grid: Array) -> BoolArray:

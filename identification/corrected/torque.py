@@ -132,9 +132,9 @@ def viscous_thermal_drift(s: Any, m: Any, fraction: float, time_s: float) -> Arr
     )
 
 
-def coulomb_drift(s: Any, m: Any, rate_Nm_s: float) -> Array:
-    """Mc, Ms + r t_run."""
-    return np.asarray(s["sense"] * rate_Nm_s * s["run_time"])
+def coulomb_drift(s: Any, m: Any, rate_Nm_s: float, time_s: float = 1e6) -> Array:
+    """Mc, Ms + r T (1 - exp(-t_run / T))."""
+    return np.asarray(-s["sense"] * rate_Nm_s * time_s * np.expm1(-s["run_time"] / time_s))
 
 
 def gravity_imbalance(s: Any, m: Any, torque_Nm: float, zero_rad: float) -> Array:

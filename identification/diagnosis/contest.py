@@ -18,6 +18,8 @@ from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 
+REJECTED = 1.645
+"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
 SAME = 0.01

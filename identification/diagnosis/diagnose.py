@@ -14,7 +14,6 @@ import numpy as np
 
 from identification.diagnosis.begin import begun, common_bandwidth, started
 from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.equations import equations
 from identification.diagnosis.intervals import pinned
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import effects_of, judged, too_little
@@ -30,12 +29,13 @@ from identification.diagnosis.result import (
 )
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.search import Progress, Search, search
-from identification.diagnosis.stack import stacked
+from identification.diagnosis.significance import LEVEL
 from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
+from identification.diagnosis.unseen import held_out, paying, unpaid
 from identification.diagnosis.unsought import unsought
 from identification.diagnosis.wording import title
 from identification.estimate.uncertainty.parameter_table import units_of
@@ -87,10 +87,12 @@ def diagnose(
     if onlooker is not None:
         onlooker(first)
     here, found, gives = _searched(dataset, (here, first), terms, bandwidth, chance, tell)
-    baseline = found.baseline
     aside = _aside(dataset, bandwidth, gives)
+    tell("what each name is worth on recordings that took no part", 0.92)
+    searched, found = found, paying(found, here, aside, unit)
+    baseline = found.baseline
     tell("locating", 0.95)
-    verdict, where, drawn = judged(found, chance)
+    verdict, where, drawn = judged(found, chance, searched)
     effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else baseline
     fits = _fits(baseline, scored, aside, unit, bandwidth)
@@ -112,7 +114,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*_warnings(dataset, here, unseen), *why, *places),
+        warnings=(*_warnings(dataset, here, unseen), *why, *unpaid(found), *places),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -217,33 +219,6 @@ def _fits(
     return tuple(out)
 
 
-def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
-    """Return each equation's rms over recordings that took no part, nothing of the torque's model
-    fitted to them.
-    """
-    if not aside:
-        return {}
-    rows = equations(aside, joint.nominal, unit)
-    if not rows:  # hardly a sample of them is in steady motion
-        return {}
-    stack = stacked(rows, joint.nominal)
-    # What a recording alone shows cannot be told of another one: a mislabelled weight, a slip.
-    general = [e for e in joint.effects if e.term.place is None]
-    out = {}
-    for equation in rows:
-        rest = equation.residual.copy()
-        for effect in general:
-            columns = stack.columns(effect.term, effect.shape).get(equation.name)
-            if columns is not None:
-                rest -= columns @ np.array(effect.coefficients)
-        if equation.name != "torque":
-            scale = np.linalg.norm(equation.tangent, axis=0)
-            basis, _ = np.linalg.qr(equation.tangent / np.where(scale > 0.0, scale, 1.0))
-            rest -= basis @ (basis.T @ rest)
-        out[equation.name] = float(np.sqrt(np.mean(rest**2)))
-    return out
-
-
 def _traces(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
     out = []
     for equation in baseline.equations:
@@ -279,7 +254,8 @@ def _statement(
         f"{main.noise_floor_rms:.3g}"
     )
     if verdict is Verdict.NOTHING_MISSING:
-        said = f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
+        told = f"p = {p_value:.2g}" if p_value > LEVEL else "what there is lies within the noise"
+        said = f"nothing is missing that these recordings could show ({told}); {error}"
         return f"{said}; {_unseen(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
     before, after = (

@@ -208,7 +208,23 @@ def _build(
     found = Equation(
         name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma
     )
-    return replace(found, sigma=max(sigma, least_noise(found)))
+    return replace(found, sigma=max(math.hypot(sigma, held_voltage(found)), least_noise(found)))
+
+
+def held_voltage(equation: Equation) -> float:
+    """Return what is not known of the voltage's rows, V: a drive holds it for a sample, and whether
+    the one before a time stamp or the one after it no log says, unless it is declared an average.
+    """
+    if equation.name != "voltage":
+        return 0.0
+
+    def change(view: View) -> Array:
+        assert view.voltage is not None
+        if "voltage" in view.recording.averaged:
+            return np.zeros(len(view.time))
+        return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
+
+    return float(np.sqrt(np.mean(equation.rows(change) ** 2) / 12.0))
 
 
 def least_noise(equation: Equation) -> float:

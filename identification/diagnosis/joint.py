@@ -91,7 +91,7 @@ def fit(
     Raises:
         RecordingError: Nowhere in the recordings is the joint in steady motion.
     """
-    nominal, effects = _begun(start.limited(views), effects)
+    nominal, effects = begun(start.limited(views), effects)
     best: Joint | None = None
     least, share, failures = math.inf, 1.0, 0
     stack = None if before is None else before.stack
@@ -119,7 +119,7 @@ def fit(
         effects = (
             _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
         )
-        nominal, effects = _begun(_told(nominal, best.effects), effects)
+        nominal, effects = begun(told(nominal, best.effects), effects)
     assert best is not None
     best = _kept(views, unit, best, step)
     # The stack's own residual still holds what effects of a known size, which are no direction,
@@ -192,7 +192,7 @@ def _stepped(
     return Joint(nominal, solved.effects, stack.equations, solved.residual, stack), solved
 
 
-def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
+def begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
     """Return nominal values and effects as a fit begins with them."""
     placed, nominal = [], replace(nominal, bent=None, bristles=0.0, late_s=0.0)
     for effect in effects:
@@ -216,7 +216,7 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
     return tuple(placed)
 
 
-def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
+def told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
     """Return nominal values with what the effects so far say that others, or they themselves, are
     built from.
     """

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.diagnosis.begin import NEAR_FLOOR
-from identification.diagnosis.contest import Contender, Round, broken, probability
+from identification.diagnosis.contest import REJECTED, Contender, Round, broken, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.intervals import estimates
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.kept import EXCESS
 from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
@@ -24,11 +25,13 @@ from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Bench
 
-REJECTED = 1.645
-"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.70
 """Share of the mismatch's power beyond the noise that names must explain between them to be a
 diagnosis.
+"""
+MOST = 0.5
+"""The same of names that lessen the error on unseen recordings, where others did not and were
+dropped: more than half.
 """
 WHOLE = 0.95
 """The same, below which what is left may not go by a coordinate that no name has.
@@ -80,9 +83,17 @@ def _excess(found: Search) -> list[_Excess]:
 
 
 def judged(
-    found: Search, rng: np.random.Generator
+    found: Search, rng: np.random.Generator, searched: Search | None = None
 ) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
-    """Return the verdict, where the mismatch is, and its maps."""
+    """Return the verdict, where the mismatch is, and its maps.
+
+    Args:
+        found: The search with its fits within their limits, less names that do not pay.
+        rng: Of the maps' bands.
+        searched: The search before; None where it is the same. Whether names explain enough is
+            asked of it, and of what is kept where less is.
+    """
+    searched = searched or found
     stack = found.baseline.stack
     main = _main_equation(found)
     rows = stack.part(main.name)
@@ -94,15 +105,16 @@ def judged(
     # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
     # judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
-    worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
-    left = worst.after > NEAR_FLOOR or _most_of_one(found, worst.equation) > EXCESS_OF_ONE
-    short = worst.explained < ADEQUATE and left
+    if not found.final.effects and not _beyond(found.baseline, judges):
+        return Verdict.NOTHING_MISSING, None, drawn
+    fewer = len(found.final.effects) < len(searched.final.effects)
     if (
         not found.final.effects
-        or short
+        or _short(searched)
+        or (fewer and _short(found, MOST))
         or one_way(found.final)
-        or broken(found.final)
-        or _remembered(found)
+        or broken(searched.final)
+        or _remembered(searched)
     ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
@@ -131,12 +143,27 @@ def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tup
     )
 
 
-def _most_of_one(found: Search, name: str) -> float:
-    """Return the mean square that names leave of an equation over the noise's, in the recording
+def _short(found: Search, share: float = ADEQUATE) -> bool:
+    """Whether names explain less than a share of what is beyond the noise."""
+    judges = [e for e in _excess(found) if e.equation != "breakaway"]
+    worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
+    left = worst.after > NEAR_FLOOR or _most_of_one(found.final, worst.equation) > EXCESS_OF_ONE
+    return worst.explained < share and left
+
+
+def _beyond(joint: Joint, judges: Sequence[_Excess]) -> bool:
+    """Whether the nominal model leaves more than noise: where no name was kept, a pattern within it
+    is no mismatch that anybody could look for.
+    """
+    return any(e.before > EXCESS or _most_of_one(joint, e.equation) > EXCESS_OF_ONE for e in judges)
+
+
+def _most_of_one(joint: Joint, name: str) -> float:
+    """Return the mean square that a fit leaves of an equation over the noise's, in the recording
     with most of it.
     """
-    equation = next(e for e in found.final.equations if e.name == name)
-    rows = found.final.residual[found.final.stack.part(name)]
+    equation = next(e for e in joint.equations if e.name == name)
+    rows = joint.residual[joint.stack.part(name)]
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )
@@ -171,9 +198,17 @@ def _main_equation(found: Search) -> Equation:
 
     if found.final.effects:
         return max(found.baseline.equations, key=taken)
+    # A breakaway judges no model, however sure its pattern is.
+    judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     loudest = found.loudest.split(" ")[0]
-    named = [e for e in found.baseline.equations if e.name == loudest]
-    return named[0] if named else found.baseline.equations[0]
+    named = [e for e in judges if e.name == loudest]
+    return named[0] if named else max(judges, key=lambda e: _beyond_noise(found.baseline, e))
+
+
+def _beyond_noise(joint: Joint, equation: Equation) -> float:
+    """Return the sum of whitened squares that a fit leaves of an equation beyond the noise."""
+    rows = joint.residual[joint.stack.part(equation.name)]
+    return float(rows @ rows) - len(rows)
 
 
 def _open(taken: Round) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.diagnose import GIVING, held_out
+from identification.diagnosis.diagnose import GIVING
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.significance import screened
@@ -21,6 +21,7 @@ from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.transmission import on_the_joint
+from identification.diagnosis.unseen import held_out
 from identification.prepare import torque_unit
 from identification.recording import Dataset
 

@@ -21,10 +21,6 @@ PLACED = (
 """Effects at a place, of which recordings that do not share an origin of their angles say
 nothing.
 """
-DRIFTING = ("coulomb_drift", "viscous_thermal_drift")
-"""Effects of running time, which recordings on clocks of their own do not have: in the order in
-which they happen to be listed anything drifts that differs between them.
-"""
 
 
 def unsought(
@@ -46,11 +42,9 @@ def unsought(
             f"a place ({_titles(PLACED)}) are not sought, and phases are each recording's own"
         )
     if not one_clock(fitted):
-        names.update(DRIFTING)
         warnings.append(
-            f"the recordings have no clock in common, so that what drifts with running time "
-            f"({_titles(DRIFTING)}) is "
-            "not sought"
+            "the recordings have no clock in common, so that each is taken to have begun cold: "
+            "running time counts from its first sample"
         )
     return frozenset(names), tuple(warnings)
 

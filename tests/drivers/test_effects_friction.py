@@ -69,8 +69,10 @@ def test_patch_is_where_it_is() -> None:
 def test_drifts_run_on_through_pauses() -> None:
     coulomb = {"coulomb_drift": {"rate_Nm_s": 0.01}}
     viscous = {"viscous_thermal_drift": {"fraction": 0.5, "time_s": 50.0}}
+    levelled = {"coulomb_drift": {"rate_Nm_s": 0.05, "time_s": 20.0}}
     for effect, wanted in (
         (coulomb, 0.01 * 100.9),
+        (levelled, 0.05 * 20.0 * (1.0 - math.exp(-100.9 / 20.0))),
         (viscous, -0.5 * 5.3462 * 0.5 * (1.0 - math.exp(-100.9 / 50.0))),
     ):
         track = Track(effect, cruise(0.5), pause_s=100.0)

@@ -49,7 +49,7 @@ LINEAR = {
         (0.1, 0.05),
         (1.0,),
     ),
-    "coulomb_drift": ({"rate_Nm_s": 0.01}, (), (0.01,)),
+    "coulomb_drift": ({"rate_Nm_s": 0.01, "time_s": 7.0}, (7.0,), (0.01,)),
     "gravity_imbalance": (
         {"torque_Nm": 2.0, "zero_rad": 0.3},
         (),

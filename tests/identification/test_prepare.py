@@ -191,6 +191,29 @@ def test_resting_marks_whole_stretches_without_any_change() -> None:
     assert np.flatnonzero(marks).tolist() == list(range(10, 17))
 
 
+FLICKER = np.array([0.0, 0, 0, 0, 0, 0, 0, 0, 0, -1, 1, 0, 0, 0, 0, 0, 0, 0, 0])
+
+
+@pytest.mark.parametrize("step", [1e-5, 0.3])
+def test_an_encoder_that_flickers_to_either_side_rests(step: float) -> None:
+    moving = np.arange(1.0, 41.0) * 7.0
+    angle = step * np.concatenate([FLICKER, moving, 280.0 + FLICKER])
+    marks = resting(angle)
+    count = len(FLICKER)
+    assert np.all(marks[:count])
+    assert np.all(marks[-count:])
+    assert not np.any(marks[count + 1 : -count - 1])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_slip_from_rest_to_rest_is_no_flicker(side: float) -> None:
+    slip = np.concatenate([np.zeros(12), [2.0, 4.0], np.full(12, 6.0), 6.0 + np.arange(1.0, 60.0)])
+    marks = resting(1e-4 * side * slip)
+    assert np.all(marks[:12])
+    assert not np.any(marks[12:14])
+    assert np.all(marks[14:26])
+
+
 def test_resting_of_too_few_samples_is_nothing() -> None:
     assert not np.any(resting(np.zeros(6), samples=6))
 

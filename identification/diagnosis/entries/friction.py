@@ -196,13 +196,13 @@ FRICTION: tuple[Entry, ...] = (
     Entry(
         name="coulomb_drift",
         group="friction",
-        equation="Mc(t) = Mc + r t_run, Ms(t) = Ms + r t_run",
+        equation="Mc(t) = Mc + r T (1 - exp(-t_run / T)), Ms alike; r t_run where T is long",
         assumption="the implied assumption that friction does not change from one recording to "
         "the next (eq. 9)",
         shows_in="torque",
         coordinate="time: against the motion both ways and at any speed, growing from recording "
         "to recording",
-        parameters=(Quantity("rate_Nm_s", "N m/s", -0.1, 0.1),),
+        parameters=(Quantity("rate_Nm_s", "N m/s", -1.0, 1.0), Quantity("time_s", "s", 1.0, 1e7)),
         look_alikes=("viscous_thermal_drift", "winding_heating", "current_drift"),
         experiment=(
             "One recording repeated at the start, in the middle and at the end of a session, at "
@@ -210,7 +210,8 @@ FRICTION: tuple[Entry, ...] = (
             "ways: a Coulomb drift turns with the direction, a drift of the current's zero does "
             "not."
         ),
-        sentence="Coulomb friction {rate_Nm_s:?rises/falls} by {rate_Nm_s:abs N m/h} of running",
+        sentence="Coulomb friction {rate_Nm_s:?rises/falls} by {rate_Nm_s:abs N m/h} of running at "
+        "first, levelling off with a time constant of {time_s:s}",
     ),
 )
 """Effects of the system's friction."""

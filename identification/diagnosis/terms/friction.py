@@ -33,6 +33,8 @@ agree: which they are depends on the speeds that the recordings have.
 LAGS_S: tuple[Shape, ...] = tuple((t,) for t in (0.002, 0.005, 0.01, 0.02, 0.05))
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
 STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
+STEADY_S = 1e6
+"""Time constant of a drift that does not level off, s."""
 WARM_UPS_S: tuple[Shape, ...] = tuple((t,) for t in (20.0, 60.0, 150.0, 400.0))
 PATCH_CENTRES = 12
 PATCH_WIDTHS = (0.02, 0.05, 0.12)
@@ -243,8 +245,10 @@ TERMS = (
     ),
     Term(
         "coulomb_drift",
-        in_motion(lambda v, _n, _s: rows(v.sense * v.run_time)),
-        one("rate_Nm_s"),
+        in_motion(lambda v, _n, s: rows(-v.sense * s[0] * np.expm1(-v.run_time / s[0]))),
+        lambda c, shape, _context: {"rate_Nm_s": float(c[0]), "time_s": shape[0]},
+        lambda _context: (*WARM_UPS_S, (STEADY_S,)),
+        refine={0: 0.0},
         shape_error=EXACT,
     ),
 )

@@ -84,6 +84,23 @@ def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(
     assert verdict(replace(search, **both)) is expected
 
 
+@pytest.mark.parametrize(
+    ("power", "expected"),
+    [(0.3, Verdict.NOTHING_MISSING), (0.9, Verdict.OUTSIDE_CATALOGUE)],
+)
+def test_a_pattern_within_the_noise_without_a_name_is_nothing_missing(
+    power: float, expected: Verdict
+) -> None:
+    """Beyond one and a half times the noise it is something."""
+    search = found(1.0)
+    left = (
+        power + 1.0 - float(np.mean(search.final.residual[search.final.stack.part("torque")] ** 2))
+    )
+    joint = with_left(search.final, noise(search, left))
+    alone = replace(joint, effects=())
+    assert verdict(replace(search, baseline=alone, final=alone, rounds=())) is expected
+
+
 def test_effects_are_listed_as_the_search_came_upon_them() -> None:
     """What takes another's place later, as a loop a gap's, stands last in the fit and is no less
     important for that.

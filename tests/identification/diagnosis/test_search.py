@@ -13,7 +13,7 @@ import pytest
 
 from identification.diagnosis.begin import begun, started
 from identification.diagnosis.contest import implausible
-from identification.diagnosis.diagnose import diagnose, held_out
+from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.intervals import pinned
 from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
@@ -24,6 +24,7 @@ from identification.diagnosis.significance import DRAWS, chance, flipped
 from identification.diagnosis.stack import Candidate, surprise, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
+from identification.diagnosis.unseen import held_out
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit
@@ -226,13 +227,23 @@ def only_speed(recording: Recording) -> Recording:
     return replace(recording, channels=channels)
 
 
-def test_nothing_drifts_between_recordings_that_have_no_clock_in_common() -> None:
+def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     hidden = campaign({"coulomb_drift": {"rate_Nm_s": 0.03}}, 3, 6.0)
     assert one_clock(hidden)
     found = diagnose(Dataset(hidden, Model()), rng=np.random.default_rng(0))
     assert [e.name for e in found.effects] == ["coulomb_drift"]
-    apart = tuple(replace(r, channels={**r.channels, "time": r.time - r.time[0]}) for r in hidden)
+    drift = {"coulomb_drift": {"rate_Nm_s": 0.12, "time_s": 5.0}}
+    apart = tuple(
+        replace(
+            campaign(drift, 3 + k, 6.0)[0],
+            name=f"r{k}",
+            role="validate" if k == 3 else "fit",
+        )
+        for k in range(4)
+    )
     assert not one_clock(apart)
     found = diagnose(Dataset(apart, Model()), rng=np.random.default_rng(0))
-    assert all(e.name != "coulomb_drift" for e in found.effects)
+    assert [e.name for e in found.effects] == ["coulomb_drift"]
+    assert found.effects[0].parameters["rate_Nm_s"].value == pytest.approx(0.12, rel=0.15)
+    assert found.effects[0].parameters["time_s"].value == pytest.approx(5.0, rel=0.3)
     assert any("no clock in common" in w for w in found.warnings)

@@ -39,8 +39,10 @@ def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
         if parameters is None:
             yield (name,), f"no such effect; known are {', '.join(_EVERY)}"
             continue
-        for missing in parameters.keys() - given.keys():
-            yield (name,), f"{missing} is missing; {name} needs {', '.join(parameters)}"
+        needed = [key for key, parameter in parameters.items() if parameter.default is None]
+        for missing in needed:
+            if missing not in given:
+                yield (name,), f"{missing} is missing; {name} needs {', '.join(needed)}"
         for key, value in given.items():
             if key not in parameters:
                 yield (name, key), f"{name} has no such parameter; it has {', '.join(parameters)}"
@@ -66,8 +68,10 @@ def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
         return np.zeros(0)
     e = bare_vector(machine)
     for name, given in effects.items():
-        for key, value in given.items():
-            e[KNOWN[name][key].slot] = value
+        for key, parameter in KNOWN[name].items():
+            value = given.get(key, parameter.default)
+            assert value is not None
+            e[parameter.slot] = value
     if _TWO_MASS & effects.keys():
         rotor = _rotor(machine)
         total = machine.joint.inertia_kg_m2

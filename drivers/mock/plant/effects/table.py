@@ -48,6 +48,7 @@ from typing import NamedTuple
     THERMAL_FRACTION,
     THERMAL_TIME,
     COULOMB_RATE,
+    COULOMB_TIME,
     GRAVITY_TORQUE,
     GRAVITY_ZERO,
     SPRING_STIFFNESS,
@@ -74,19 +75,24 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(62)
+) = range(63)
 
 
 class Parameter(NamedTuple):
-    """One parameter of an effect: its slot in the vector and what it may be."""
+    """One parameter of an effect: its slot in the vector, what it may be, and what it is where it
+    is not given (None: it must be).
+    """
 
     slot: int
     low: float
     high: float
+    default: float | None = None
 
 
 _PHASE = (-6.3, 6.3)
 _LONGEST_DELAY_S = 0.1
+STEADY_DRIFT_S = 1e6
+"""Time constant of a drift that does not level off, s."""
 
 CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "cogging": {
@@ -142,7 +148,10 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "fraction": Parameter(THERMAL_FRACTION, -1.0, 1.0),
         "time_s": Parameter(THERMAL_TIME, 1.0, 1e5),
     },
-    "coulomb_drift": {"rate_Nm_s": Parameter(COULOMB_RATE, -0.1, 0.1)},
+    "coulomb_drift": {
+        "rate_Nm_s": Parameter(COULOMB_RATE, -1.0, 1.0),
+        "time_s": Parameter(COULOMB_TIME, 1.0, STEADY_DRIFT_S, STEADY_DRIFT_S),
+    },
     "gravity_imbalance": {
         "torque_Nm": Parameter(GRAVITY_TORQUE, 0.0, 50.0),
         "zero_rad": Parameter(GRAVITY_ZERO, *_PHASE),

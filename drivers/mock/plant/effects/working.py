@@ -40,7 +40,9 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
     if e[table.PATCH_TORQUE] != 0.0:
         u = (theta - e[table.PATCH_CENTER]) / e[table.PATCH_WIDTH]
         w[MC] += e[table.PATCH_TORQUE] * math.exp(-0.5 * u * u)
-    w[MC] += e[table.COULOMB_RATE] * x[RUN]
+    if e[table.COULOMB_RATE] != 0.0:
+        time = e[table.COULOMB_TIME]
+        w[MC] -= e[table.COULOMB_RATE] * time * math.expm1(-x[RUN] / time)
     if e[table.THERMAL_FRACTION] != 0.0:
         w[SIGMA_2] *= 1.0 - e[table.THERMAL_FRACTION] * (
             1.0 - math.exp(-x[RUN] / e[table.THERMAL_TIME])
