@@ -67,7 +67,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
         "drivers.mock.plant.record:record_cycles",
     ): "compiled kernel: all vectors of `advance_loaded`, and where the latches go",
     ("files", "identification/diagnosis"): (
-        "one chain of steps on one stack of equations; folders would each need most of the others"
+        "moves into folders with the one likelihood for identification and diagnosis, not before"
     ),
     ("arguments", "identification.corrected.arrays:signals"): (
         "is exported as source for users' own scripts, which pass plain arrays by name"

@@ -1,7 +1,8 @@
 """From recordings to a verdict: noise floor, is anything missing, where, which physics, the
 corrected model, the proof.
 
-Recordings set aside (role ``validate``) are touched once, at the end.
+Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which names
+are kept, and are scored.
 """
 
 from __future__ import annotations
@@ -67,7 +68,8 @@ def diagnose(
     """Say whether physics is missing from the nominal model of these recordings, where, and which.
 
     Args:
-        dataset: Recordings; those with role ``validate`` are scored once, at the end.
+        dataset: Recordings; those with role ``validate`` take no part in any fit. At the end they
+            decide which names are kept, and are scored.
         bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
@@ -78,9 +80,9 @@ def diagnose(
     """
     clock = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
+    tell("nominal model", 0.0)
     chance = rng or np.random.default_rng(0)
     fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
-    tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
     here, first = begun(dataset, bandwidth)
     terms, why = _sought(dataset, here)
@@ -90,16 +92,14 @@ def diagnose(
     aside = _aside(dataset, bandwidth, gives)
     tell("what each name is worth on recordings that took no part", 0.92)
     searched, found = found, paying(found, here, aside, unit)
-    baseline = found.baseline
     tell("locating", 0.95)
     verdict, where, drawn = judged(found, chance, searched)
     effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
-    scored = found.final if effects else baseline
-    fits = _fits(baseline, scored, aside, unit, bandwidth)
+    scored = found.final if effects else found.baseline
+    fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
-    unseen, traces = taken_up(baseline, terms), _traces(baseline, scored)
-    crowds = crowded(traces) if verdict is not Verdict.NOTHING_MISSING else ()
-    places = (*standing((*here, *aside), unit), *crowds, *too_little(found, verdict, chance))
+    unseen, traces = taken_up(found.baseline, terms), _traces(found.baseline, scored)
+    places = (*_places(verdict, traces, (*here, *aside)), *too_little(found, verdict, chance))
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -107,7 +107,7 @@ def diagnose(
         fit=main,
         fits=fits,
         parameters=dict(scored.nominal.values),
-        parameter_shift=_shifts(baseline, scored, units_of([prepare(fitted[0], bandwidth)])),
+        parameter_shift=_shifts(found, scored, units_of([prepare(fitted[0], bandwidth)])),
         p_value=found.p_value,
         location=where,
         curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
@@ -118,6 +118,14 @@ def diagnose(
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
+
+
+def _places(
+    verdict: Verdict, traces: Sequence[ResidualTrace], every: Sequence[View]
+) -> tuple[str, ...]:
+    """Return where recordings stand under a torque, and where the mismatch is crowded."""
+    crowds = crowded(traces) if verdict is not Verdict.NOTHING_MISSING else ()
+    return (*standing(every, torque_unit(every[0].recording)), *crowds)
 
 
 def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recording, ...], float]:
@@ -181,15 +189,15 @@ def _slides(bench: Bench) -> bool:
     return bench.motion == "linear" and bench.gear_ratio == 1.0
 
 
-def _shifts(baseline: Joint, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
+def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
     """Return each nominal parameter before and after, as far as the recordings pin it."""
 
     def value(joint: Joint, name: str) -> float | None:
         return float(joint.nominal.values[name]) if pinned(joint, name) else None
 
     return {
-        name: Shift(value(baseline, name), value(final, name), units[name])
-        for name in baseline.nominal.values
+        name: Shift(value(found.baseline, name), value(final, name), units[name])
+        for name in found.baseline.nominal.values
     }
 
 

@@ -247,8 +247,8 @@ class RecordingSection(Schema):
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         gravity: A known weight that turns with the joint.
         controller: The position loop that the recording was made in, for simulations.
-        role: `validate` sets the recording aside: it is used for no decision and scored once at the
-            end.
+        role: `validate` sets the recording aside: it takes no part in any fit; at the end it
+            decides which names a diagnosis keeps, and is scored.
         rate: Sampling rate, Hz; only where there is no `time` channel.
         read: How to read a text file.
         channels: Canonical channel to column. A name or index alone is short for `{column: ...}`.

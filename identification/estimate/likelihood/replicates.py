@@ -114,10 +114,8 @@ def likelihood_bias(
     if found is None:
         return None
     moved = np.array([_named(joint, pair, names) for pair in found])
-    mean, spread = (
-        _named(joint, np.mean(found, axis=0), names),
-        np.var(moved, axis=0, ddof=1) / len(moved),
-    )
+    mean = _named(joint, np.mean(found, axis=0), names)
+    spread = np.var(moved, axis=0, ddof=1) / len(moved)
     return Bias(
         dict(zip(names, mean.tolist(), strict=True)),
         dict(zip(names, spread.tolist(), strict=True)),
