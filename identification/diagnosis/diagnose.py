@@ -68,8 +68,7 @@ def diagnose(
     """Say whether physics is missing from the nominal model of these recordings, where, and which.
 
     Args:
-        dataset: Recordings; those with role ``validate`` take no part in any fit. At the end they
-            decide which names are kept, and are scored.
+        dataset: Recordings; those with role ``validate`` take no part in any fit.
         bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
