@@ -172,14 +172,16 @@ def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]
     over = any(
         notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices
     )
-    if console.status not in right and not (over and console.status == 0):
+    # A run that is over, its drive off, may be suspended as any program.
+    suspended = over and kind == "SIGTSTP" and bool(console.stops) and not account.on
+    if console.status not in right and not (over and console.status == 0) and not suspended:
         last = " / ".join(console.text().split("\n"))[-200:].strip()
         problems.append(
             f"exit status {console.status}, must be {' or '.join(map(str, right))}: {last}"
         )
     if "Traceback (most recent call last)" in console.text():
         problems.append("a traceback")
-    if kind == "SIGTSTP" and console.stops:
+    if kind == "SIGTSTP" and console.stops and not suspended:
         problems.append("it was stopped, and stood")
     return problems
 
