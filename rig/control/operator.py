@@ -1,4 +1,6 @@
-"""The operator at the bench, who hangs the weights and types their mass, and automatic substitutes."""
+"""The operator at the bench, who hangs the weights and types their mass, and automatic
+substitutes.
+"""
 
 from __future__ import annotations
 

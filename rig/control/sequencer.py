@@ -109,7 +109,9 @@ class Sequencer:
         return outcome
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
-        """Run the phases; returns how they ended, as text, with the trip or defect that ended them."""
+        """Run the phases; returns how they ended, as text, with the trip or defect that ended
+        them.
+        """
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
@@ -140,7 +142,9 @@ class Sequencer:
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
 
     def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
-        """Show and record the final state of the drive at once, before later failures can hide it."""
+        """Show and record the final state of the drive at once, before later failures can hide
+        it.
+        """
         ending = outcome.ending
         return attempt_all(
             lambda: self._operator.result(

@@ -1,4 +1,6 @@
-"""Text that identifies a bench to the operator: name, real or simulated, and what stops the drive."""
+"""Text that identifies a bench to the operator: name, real or simulated, and what stops the
+drive.
+"""
 
 from __future__ import annotations
 

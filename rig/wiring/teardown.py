@@ -155,7 +155,9 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 def _wait_for_standstill(
     servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
 ) -> None:
-    """Keep the bus alive until the drive has stopped, the time-out ends or the operator asks again."""
+    """Keep the bus alive until the drive has stopped, the time-out ends or the operator asks
+    again.
+    """
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return

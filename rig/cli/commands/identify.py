@@ -116,7 +116,7 @@ def command(**options: Any) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """Argument and options of the command, as click names and converts them."""
+    """Argument and options of the command, named and converted by click."""
 
     source: Path | None
     method: Literal["default", "paper", "both"]
@@ -205,7 +205,7 @@ def _identify_source(options: _Options, source: Path) -> None:
 
 
 def _plan(options: _Options, sequence: str) -> None:
-    """Say what a sequence would pin, and write one that would pin more."""
+    """Report which parameters a sequence would determine, and write a better sequence."""
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence

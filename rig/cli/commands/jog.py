@@ -97,10 +97,10 @@ def command(
 
 
 def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
-    """Yield the angles typed at the terminal, until an empty answer or the end of the input.
+    """Yield the angles typed at the terminal until an empty answer or the end of the input.
 
     Raises:
-        KeyboardInterrupt: The operator stopped it at the prompt, where the drive is off.
+        KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
     """
     while True:
         try:
