@@ -27,7 +27,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Write a bench, sequence or campaign file to start from.",
     ),
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
-    "resume": ("rig.cli.commands.resume:command", "Go on with a run that stopped."),
+    "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
     "check": (
         "rig.cli.commands.check:command",
@@ -43,16 +43,16 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "diagnose": (
         "rig.cli.commands.diagnose:command",
-        "Say what physics was left out, and model it.",
+        "Find the physics that the model lacks, and model it.",
     ),
     "effects": ("rig.cli.commands.effects:command", "List the effects that a diagnosis can name."),
     "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
     "prove": (
         "rig.cli.commands.prove:command",
-        "Prove the diagnosis blind on rigs that hide physics.",
+        "Test the diagnosis on blind trials with injected effects.",
     ),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
-    "recover": ("rig.cli.commands.recover:command", "Mend a run whose writer died."),
+    "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),
     "schema": (
         "rig.cli.commands.schema:command",
         "Write JSON Schemas, by which editors complete and check files.",

@@ -34,7 +34,7 @@ def out_folder(words: str) -> Decorator:
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), help=words)
 
 
-def seed(words: str = "Of the random generator.") -> Decorator:
+def seed(words: str = "Seed of the random generator.") -> Decorator:
     """Return a decorator that adds ``--seed``."""
     return click.option(
         "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=words
@@ -43,7 +43,7 @@ def seed(words: str = "Of the random generator.") -> Decorator:
 
 def simulated_seed(command: Any) -> Any:
     """Add ``--seed`` for the noise of a simulated bench to a command."""
-    return seed("Of the simulated bench's noise.")(command)
+    return seed("Seed of the simulated bench's noise.")(command)
 
 
 def bandwidth(words: str) -> Decorator:
@@ -97,8 +97,8 @@ def first_pass(command: Any) -> Any:
     return click.option(
         "--first-pass/--no-first-pass",
         default=None,
-        help="Go through each stage at 10 % first. [default: on a real bench, or with "
-        "--identification]",
+        help="Run a first pass at 10 % amplitude before each stage. [default: on a real bench, "
+        "or with --identification]",
     )(command)
 
 

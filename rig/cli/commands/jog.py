@@ -45,7 +45,7 @@ SCHEMA = "loadrig.jog/1"
 @click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
 @shared.simulated_seed
 @shared.reset_fault()
-@shared.record_file("Also write how it ended to this file.")
+@shared.record_file("Also write the outcome to this file.")
 def command(
     bench: str,
     angles: tuple[float, ...],

@@ -56,14 +56,14 @@ from rig.wiring.preflight import require_startable
 @shared.yes
 @click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
 @click.option(
-    "--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing."
+    "--dry-run", is_flag=True, help="Print the plan and its predicted torque; connect to nothing."
 )
 @shared.simulated_seed
 @click.option(
     "--faults",
     "fault_file",
     type=click.Path(path_type=Path),
-    help="Schedule (YAML or CSV) of what goes wrong on the simulated bench.",
+    help="Schedule (YAML or CSV) of injected faults on the simulated bench.",
 )
 @shared.operator_name
 @shared.identification

@@ -69,7 +69,7 @@ def _stages(experiment: Experiment) -> Table:
 
 def _advice(experiment: Experiment) -> str:
     """State the purpose of the proposal, or that none was better than the given sequence."""
-    aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
+    aim = f"aimed at {experiment.proposal.weakest}, which is determined least accurately now"
     if experiment.proposal.pinned == experiment.proposal.present:
         return (
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
@@ -87,7 +87,7 @@ def _drive(experiment: Experiment) -> str:
 
 def _width(found: Pinned, name: str) -> str:
     width = found.half_widths[name]
-    return percent(100.0 * width) if math.isfinite(width) else "not pinned"
+    return percent(100.0 * width) if math.isfinite(width) else "not determined"
 
 
 def _gain(now: Pinned, then: Pinned, name: str) -> str:

@@ -48,7 +48,9 @@ def nominal_values(path: Path | None) -> NominalValues:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
     """
     if path is None:
-        return NominalValues(dict(NOMINAL), "the catalogue's nominal values")
+        return NominalValues(
+            dict(NOMINAL), "the paper's friction and the practical bench's inertia"
+        )
     raw = read_identification(path)
     try:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}

@@ -38,8 +38,8 @@ def pinned_words(found: Pinned) -> str:
     """Return a message on how many parameters are determined, and which one least accurately."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
-        return f"says nothing of {', '.join(open_names)}"
+        return f"does not determine {', '.join(open_names)}"
     return (
-        f"pins all {len(found.half_widths)}; the weakest is {found.weakest}, to "
+        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
         f"{percent(100.0 * found.worst)}"
     )

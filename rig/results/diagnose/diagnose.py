@@ -67,7 +67,7 @@ def diagnose_source(
 
     Args:
         source: Run folder or campaign file.
-        seed: Of the random generator.
+        seed: Seed of the random generator.
         bandwidth_Hz: Bandwidth of every error; None to choose it from the recordings. Pressure
         keeps its own bandwidth.
         progress: Called with the current step and the completed share.
@@ -197,7 +197,7 @@ def settled(found: Diagnosis) -> Diagnosis:
         if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
             parameters[static] = parameters[coulomb]
             notes.append(
-                f"{static} is not pinned by these recordings; the corrected model has it equal to "
-                f"{coulomb}"
+                f"{static} is not determined by these recordings; the corrected model has it equal "
+                f"to {coulomb}"
             )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))

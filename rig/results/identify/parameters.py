@@ -67,7 +67,7 @@ def pinned_notes(results: Sequence[Identification]) -> list[str]:
             weakest = max(widths, key=lambda n: widths[n])
             count = f"{len(widths)} of {len(result.parameters)} parameters"
             lines.append(
-                f"{result.method}: pins {count}; the weakest is {weakest}, to "
+                f"{result.method}: determines {count}; the weakest is {weakest}, to "
                 f"{percent(100.0 * widths[weakest])}"
             )
     return lines
