@@ -1,4 +1,4 @@
-"""The wire: buses, protocols, devices in SI units, and their simulated counterparts.
+"""Device access: buses, protocols, devices in SI units, and their simulated counterparts.
 
 Knows nothing of sequences, files or fits.
 """

@@ -1,4 +1,4 @@
-"""Time behind one interface. Nothing else in the program reads a clock or sleeps.
+"""Clock interface. No other module reads a clock or sleeps.
 
 Two implementations: :class:`RealClock` for hardware, :class:`SimulatedClock` for the mock bus,
 where time only moves when somebody waits for it.
@@ -76,7 +76,7 @@ class SimulatedClock:
             self._now = deadline_ns
 
     def fire_next(self, horizon_ns: int) -> None:
-        """Fire the next event, which there must be; it may move time on by itself as far as
+        """Fire the next event, which must exist; it may itself advance time up to
         ``horizon_ns``.
         """
         self._now, _, action = heapq.heappop(self._events)
@@ -84,11 +84,10 @@ class SimulatedClock:
         action()
 
     def skip_to(self, when_ns: int) -> bool:
-        """Move time on from inside an event, which saves scheduling another one.
+        """Advance time from inside an event, instead of scheduling another one.
 
         Returns:
-            False, and time stands still, where something else is due by then or nobody waits for
-            that long.
+            False, without advancing, if another event is due by then or nobody waits that long.
         """
         if when_ns > self._horizon or (self._events and self._events[0][0] <= when_ns):
             return False

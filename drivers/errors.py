@@ -1,13 +1,13 @@
-"""The error tree of the device side, split by who must act.
+"""Errors of the device side, divided by who must act.
 
-Every message says what was found, the limit it broke, the unit, and what to do about it.
+Every message states the value found, the violated limit, the unit and the remedy.
 """
 
 from __future__ import annotations
 
 
 class DeviceError(Exception):
-    """Base of everything a device or bus can do wrong."""
+    """Base class of all device and bus errors."""
 
 
 class LinkError(DeviceError):
@@ -34,7 +34,7 @@ class ObjectAccessError(DeviceError):
 
 
 class StateError(DeviceError):
-    """The drive is not in the state that the verb needs, or did not reach the one it asked for."""
+    """The drive is not in the required state, or did not reach the commanded one."""
 
 
 class DriveFault(DeviceError):
@@ -51,4 +51,4 @@ class DriveFault(DeviceError):
 
 
 class ConfigurationError(DeviceError):
-    """The device is not what the bench file says: wrong identity, scale, unit or limit."""
+    """The device differs from the bench file: wrong identity, scale, unit or limit."""

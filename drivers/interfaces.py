@@ -1,6 +1,6 @@
-"""What the rest of the program sees of a bench: small verbs in SI units.
+"""Interfaces of the devices of a bench to the rest of the program, in SI units.
 
-One :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder`
+A :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder`
 are the devices on it. Angles, speeds and torques are at the joint, after the gear, unless the name
 says ``motor``.
 """
@@ -43,7 +43,7 @@ _ENERGISED = frozenset(
 
 @dataclass(frozen=True)
 class Identity:
-    """Who answers at the other end (object 1018h, 1008h, 100Ah or their serial equivalents)."""
+    """Identity of a device (objects 1018h, 1008h, 100Ah or their serial equivalents)."""
 
     name: str
     vendor_id: int
@@ -56,7 +56,7 @@ class Identity:
 
 @dataclass(frozen=True)
 class ServoLimits:
-    """Limits held by the drive itself, at the joint and in SI units.
+    """Limits held in the drive, at the joint, in SI units.
 
     ``following_error_rad`` is None where the drive's window is off (6065h = FFFFFFFFh).
     """
@@ -88,9 +88,9 @@ class LimitSteps:
 
 
 class ServoReadings(NamedTuple):
-    """What a drive says of itself when it is asked value by value, outside of the exchange.
+    """Values read singly from a drive, outside the cyclic exchange.
 
-    The values are not of one instant. NaN stands for a value that the drive does not give.
+    The values are not simultaneous. NaN where the drive gives no value.
     """
 
     motor_angle_rad: float = math.nan
@@ -101,7 +101,7 @@ class ServoReadings(NamedTuple):
 
 
 class ServoSample(NamedTuple):
-    """What the drive said about one cycle.
+    """Sample of the drive in one cycle.
 
     ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
     False when a part of the answer is missing or bad; the values are then those of the last good
@@ -121,7 +121,7 @@ class ServoSample(NamedTuple):
 
 
 class EncoderSample(NamedTuple):
-    """What the joint encoder said about one cycle."""
+    """Sample of the joint encoder in one cycle."""
 
     device_time_s: float
     angle_rad: float
@@ -129,14 +129,14 @@ class EncoderSample(NamedTuple):
 
 
 class PressureSample(NamedTuple):
-    """What the pressure transmitter said about one cycle."""
+    """Sample of the pressure transmitter in one cycle."""
 
     pressure_Pa: float
     fresh: bool
 
 
 class RawFrame(NamedTuple):
-    """One frame as it was on the wire, for the log. ``sent`` is True for the host's own."""
+    """One frame as transmitted, for the log. ``sent`` is True for frames of the host."""
 
     time_ns: int
     identifier: int
@@ -147,11 +147,11 @@ class RawFrame(NamedTuple):
 class Link(ABC):
     """A bus or port with the devices on it, exchanged once a cycle.
 
-    Its methods raise nothing but DeviceError.
+    Its methods raise only DeviceError.
 
     Attributes:
-        clock: Real or simulated; goes with the bus.
-        has_watchdog: Whether the devices stop by themselves when the control loop does.
+        clock: Real or simulated clock, matching the bus.
+        has_watchdog: Whether the devices stop by themselves if the control loop stops.
     """
 
     clock: Clock
@@ -173,9 +173,9 @@ class Link(ABC):
     def exchange(self) -> None:
         """Send every device's outputs, latch all inputs at one instant and collect them.
 
-        Sends the master's heartbeat as well, so that it stops when the control loop does. A device
-        that does not answer in time leaves its last sample with ``fresh`` False; it raises only
-        when the bus itself is gone.
+        Sends the master's heartbeat as well, so that it stops when the control loop does. If a
+        device does not answer in time, its last sample stays, with ``fresh`` False; an error is
+        raised only if the bus itself is gone.
 
         Raises:
             LinkError: The bus failed.
@@ -191,8 +191,8 @@ class Servo(ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:
-        watch_s: The drive stops by itself when the control loop is silent for so long; None where
-            it never does.
+        watch_s: Silence of the control loop after which the drive stops by itself, s; None if it
+            never does.
     """
 
     watch_s: float | None = None
@@ -207,7 +207,7 @@ class Servo(ABC):
 
     @abstractmethod
     def read_limits(self) -> ServoLimits:
-        """Read back the limits the drive itself holds."""
+        """Read back the limits held in the drive."""
 
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Sends nothing."""
@@ -226,9 +226,9 @@ class Servo(ABC):
         """
 
     def readings(self) -> ServoReadings:
-        """Ask the drive how it is, without preparing it.
+        """Read the drive's values without preparing it.
 
-        Writes nothing, and sends nothing but questions.
+        Writes nothing, and sends only read requests.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -236,14 +236,14 @@ class Servo(ABC):
         return ServoReadings()
 
     def fault(self) -> DriveFault:
-        """Read why the drive is in fault; only for one that is."""
+        """Read the cause of the drive's fault; only for a drive in fault."""
         return DriveFault(
             0, "the drive is in fault: see its display and manual, and remove the cause"
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield what :meth:`prepare` would refuse in a de-energised drive, as far as reading shows
-        it. Writes nothing.
+        """Yield the reasons why :meth:`prepare` would refuse a de-energised drive, as far as reads
+        show. Writes nothing.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -252,11 +252,10 @@ class Servo(ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check units against the drive, map process data, set the cycle, prove the heartbeat
-        watch. No power.
+        """Check units against the drive, map process data, set the cycle, verify the heartbeat
+        time-out. Nothing is energised.
 
-        Proven means written and read back; the watch itself is armed by :meth:`enable` and ends
-        with :meth:`disable`.
+        The time-out is written and read back; :meth:`enable` arms it and :meth:`disable` ends it.
 
         Raises:
             ConfigurationError: Scale, unit or identity differ from the bench file.
@@ -273,7 +272,7 @@ class Servo(ABC):
 
     @abstractmethod
     def disable(self) -> None:
-        """Take the power off and verify by reading 6041h that it is.
+        """Take the power off and verify this by reading 6041h.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -292,11 +291,10 @@ class Servo(ABC):
         """Stage the joint angle that the next exchange sends."""
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, from the next exchange until another
-        is staged.
+        """Stage a joint torque that the drive adds to its own, from the next exchange until it is
+        changed.
 
-        Only where the drive was prepared for it; zero again as soon as anything takes it away from
-        power.
+        Only if the drive was prepared for it; reset to zero as soon as the drive leaves operation.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or has no such input.
@@ -320,7 +318,7 @@ class Encoder(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Ask for the joint angle, rad, without preparing the encoder; NaN where it gives none.
+        """Read the joint angle, rad, without preparing the encoder; NaN if it gives none.
 
         Writes nothing.
 
@@ -330,7 +328,7 @@ class Encoder(ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield what :meth:`prepare` would refuse, as far as reading shows it. Writes nothing.
+        """Yield the reasons why :meth:`prepare` would refuse, as far as reads show. Writes nothing.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -354,7 +352,7 @@ class PressureTransmitter(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Ask for the pressure, Pa, without preparing the transmitter; NaN where it gives none.
+        """Read the pressure, Pa, without preparing the transmitter; NaN if it gives none.
 
         Writes nothing.
 
@@ -364,7 +362,7 @@ class PressureTransmitter(ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield what :meth:`prepare` would refuse, as far as reading shows it. Writes nothing.
+        """Yield the reasons why :meth:`prepare` would refuse, as far as reads show. Writes nothing.
 
         Raises:
             LinkError: The transmitter cannot be reached.

@@ -1,4 +1,4 @@
-"""How a device profile reaches its device: objects by index, and process data once a cycle.
+"""Interfaces by which a device profile accesses its device: objects by index, cyclic process data.
 
 A profile is written against these protocols, so that one profile runs over every transport.
 """
@@ -20,11 +20,10 @@ P = ParamSpec("P")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
-    """Yield the error with which a device or its description refuses something; nothing where it
-    does not.
+    """Yield the error by which a device or its description refuses a request; nothing if accepted.
 
     Raises:
-        LinkError: The device cannot be reached, which is no refusal.
+        LinkError: The device cannot be reached; this is not a refusal.
     """
     try:
         act(*args, **kwargs)
@@ -56,7 +55,7 @@ class ObjectAccess(Protocol):
         """Check that an object is described and can hold a value. Sends nothing.
 
         Raises:
-            ConfigurationError: It is not, or cannot.
+            ConfigurationError: The object is not described, or cannot hold the value.
         """
         ...
 
@@ -68,9 +67,9 @@ class PdoLayout:
     Attributes:
         number: PDO number, from 1.
         objects: Addresses in order.
-        every: Exchanged once in this many cycles.
+        every: Period of the exchange in cycles.
         slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
-            for one with slack.
+            for inputs with slack.
     """
 
     number: int
@@ -84,7 +83,7 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def label(self) -> str:
-        """What to call the device in messages."""
+        """Name of the device in messages."""
         ...
 
     @property
@@ -94,19 +93,19 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def fresh(self) -> bool:
-        """Whether everything that was due at the last exchange arrived whole."""
+        """Whether all data due at the last exchange arrived complete."""
         ...
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an object that must be sent even where the device can't be heard; raises as
+        """Write an object that must be sent even if no answer can be received; raises as
         :meth:`write`.
 
-        Only for what takes power away: it may arrive more than once.
+        Only for commands that take the power off, as it may arrive more than once.
         """
         ...
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check that process data can be mapped as far as the device's description says.
+        """Check against the device's description that process data can be mapped.
 
         Sends nothing.
 

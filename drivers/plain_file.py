@@ -10,15 +10,15 @@ from pathlib import Path
 def require_plain(path: Path) -> None:
     """Check that a path leads to a plain file, without opening it.
 
-    A pipe waits for a writer for ever, and a device such as ``/dev/zero`` never ends.
+    Opening a pipe would wait for a writer for ever, and a device such as ``/dev/zero`` never ends.
 
     Raises:
-        OSError: It does not; ``strerror`` says why.
+        OSError: It does not lead to one; ``strerror`` states the reason.
     """
     try:
         mode = path.stat().st_mode
     except ValueError as error:
-        # A zero byte, or a character that names of files cannot hold here.
+        # The path has a zero byte, or a character not allowed in file names here.
         raise OSError(errno.EINVAL, f"it is no name of a file ({error})", str(path)) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))

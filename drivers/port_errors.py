@@ -1,4 +1,4 @@
-"""The error boundary of the ports: what a library raises becomes OSError; closing never raises.
+"""Error boundary of the ports: library exceptions become OSError; closing never raises.
 
 pyserial, termios, python-can and its backends have no exception class in common: on an unplugged
 adapter, a closed port or a garbled line they raise OSError, termios.error, CanError, ValueError,
@@ -21,12 +21,12 @@ _TRACEBACK = "Traceback (most recent call last)"
 
 
 def words(error: Exception) -> str:
-    """Return the first line of what an exception says, with its type where that is a built-in one.
+    """Return the first line of an exception's message, with its type if that is built in.
 
-    python-can's socketcand puts a traceback behind its words, beginning on the same line.
+    python-can's socketcand appends a traceback to its message, on the same line.
     """
     if isinstance(error, termios.error):
-        # As an OSError says it; its own text is a tuple.
+        # Text as in an OSError; this exception's own text is a tuple.
         return str(OSError(*error.args))
     said = str(error).partition(_TRACEBACK)[0]
     text = next((line.strip() for line in said.splitlines() if line.strip()), "")
@@ -39,7 +39,7 @@ def words(error: Exception) -> str:
 def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
     """Return the action with every exception translated into OSError.
 
-    KeyboardInterrupt and SystemExit are no exceptions of a library and pass.
+    KeyboardInterrupt and SystemExit are not translated.
     """
 
     @wraps(action)
@@ -59,8 +59,8 @@ def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
 
     Args:
         connect: Opens it.
-        name: Of the port, for the message.
-        advice: What to check where it cannot be opened.
+        name: Name of the port in the message.
+        advice: What to check if it cannot be opened.
 
     Raises:
         LinkError: It cannot be opened.
@@ -74,15 +74,15 @@ def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
 
 
 def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None:
-    """Check that a device asks for the cycle time that a link runs at.
+    """Check that a device's cycle time is the one of its link.
 
     Args:
-        running_s: Cycle time of the link, s; None where it is not set yet.
-        cycle_s: What the device asks for, s.
+        running_s: Cycle time of the link, s; None if not set yet.
+        cycle_s: Cycle time of the device, s.
         who: The device.
 
     Raises:
-        ConfigurationError: Another device has another one.
+        ConfigurationError: Another device has a different cycle time.
     """
     if running_s is not None and running_s != cycle_s:
         raise ConfigurationError(
@@ -91,9 +91,9 @@ def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None
 
 
 def close_all(*closers: Callable[[], object]) -> None:
-    """Call every closer, in this order, whatever the ones before it raise.
+    """Call every closer in order, whatever earlier ones raise.
 
-    Exceptions are dropped: what could not be closed has failed before, and was reported then.
+    Exceptions are dropped: a port that cannot be closed has failed before, which was reported then.
     KeyboardInterrupt and SystemExit are raised after the last closer.
     """
     with ExitStack() as stack:

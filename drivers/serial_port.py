@@ -1,4 +1,4 @@
-"""How a link reaches a serial line: bytes out, bytes in, on a real or a simulated line."""
+"""Serial ports for links: bytes out, bytes in, on a real or a simulated line."""
 
 from __future__ import annotations
 
@@ -25,9 +25,7 @@ number.
 """
 
 WRITE_LIMIT_S: Final = 0.1
-"""How long a line may take to accept what is written: some 30 bytes, for which drivers have
-room.
-"""
+"""Time-out of a write, s: some 30 bytes, which fit the driver's buffer."""
 
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
@@ -46,7 +44,7 @@ class BytePort(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come in; where there is nothing, wait for it. Empty after the time-out.
+        """Return the received bytes; wait if there are none. Empty after the time-out.
 
         Raises:
             OSError: The line is gone.
@@ -77,7 +75,7 @@ class InheritedPort:
     """
 
     def __init__(self, descriptor: int) -> None:
-        # A write that has no room must return, or its time limit could not be held.
+        # A write without room must return, else its time-out could not be kept.
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
         self._clock = RealClock()
@@ -86,8 +84,7 @@ class InheritedPort:
     def write(self, data: bytes) -> None:
         """Send bytes.
 
-        What the line has not taken in time is dropped: an old request must not go out when the line
-        moves again.
+        Bytes not accepted in time are dropped: an old request must not be sent later.
 
         Raises:
             OSError: The line is gone.
@@ -125,7 +122,7 @@ class InheritedPort:
         except BlockingIOError:
             return b""
         if not data:
-            # An unplugged adapter reports this for ever, at once and without an error.
+            # An unplugged adapter is always ready to read, with no data and no error.
             raise OSError(
                 "the line is hung up (adapter unplugged), or another program reads it too"
             )
@@ -157,9 +154,9 @@ class InheritedPort:
             close_all(partial(self._drain, descriptor), partial(os.close, descriptor))
 
     def _drain(self, descriptor: int) -> None:
-        """Let what was written go out, then drop the rest.
+        """Wait until written bytes are sent, then drop the rest.
 
-        The kernel waits up to 30 s for it when a line that takes nothing is closed.
+        Otherwise closing a blocked line waits up to 30 s in the kernel.
         """
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
         while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
@@ -177,8 +174,8 @@ class PySerialPort(InheritedPort):
     room even after the last byte.
 
     Args:
-        path: Of the device.
-        baud: Bit/s.
+        path: Path of the device.
+        baud: Bit rate, bit/s.
         rtscts: Hardware flow control.
 
     Raises:
@@ -194,17 +191,17 @@ class PySerialPort(InheritedPort):
                 raise
             raise OSError(f"{path} is held by another program") from error
         try:
-            # Cuts the 16 ms that FTDI adapters hold bytes back to some 6 ms; other ports do not
-            # have it.
+            # Reduces the latency of FTDI adapters from 16 ms to some 6 ms; other ports lack this
+            # setting.
             with suppress(ValueError, OSError, AttributeError, NotImplementedError):
                 port.set_low_latency_mode(True)
-            # The lock goes with the open file, not with the descriptor.
+            # The lock belongs to the open file, not to the descriptor.
             super().__init__(os.dup(port.fileno()))
         finally:
             port.close()
 
 
 def raw_frames(time_ns: int, line: int, data: bytes, sent: bool) -> Iterator[RawFrame]:
-    """Yield bytes of a line for the log, eight to a frame."""
+    """Yield bytes of a line for the log, eight per frame."""
     for at in range(0, len(data), _FRAME_BYTES):
         yield RawFrame(time_ns, SERIAL_FLAG | line, data[at : at + _FRAME_BYTES], sent)

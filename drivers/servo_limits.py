@@ -1,4 +1,4 @@
-"""Limits that the drive itself holds, between its objects and SI units at the joint."""
+"""Converts limits held in the drive between its objects and SI units at the joint."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def steps(scales: ServoScales) -> LimitSteps:
 
 
 def _whole(units: float) -> int:
-    # The margin keeps a value that came from whole units at them.
+    # The margin keeps a value that was a whole number of units unchanged.
     return math.floor(units + 1e-6)
 
 

@@ -1,6 +1,4 @@
-"""Device units to SI and back: counts, per mille and microseconds, with the bench's gear, sign and
-zero.
-"""
+"""Conversion between device units and SI, with the bench's gear ratio, sign and zero."""
 
 from __future__ import annotations
 
@@ -22,21 +20,21 @@ _MILLI: Final = 1e-3
 
 @dataclass(frozen=True)
 class ServoScales:
-    """What the bench file says about one drive's units.
+    """Units of one drive according to the bench file.
 
     Attributes:
         counts_per_turn: Counts of 6064h per motor turn.
         gear_ratio: Motor turns per joint turn.
-        rated_current_A: What 6075h must say; 6078h is in per mille of it.
-        rated_torque_N_m: What 6076h must say; 6072h is in per mille of it.
+        rated_current_A: Expected value of 6075h; 6078h is in per mille of it.
+        rated_torque_N_m: Expected value of 6076h; 6072h is in per mille of it.
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
             for one count per second.
-        voltage_object: Where the drive keeps the mean motor voltage.
-        voltage_unit_V: Its unit.
-        temperature_object: Where the drive keeps its temperature.
-        temperature_unit_C: Its unit.
+        voltage_object: Object of the mean motor voltage.
+        voltage_unit_V: Unit of that object, V.
+        temperature_object: Object of the drive's temperature.
+        temperature_unit_C: Unit of that object, deg C.
     """
 
     counts_per_turn: float
@@ -52,7 +50,7 @@ class ServoScales:
     temperature_unit_C: float = 0.1
 
     def __post_init__(self) -> None:
-        """Refuse scales that cannot be.
+        """Refuse invalid scales.
 
         Raises:
             ConfigurationError: A scale is not positive, or the sign is not 1 or -1.
@@ -103,11 +101,11 @@ class ServoScales:
         return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
 
     def mismatches(self, drive: ObjectAccess) -> Iterator[DeviceError]:
-        """Yield where the scales differ from what the drive says of itself: 6075h, 6076h and, if it
-        has one, 608Fh.
+        """Yield differences of the scales from the drive's own values: 6075h, 6076h and 608Fh, if
+        present.
 
-        Values are the same within 0.1 % or within one unit of the object, which a drive may round
-        either way. An object that the drive refuses is yielded as well.
+        Values count as equal within 0.1 % or within one unit of the object, as drives may round. An
+        object that the drive refuses is yielded as well.
 
         Raises:
             LinkError: No answer.
@@ -153,12 +151,12 @@ def _compare(
 
 @dataclass(frozen=True)
 class EncoderScales:
-    """What the bench file says about one joint encoder.
+    """Units of one joint encoder according to the bench file.
 
     Attributes:
-        counts_per_turn: What 6001h must say.
-        sign: 1 where rising counts are a rising joint angle, else -1.
-        offset_rad: Joint angle where 6004h is 0.
+        counts_per_turn: Expected value of 6001h.
+        sign: 1 if rising counts are a rising joint angle, else -1.
+        offset_rad: Joint angle at 6004h = 0.
     """
 
     counts_per_turn: int
@@ -166,7 +164,7 @@ class EncoderScales:
     offset_rad: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse scales that cannot be.
+        """Refuse invalid scales.
 
         Raises:
             ConfigurationError: The resolution is not positive, or the sign is not 1 or -1.
@@ -185,11 +183,11 @@ class EncoderScales:
 
 
 class Unwrapper:
-    """Follows a counter modulo ``modulus`` without bound.
+    """Unwraps a counter modulo ``modulus``.
 
-    Each new value is taken as the nearest to the last one, so the counter may move less than half
-    its range between calls. The first value is taken as it is, or, with ``signed``, as the nearest
-    to zero.
+    Each new value is unwrapped to the nearest to the last one, so the counter must move less than
+    half its range between calls. The first value is unchanged or, with ``signed``, the nearest to
+    zero.
     """
 
     def __init__(self, modulus: int, signed: bool = False) -> None:

@@ -1,5 +1,4 @@
-"""The AMT21 absolute encoder on RS-485: its two-byte answers, and a driver that does not believe
-every one of them.
+"""Driver of the AMT21 absolute encoder on RS-485; checks the plausibility of its answers.
 
 The check bits of an answer pass 46 % of double-bit errors and 25 % of random words, so every
 position must also be one that the joint can have reached (:class:`PlausibilityGate`).
@@ -25,7 +24,7 @@ TURNS: Final = 1
 EXTENDED: Final = 2
 RESET: Final = 0x75
 SET_ZERO: Final = 0x5E
-"""Offsets to the address, and the commands that follow ``address + EXTENDED``."""
+"""Offsets added to the address, and the commands sent after ``address + EXTENDED``."""
 
 _ODD: Final = 0x2AAA
 _EVEN: Final = 0x1555
@@ -53,13 +52,13 @@ def decode(answer: bytes) -> int | None:
 
 
 def near_zero(value: int) -> int:
-    """Return a position with the upper half of the turn as just below zero."""
+    """Return a position with the upper half of the turn mapped to negative values."""
     return (value + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
 
 
 class PlausibilityGate:
-    """Follows positions modulo a turn and refuses those that the joint cannot have reached since
-    the last good one.
+    """Tracks positions modulo a turn and rejects those that the joint cannot have reached since the
+    last good one.
 
     Args:
         speed_counts_s: Greatest speed.
@@ -67,11 +66,11 @@ class PlausibilityGate:
     """
 
     SLACK_COUNTS: Final = 2.0
-    """What rounding to counts can do to a difference of two positions."""
+    """Largest effect of rounding to counts on a difference of two positions."""
     PATIENCE_S: Final = 0.02
     PATIENCE_PERIODS: Final = 3
-    """With nothing good for so long the joint can be anywhere, and nothing is believed until the
-    next start.
+    """Number of periods without a good value after which the joint may be anywhere; then every
+    value is rejected until the next start.
     """
 
     def __init__(self, speed_counts_s: float, acceleration_counts_s2: float) -> None:
@@ -86,7 +85,8 @@ class PlausibilityGate:
     def start(self, value: int, period_s: float) -> None:
         """Begin with a trusted position; the upper half of the turn counts as just below zero.
 
-        At rest however long it takes to the next one, for which there is the room of one period.
+        The joint is assumed at rest until the next position, which may differ by the motion of one
+        period.
         """
         self.position = near_zero(value)
         self._seen_ns = None
@@ -95,9 +95,7 @@ class PlausibilityGate:
         self._speed = 0.0
 
     def admit(self, value: int, time_ns: int) -> bool:
-        """Take a new value over into :attr:`position`, or refuse it and leave everything as it
-        is.
-        """
+        """Accept a new value into :attr:`position`, or reject it and change nothing."""
         elapsed_s = self._interval_s if self._seen_ns is None else (time_ns - self._seen_ns) / NS
         if not 0.0 < elapsed_s <= self._patience_s:
             return False
@@ -105,8 +103,8 @@ class PlausibilityGate:
         moved = (value - self.position + half) % COUNTS_PER_TURN - half
         if abs(moved) > self._fastest * elapsed_s + self.SLACK_COUNTS:
             return False
-        # The speed comes from two rounded positions; its error grows with the time over which it is
-        # carried on.
+        # The speed comes from two rounded positions; its error grows with the time of
+        # extrapolation.
         slack = self.SLACK_COUNTS * (1.0 + elapsed_s / self._interval_s)
         if abs(moved - self._speed * elapsed_s) > self._strongest * elapsed_s * elapsed_s + slack:
             return False
@@ -117,7 +115,7 @@ class PlausibilityGate:
 
 @dataclass(frozen=True)
 class Gate:
-    """Greatest joint speed in rad/s and acceleration in rad/s^2 that a position is believed at."""
+    """Highest joint speed, rad/s, and acceleration, rad/s^2, for which a position is accepted."""
 
     speed_rad_s: float
     acceleration_rad_s2: float
@@ -126,12 +124,12 @@ class Gate:
 class Amt21Encoder(Encoder):
     """The encoder on its line.
 
-    A bad or implausible answer leaves the angle as it was, and the sample not fresh.
+    After a bad or implausible answer the angle is unchanged and the sample is not fresh.
 
     Args:
         line: Exchanged once a cycle by an :class:`~drivers.amt21.link.EncoderLink`.
         scales: Its sense and zero, from the bench file; 16384 counts per turn.
-        gate: What is believed.
+        gate: Limits of plausible motion.
     """
 
     def __init__(self, line: Amt21Line, scales: EncoderScales, gate: Gate) -> None:
@@ -150,7 +148,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def identity(self) -> Identity:
-        """Say what the bench file says; the encoder cannot be asked."""
+        """Return the identity from the bench file; the encoder has no query for it."""
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
@@ -222,7 +220,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def collect(self) -> None:
-        """Take the answer, if it can be believed.
+        """Receive the answer; use it if plausible.
 
         Raises:
             LinkError: The line is gone.

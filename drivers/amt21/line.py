@@ -26,12 +26,12 @@ class Amt21Line:
         clock: Goes with the port.
         connect: Opens the line.
         name: What to call it in messages.
-        address: Of the encoder; a multiple of 4.
+        address: Address of the encoder; a multiple of 4.
 
     Attributes:
-        answer: The last answer, with its echo taken off; empty where none came.
-        asked_ns: When it was asked for.
-        answer_s: How long after that it is waited for.
+        answer: The last answer without the echo; empty if none came.
+        asked_ns: Time of its request.
+        answer_s: Time-out of the answer after the request.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Amt21Line:
             close_all(port.close)
 
     def find_echo(self) -> None:
-        """Find out whether the adapter hears its own bytes.
+        """Detect whether the adapter echoes its own bytes.
 
         Raises:
             LinkError: No encoder answers.
@@ -108,7 +108,7 @@ class Amt21Line:
         self._frames.extend(raw_frames(self.asked_ns, self.address, request, True))
 
     def collect(self) -> None:
-        """Take the answer to the last request.
+        """Receive the answer to the last request.
 
         Raises:
             LinkError: The line is gone.
@@ -127,7 +127,7 @@ class Amt21Line:
         deadline = self.asked_ns + round(self.answer_s * NS)
         heard = b""
         try:
-            # One look even where no time is left: the answer may be in already.
+            # Read once even if no time is left: the answer may have arrived already.
             while len(heard) < count:
                 left = deadline - self.clock.now_ns()
                 got = port.read(max(left, 0) / NS)

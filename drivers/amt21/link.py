@@ -1,4 +1,4 @@
-"""The place of an encoder with a line of its own in the cycle of a servo's link."""
+"""Link that exchanges with a servo and with an encoder on a separate line in one cycle."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from drivers.port_errors import close_all
 
 
 class EncoderLink(Link):
-    """A servo's link with an encoder's own line beside it; the encoder is asked first and heard
-    last.
+    """A servo's link combined with an encoder's own line; each cycle requests the encoder first and
+    reads it last.
 
     Args:
         servo_link: The link of the servo, on the same clock.
-        encoder: On its line.
+        encoder: The encoder on its line.
     """
 
     def __init__(self, servo_link: Link, encoder: Amt21Encoder) -> None:
@@ -24,7 +24,7 @@ class EncoderLink(Link):
         self._line = encoder.line
 
     def open(self) -> None:
-        """Open both; where one cannot be opened, neither is left open.
+        """Open both; if one cannot be opened, both are closed.
 
         Raises:
             LinkError: One cannot be opened.

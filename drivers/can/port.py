@@ -1,5 +1,5 @@
-"""How a link reaches a CAN bus: frames as plain tuples, over any python-can interface or on the
-simulated bus.
+"""CAN ports for links: frames as plain tuples, over any python-can interface or the simulated
+bus.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from drivers.port_errors import close_all, os_errors
 EXTENDED_FLAG: Final = 0x80000000
 REMOTE_FLAG: Final = 0x40000000
 ERROR_FLAG: Final = 0x20000000
-"""Set in :attr:`RawFrame.identifier` for what is not an ordinary data frame, as SocketCAN does."""
+"""Set in :attr:`RawFrame.identifier` of error frames and other non-data frames, as in SocketCAN."""
 
 MAX_COLLECTED: Final = 1024
-"""So that a device which floods the bus cannot hold the control loop."""
+"""Frames per call, limited so that a device flooding the bus cannot block the control loop."""
 
 SEND_LIMIT_S: Final = 0.1
-"""How long an interface may take to accept a frame."""
+"""Time-out for an interface to accept a frame."""
 
 _HIGHEST_BASE: Final = 0x7FF
 _IDENTIFIER_BITS: Final = 0x1FFFFFFF
@@ -35,7 +35,7 @@ _MAX_BYTES: Final = 8
 raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(
     tuple.__new__, RawFrame
 )
-"""Makes a :class:`RawFrame` of a tuple in half the time its constructor takes; a cycle has six."""
+"""Makes a :class:`RawFrame` from a tuple in half the constructor's time; a cycle has six frames."""
 
 
 class FramePort(Protocol):
@@ -50,12 +50,12 @@ class FramePort(Protocol):
         ...
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return what has come in, oldest first; where there is nothing, wait for it.
+        """Return the received frames, oldest first; wait if there is none.
 
         Empty after the time-out.
 
         Raises:
-            OSError: The bus failed, or what came in is not of its protocol.
+            OSError: The bus failed, or received data violate its protocol.
         """
         ...
 
@@ -67,13 +67,12 @@ class FramePort(Protocol):
 class PythonCanPort:
     """A bus of python-can; frames are stamped when they are read.
 
-    A garbled message of an interface over a serial line or a socket is an error once, for
-    python-can does not say how much of it was read; the port stays usable. Frames of CAN FD do not
-    belong on this bus and are passed over.
+    A garbled message from a serial or socket interface raises one error, because python-can does
+    not say how much of it was read; the port stays usable. CAN FD frames are ignored.
 
     Args:
         bus: The opened interface; closed by :meth:`shutdown`.
-        clock: What stamps the frames.
+        clock: Clock for the time stamps of frames.
     """
 
     def __init__(self, bus: can.BusABC, clock: Clock) -> None:
@@ -98,10 +97,10 @@ class PythonCanPort:
 
     @os_errors
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return what has come in, at most :data:`MAX_COLLECTED` frames.
+        """Return the received frames, at most :data:`MAX_COLLECTED`.
 
         Raises:
-            OSError: The bus failed, or what came in is not of its protocol.
+            OSError: The bus failed, or received data violate its protocol.
         """
         frames: list[RawFrame] = []
         read = 0
@@ -120,8 +119,7 @@ class PythonCanPort:
 
 
 def _identifier(message: can.Message) -> int:
-    # A backend takes what an adapter says for an identifier; only one that exists may count as a
-    # base-format one.
+    # A backend accepts any identifier from an adapter; only a valid one may count as base format.
     found = message.arbitration_id
     identifier = found & _IDENTIFIER_BITS
     if message.is_extended_id or found != identifier or identifier > _HIGHEST_BASE:
@@ -134,9 +132,7 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Have the kernel end what blocks: interfaces over sockets do not all heed the time limit of a
-    send.
-    """
+    """Let the kernel end blocking calls: some socket interfaces ignore the time-out of a send."""
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():
         if isinstance(part, socket.socket):

@@ -37,7 +37,7 @@ _FRAME: Final = re.compile(
 _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
-"""Of an adapter to a command that it obeys, and, empty before BEL, to one that it refuses."""
+"""Answers of an adapter to an accepted command, and (empty before BEL) to a refused one."""
 MAX_LINE: Final = 64
 """Characters of a line; the longest frame has 30."""
 
@@ -48,11 +48,11 @@ def encode(identifier: int, data: bytes) -> bytes:
 
 
 class LineDecoder:
-    """Takes bytes as they come and gives whole frames; never raises.
+    """Decodes received bytes into whole frames; never raises.
 
-    A line that is neither a frame to the last digit nor an answer to a command is dropped whole and
-    counted: a part of it could pass for a frame that nobody sent. The line after it is read as if
-    nothing had been.
+    A line that is neither a complete frame nor an answer to a command is dropped whole and counted,
+    since a part of it could look like a frame that was never sent. The next line is decoded
+    normally.
 
     Attributes:
         bad: Lines dropped so far.
@@ -79,7 +79,9 @@ class LineDecoder:
         return frames
 
     def _line(self, end: bytes) -> bytes:
-        """Return the line that ends so; of one that is too long what makes it a bad one."""
+        """Return the line that ends with these bytes; if it is too long, enough of it to be
+        rejected.
+        """
         self._keep(end)
         line = bytes(self._rest)
         self._rest.clear()

@@ -15,29 +15,28 @@ from drivers.serial_port import BytePort, PySerialPort
 
 _TTY_BAUD: Final = 115_200
 _START_S: Final = 2.0
-"""After its port was opened an adapter may restart, and is deaf for as long."""
+"""Time during which an adapter may restart, and ignore input, after its port was opened."""
 
 
 class SlcanPort:
     """A CAN adapter that speaks the LAWICEL protocol; a :class:`~drivers.can.port.FramePort`.
 
-    It takes the place of python-can's ``slcan``, whose write waits without limit for a line that
-    takes nothing, whose read takes a millisecond where there is nothing, and which a byte outside
-    ASCII leaves unable to read for good.
+    It replaces python-can's ``slcan``, which has three defects: a write to a blocked line never
+    returns, a read without data takes a millisecond, and a byte outside ASCII stops all further
+    reading.
 
-    A garbled line is dropped and counted, and the frames after it are read. That is the safer
-    choice against an error: what is lost is one frame, on which the link decides as on any other
-    lost frame (stale sample, no answer, no heartbeat), while an error could cut short the very
-    exchange that takes the power off. A line that is garbled all the time brings no frames, and
-    ends in the link's own time limits.
+    A garbled line is dropped and counted, and later frames are read. This is safer than an error:
+    one frame is lost, which the link treats as any other lost frame (stale sample, no answer, no
+    heartbeat), whereas an error could abort the exchange that takes the power off. A permanently
+    garbled line yields no frames and runs into the link's time-outs.
 
     Args:
         line: The adapter's serial line, opened; closed by :meth:`shutdown`.
-        clock: What stamps the frames.
+        clock: Clock for the time stamps of frames.
         bitrate: Of the CAN bus, bit/s.
 
     Attributes:
-        decoder: Has the number of bad lines.
+        decoder: The decoder, which counts bad lines.
 
     Raises:
         OSError: The line is gone, or adapters do not know this rate.
@@ -52,8 +51,8 @@ class SlcanPort:
         if speed is None:
             known = ", ".join(f"{rate}" for rate in slcan.SPEEDS)
             raise OSError(f"an slcan adapter has no {bitrate} bit/s, choose one of {known}")
-        # The first of two ends what a program before this one may have left half said. Its frames
-        # are not for us.
+        # The first of two ends a line that an earlier program may have left incomplete. Frames for
+        # that program are discarded.
         line.write(2 * slcan.CLOSE)
         line.discard()
         line.write(speed)
@@ -70,7 +69,7 @@ class SlcanPort:
 
     @os_errors
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return what has come in.
+        """Return the received frames.
 
         Raises:
             OSError: The line is gone.
@@ -102,12 +101,12 @@ def open_slcan(
 
     Args:
         channel: Device of this computer; ``@`` and a rate after it replace ``tty_baudrate``.
-        clock: What stamps the frames.
+        clock: Clock for the time stamps of frames.
         bitrate: Of the CAN bus, bit/s.
-        tty_baudrate: Of the serial line, bit/s; of no account on a USB port.
+        tty_baudrate: Rate of the serial line, bit/s; without effect on a USB port.
         sleep_after_open: How long the adapter takes to start, s.
         rtscts: Hardware flow control of the serial line.
-        timeout: Taken and not used: a read waits for as long as its caller asks.
+        timeout: Accepted but not used: the caller of a read gives its time-out.
 
     Raises:
         OSError: It cannot be opened, or another program holds it.

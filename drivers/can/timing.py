@@ -1,4 +1,4 @@
-"""How long classical CAN frames take, and how much of a bus one control cycle needs."""
+"""Duration of classical CAN frames, and bus load of a control cycle."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from collections.abc import Iterable
 from typing import Final
 
 ANSWER_SHARE: Final = 0.8
-"""Share of a cycle in which its process data must be in; the rest is left to heartbeats, SDO and
+"""Share of a cycle within which process data must arrive; the rest is for heartbeats, SDO and
 the host.
 """
 
 
 def frame_bits(length: int) -> int:
-    """Return the longest a base-format data frame of ``length`` bytes can be, in bit times.
+    """Return the maximum length of a base-format data frame of ``length`` bytes, in bit times.
 
     34 + 8 n bits are subject to stuffing, one stuff bit after every four at worst; 13 bits
     (delimiters, acknowledge, end of frame, intermission) are not.
@@ -22,7 +22,8 @@ def frame_bits(length: int) -> int:
 
 
 def cycle_bits(frames: Iterable[tuple[int, int]]) -> float:
-    """Return the bit times of a mean control cycle: SYNC and process data, at their longest.
+    """Return the mean bit times of a control cycle: SYNC and process data, with worst-case
+    stuffing.
 
     Args:
         frames: Data bytes of each PDO, and the number of cycles in which it goes once.

@@ -1,5 +1,4 @@
-"""CiA 402 power drive system as the host sees it: states, commands, and one table of what may be
-asked when.
+"""CiA 402 power drive system, host side: states, commands, and the table of permitted commands.
 
 States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
 that lead toward power.
@@ -36,7 +35,7 @@ _BY_BITS: Final[Mapping[int, S]] = {
 
 
 class Command(Enum):
-    """What the host can ask of a drive."""
+    """Commands of the host to a drive."""
 
     ENABLE = "enable"
     DISABLE = "disable"
@@ -64,7 +63,7 @@ CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
     (S.FAULT, Command.RESET_FAULT): FAULT_RESET,
     (S.SWITCH_ON_DISABLED, Command.RESET_FAULT): DISABLE_VOLTAGE,
 }
-"""Controlword that carries a command out in a state; a pair that is absent is an illegal move."""
+"""Controlword that executes a command in a state; an absent pair is not permitted."""
 
 STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
 """States that a quick stop may end in."""
@@ -92,7 +91,7 @@ def decode_state(statusword: int) -> S:
 
 
 def controlword(state: S, command: Command) -> int:
-    """Return the controlword that carries ``command`` out in ``state``.
+    """Return the controlword that executes ``command`` in ``state``.
 
     Raises:
         StateError: The command is not allowed in that state.

@@ -1,4 +1,4 @@
-"""What a CiA 402 drive must have before its servo can be used: objects, units and cycle."""
+"""Checks of a CiA 402 drive before its servo is used: objects, units and cycle."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.units import ServoScales
 def description_refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool
 ) -> Iterator[DeviceError]:
-    """Yield what the EDS lacks that the servo needs. Sends nothing."""
+    """Yield the objects that the servo needs and the EDS lacks. Sends nothing."""
     for address in (*IDENTITY, *objects.SINGLE, *servo_limits.OBJECTS):
         yield from refusal(channel.require_fit, *address, 0)
     yield from refusal(channel.require_mappable, *objects.layouts(scales, torque_offset))
@@ -23,8 +23,8 @@ def description_refusals(
 def refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield units that differ from the bench file, a cycle that cannot be set, and objects that are
-    not there.
+    """Yield units that differ from the bench file, a cycle that cannot be set, and missing
+    objects.
     """
     yield from unit_refusals(channel, scales, torque_offset, cycle_s)
     outputs, inputs = objects.layouts(scales, torque_offset)
@@ -39,7 +39,7 @@ def refusals(
 def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield what mapping the process data does not find out by itself."""
+    """Yield refusals that mapping the process data does not detect."""
     yield from scales.mismatches(channel)
     milliseconds = round(cycle_s * 1e3)
     if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:

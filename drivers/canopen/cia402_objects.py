@@ -1,6 +1,4 @@
-"""Objects of a CiA 402 drive that its servo reads and writes, and the PDOs that carry those of
-every cycle.
-"""
+"""Objects of a CiA 402 drive that its servo uses, and the PDOs with the cyclic ones."""
 
 from __future__ import annotations
 
@@ -17,9 +15,9 @@ VOLTAGE_PDO: Final = 3
 SUPPLY_PDO: Final = 4
 SUPPLY_EVERY: Final = 10
 FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, SUPPLY_EVERY))
-"""Data bytes of each PDO, and in how many cycles it goes once; with a voltage object of 16 bits."""
+"""Data bytes of each PDO, and its period in cycles; for a 16-bit voltage object."""
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
-"""The same where the torque offset is mapped."""
+"""Data bytes and periods of the PDOs if the torque offset is mapped."""
 TORQUE_OFFSET: Final = (0x60B2, 0)
 ABORT_IS_FAULT: Final = 1
 POSITION: Final = (0x6064, 0)
@@ -35,14 +33,14 @@ MODE: Final = (0x6060, 0)
 MODE_DISPLAY: Final = (0x6061, 0)
 ERROR_CODE: Final = (0x603F, 0)
 SINGLE: Final = (CYCLE, CYCLE_EXPONENT, ON_ABORT, MODE, MODE_DISPLAY, ERROR_CODE, *RATED)
-"""Objects that are read or written by themselves, beside identity, limits and process data."""
+"""Objects read or written singly, other than identity, limits and process data."""
 
 
 def layouts(scales: ServoScales, torque_offset: bool) -> tuple[list[PdoLayout], list[PdoLayout]]:
     """Return the outputs and the inputs of a control cycle.
 
     Args:
-        scales: Say which objects hold voltage and temperature.
+        scales: Scales that name the voltage and temperature objects.
         torque_offset: Whether 60B2h is mapped as well.
     """
     outputs: tuple[ObjectAddress, ...] = (cia402.CONTROLWORD, TARGET)

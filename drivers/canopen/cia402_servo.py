@@ -42,7 +42,7 @@ from drivers.objects import (
 from drivers.units import ServoScales, Unwrapper
 
 WATCH_S: Final = 0.1
-"""The drive stops by itself when it hears no heartbeat for so long, s."""
+"""Heartbeat time-out after which the drive stops by itself, s."""
 _US: Final = 1e-6
 _MILLI: Final = 1e-3
 _INT32: Final = range(-(1 << 31), 1 << 31)
@@ -54,10 +54,10 @@ class Cia402Servo(Servo):
 
     Args:
         channel: The device.
-        link: The link it is on; exchanged here only while :meth:`enable` walks the states.
+        link: The link it is on; exchanged here only while :meth:`enable` changes the states.
         scales: Its units, from the bench file.
-        watch_s: The drive stops by itself when the control loop is silent for this long.
-        state_timeout_s: How long it may take to reach a state.
+        watch_s: Silence of the control loop after which the drive stops by itself, s.
+        state_timeout_s: Time-out for reaching a state, s.
         torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
     """
 
@@ -86,7 +86,7 @@ class Cia402Servo(Servo):
         self._time = Unwrapper(1 << 32)
 
     def identity(self) -> Identity:
-        """Read who it is."""
+        """Read the drive's identity."""
         return read_identity(self._channel)
 
     def state(self) -> ServoState:
@@ -116,7 +116,7 @@ class Cia402Servo(Servo):
         servo_limits.write(self._channel, self._scales, limits)
 
     def readings(self) -> ServoReadings:
-        """Read each value by itself; one that the drive does not have is NaN."""
+        """Read each value singly; NaN for values that the drive does not have."""
         scales = self._scales
         counts, speed, current, supply, temperature = map(
             self._read_or_nan,
@@ -142,23 +142,23 @@ class Cia402Servo(Servo):
         return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
         yield from cia402_checks.description_refusals(
             self._channel, self._scales, self._takes_offset
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield units that differ from the bench file, a cycle that cannot be set, and objects that
-        are not there.
+        """Yield units that differ from the bench file, a cycle that cannot be set, and missing
+        objects.
         """
         yield from cia402_checks.refusals(self._channel, self._scales, self._takes_offset, cycle_s)
 
     def prepare(self, cycle_s: float) -> None:
-        """Check units, map process data, set the cycle, and prove that the heartbeat watch can be
-        set. No power.
+        """Check units, map process data, set the cycle, and verify that the heartbeat time-out can
+        be set. Nothing is energised.
 
-        The watch itself runs from :meth:`enable` to :meth:`disable`, so that the loop may pause in
-        between.
+        The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
+        loop may pause otherwise.
 
         Raises:
             ConfigurationError: Scale or unit differ from the bench file, or the drive did not take
@@ -190,7 +190,7 @@ class Cia402Servo(Servo):
         self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
-        """Energise and hold the present position, exchanging all the while.
+        """Energise and hold the present position, with process data exchanged throughout.
 
         Raises:
             StateError: Not prepared, not allowed in this state, or not reached in time; the drive
@@ -216,11 +216,11 @@ class Cia402Servo(Servo):
             raise
 
     def disable(self) -> None:
-        """Take the power off, verify by reading 6041h that it is, and end the heartbeat watch.
+        """Take the power off, verify this by reading 6041h, and end the heartbeat time-out.
 
         Raises:
             StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself when its watch runs out.
+            LinkError: The drive cannot be reached; it stops by itself after its heartbeat time-out.
         """
         self._command(Command.DISABLE)
         self._await(lambda state: not state.energised, "a de-energised state")
@@ -232,7 +232,7 @@ class Cia402Servo(Servo):
         """Brake with the drive's own ramp (605Ah, 6085h); never leads to power.
 
         Raises:
-            StateError: The drive neither stops nor is it stopped.
+            StateError: The drive does not stop and is not stopped already.
             LinkError: The drive cannot be reached.
         """
         self._command(Command.QUICK_STOP)
@@ -270,7 +270,7 @@ class Cia402Servo(Servo):
         """Stage a joint torque that the drive adds to its own, to the nearest per mille of its
         rated torque (60B2h).
 
-        Zero is staged instead while the drive is not told to be in operation.
+        Zero is staged instead while the drive is not commanded to operate.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or the torque is beyond what
@@ -295,8 +295,8 @@ class Cia402Servo(Servo):
         supply, temperature = channel.latest(objects.SUPPLY_PDO)
         following = 0.0
         if statusword & 0x6F == 0x27:
-            # What was sent with the exchange before is what the drive has interpolated up to this
-            # one's SYNC.
+            # The target of the previous exchange is the one that the drive has reached at this
+            # SYNC.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) * scales.joint_rad_per_count
         return ServoSample(
@@ -329,8 +329,7 @@ class Cia402Servo(Servo):
             return math.nan
 
     def _command(self, command: Command) -> None:
-        # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the
-        # command.
+        # The cyclic controlword is changed first, so that no later exchange can undo the command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
         self._offset = 0
         if self._cycle_ns:

@@ -21,8 +21,8 @@ _UNIT: Final = (0x6131, 1)
 _DIGITS: Final = (0x6132, 1)
 _STATUS: Final = (0x6150, 1)
 _VALUE: Final = (0x9130, 1)
-# A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the
-# cycle is over; pressure hardly changes meanwhile.
+# A controller sends in order, so a heartbeat of lowest priority may delay a frame to the end of the
+# cycle; pressure hardly changes meanwhile.
 _INPUTS: Final = (PdoLayout(_PRESSURE, (_VALUE, _STATUS), slack=1),)
 
 
@@ -32,7 +32,7 @@ class Cia404Transmitter(PressureTransmitter):
 
     Args:
         channel: The device.
-        unit_Pa: One unit of its process value, from the bench file, Pa.
+        unit_Pa: Unit of its process value from the bench file, Pa.
     """
 
     def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:
@@ -40,13 +40,11 @@ class Cia404Transmitter(PressureTransmitter):
         self._unit_Pa = unit_Pa
 
     def identity(self) -> Identity:
-        """Read who it is."""
+        """Read the transmitter's identity."""
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h); NaN where the transmitter refuses it, or says that it is
-        not valid.
-        """
+        """Read the process value (9130h); NaN if the transmitter refuses it or marks it invalid."""
         try:
             status, value = self._channel.read(*_STATUS), self._channel.read(*_VALUE)
         except (ConfigurationError, ObjectAccessError):
@@ -54,15 +52,13 @@ class Cia404Transmitter(PressureTransmitter):
         return math.nan if status else value * self._unit_Pa
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
         for address in (*IDENTITY, _UNIT, _DIGITS):
             yield from refusal(self._channel.require_fit, *address, 0)
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a unit that differs from the bench file, a value that is not valid, and objects
-        that are not there.
-        """
+        """Yield a unit that differs from the bench file, an invalid value, and missing objects."""
         yield from refusal(self._require_unit)
         yield from refusal(self._require_valid)
         unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
@@ -71,20 +67,18 @@ class Cia404Transmitter(PressureTransmitter):
             yield from refusal(self._channel.read, *_VALUE)
 
     def prepare(self, cycle_s: float) -> None:
-        """Hold the unit against 6131h and 6132h, check the status and map process data.
+        """Compare the unit with 6131h and 6132h, check the status and map process data.
 
         Raises:
-            ConfigurationError: The unit is not that of the bench file or not one of pressure, or
-                the device says that its value is not valid.
+            ConfigurationError: The unit differs from the bench file or is no pressure unit, or the
+                device marks its value invalid.
         """
         self._require_unit()
         self._require_valid()
         self._channel.map_process_data([], _INPUTS, cycle_s)
 
     def sample(self) -> PressureSample:
-        """Return the sample of the last exchange; one that the device calls invalid is not
-        fresh.
-        """
+        """Return the sample of the last exchange; not fresh if the device marks it invalid."""
         value, status = self._channel.latest(_PRESSURE)
         return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
 
@@ -114,7 +108,7 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return one unit of an integer process value in Pa, or None where it is no pressure.
+    """Return the unit of an integer process value in Pa, or None if it is no pressure.
 
     Args:
         code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.
@@ -128,7 +122,7 @@ def unit_of(code: int, digits: int) -> float | None:
 
 
 def status_words(status: int) -> str:
-    """Return what 6150h says of the process value."""
+    """Return the meaning of 6150h, the status of the process value."""
     bits = {0x01: "not valid", 0x02: "above its range", 0x04: "below its range"}
     said = [words for bit, words in bits.items() if status & bit]
     return f"the pressure is {' and '.join(said) or f'of status {status:02X}h'}"

@@ -27,7 +27,7 @@ class Cia406Encoder(Encoder):
 
     Args:
         channel: The device.
-        scales: Its resolution, sense and zero, from the bench file.
+        scales: Its resolution, direction and zero, from the bench file.
     """
 
     def __init__(self, channel: ProcessChannel, scales: EncoderScales) -> None:
@@ -37,7 +37,7 @@ class Cia406Encoder(Encoder):
         self._time = Unwrapper(1 << 32)
 
     def identity(self) -> Identity:
-        """Read who it is."""
+        """Read the encoder's identity."""
         return read_identity(self._channel)
 
     def reading(self) -> float:
@@ -51,15 +51,13 @@ class Cia406Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
         for address in (*IDENTITY, _RESOLUTION, _RANGE, _ALARMS):
             yield from refusal(self._channel.require_fit, *address, 0)
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a resolution that differs from the bench file, alarms, and objects that are not
-        there.
-        """
+        """Yield a resolution that differs from the bench file, alarms, and missing objects."""
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
         unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))

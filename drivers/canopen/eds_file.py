@@ -1,4 +1,4 @@
-"""EDS files: the object dictionary of a device, from a file that may be damaged."""
+"""Reads the object dictionary of a device from its EDS file, which may be damaged."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _UNREADABLE = (
     configparser.Error,
     ObjectDictionaryError,
 )
-"""What canopen's parser lets through where a file is damaged."""
+"""Exceptions that canopen's parser raises on damaged files."""
 
 
 def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
@@ -55,8 +55,7 @@ def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
 
 
 def _encoding(eds: Path) -> str:
-    """Return how a file is encoded: CiA 306 knows ASCII alone, makers write what their computers
-    do.
+    """Return a file's encoding: CiA 306 allows only ASCII, but makers use local encodings.
 
     Raises:
         OSError: It cannot be read, or is no plain file.

@@ -1,4 +1,4 @@
-"""Error codes of EMCY frames and of object 603Fh in words (CiA 301, CiA 402)."""
+"""Text for the error codes of EMCY frames and object 603Fh (CiA 301, CiA 402)."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _CLASSES: Final[Mapping[int, str]] = {
 
 
 def explain(code: int) -> str:
-    """Return what an error code means and what to do about it."""
+    """Return the meaning of an error code and its remedy."""
     if code in _MEANINGS:
         return _MEANINGS[code]
     return f"{_CLASSES.get(code >> 12, 'unknown class')}; see the drive's manual"

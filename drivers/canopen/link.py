@@ -1,6 +1,4 @@
-"""CANopen over any python-can interface, without threads: the link owns the receive loop and is
-pumped by its user.
-"""
+"""CANopen over any python-can interface, without threads: callers run the link's receive loop."""
 
 from __future__ import annotations
 
@@ -51,7 +49,7 @@ class _Network(canopen.Network):
         self._send = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame; canopen's own requests come this way."""
+        """Send a frame of canopen's own requests."""
         if remote:
             raise NotImplementedError("remote frames are not used here")
         self._send(can_id, bytes(data))
@@ -61,11 +59,11 @@ class CanopenLink(Link):
     """A CANopen network with this program as its only master.
 
     Args:
-        clock: Real or simulated; goes with the bus.
+        clock: Real or simulated clock, matching the bus.
         connect: Opens the bus.
-        name: What to call the bus in messages.
+        name: Name of the bus in messages.
         master_id: Node identifier of the master's heartbeat.
-        sdo_timeout_s: How long a device may take to answer an SDO request.
+        sdo_timeout_s: Time-out of an SDO request, s.
 
     Attributes:
         cycle: Number of exchanges so far.
@@ -108,8 +106,8 @@ class CanopenLink(Link):
         """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``,
         ``pcan``...).
 
-        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can.
-        ``slcan`` is a port of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
+        ``bus_options`` are further options of this interface; see python-can. ``slcan`` is a port
+        of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
         """
         options = dict(bus_options or {})
 
@@ -157,7 +155,7 @@ class CanopenLink(Link):
         """Set the cycle time, the same for all devices.
 
         Raises:
-            ConfigurationError: Another device has another one.
+            ConfigurationError: Another device has a different cycle time.
         """
         require_one_cycle(self._cycle_s, cycle_s, who)
         self._cycle_s = cycle_s
@@ -165,11 +163,10 @@ class CanopenLink(Link):
         self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))
 
     def exchange(self) -> None:
-        """Send every device's outputs and SYNC, and collect what it brings.
+        """Send every device's outputs and SYNC, and collect the inputs.
 
-        The master's heartbeat goes out here and nowhere else (but for the one that starts a
-        device's watch), so it stops when the control loop does. Waits for process data at most 80 %
-        of the cycle.
+        The master's heartbeat is sent only here (except the one that starts a device's time-out),
+        so it stops when the control loop does. Waits for process data at most 80 % of the cycle.
 
         Raises:
             LinkError: The bus failed, or a device was lost, stopped or restarted.
@@ -242,7 +239,7 @@ class CanopenLink(Link):
         return self._port
 
     def _receive(self, timeout_s: float) -> None:
-        """Dispatch what has come in, waiting for it where there is nothing."""
+        """Dispatch received frames; wait if there are none."""
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)
@@ -283,9 +280,9 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0] & 0x7F, time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks
-            # raise. One that a callback cannot take counts as lost: who waits for the answer has a
-            # time limit.
+            # Only these frames need canopen's dispatcher; its callbacks raise on shorter ones. A
+            # frame that a callback rejects counts as lost, since waiting for an answer has a
+            # time-out.
             with suppress(Exception):
                 self._network.notify(identifier, bytearray(data), time_ns / NS)
 
@@ -295,7 +292,7 @@ class CanopenLink(Link):
             fault = DriveFault(code, f"{node.label} sent an emergency message: {explain(code)}")
             self._troubles.append((node.node_id, fault))
         else:
-            # "Error reset": whatever the device reported before is over.
+            # "Error reset": all errors reported before are cleared.
             self._troubles = [
                 (origin, trouble)
                 for origin, trouble in self._troubles

@@ -1,6 +1,4 @@
-"""One CANopen device on a link: objects over SDO, process data packed by struct as the mapping was
-configured.
-"""
+"""One CANopen device on a link: SDO access, process data, NMT start and heartbeat monitoring."""
 
 from __future__ import annotations
 
@@ -48,15 +46,15 @@ class CanopenNode:
 
     Attributes:
         node_id: 1 to 127.
-        remote: canopen's view of it.
-        outputs: Identifier to data of each RPDO, as the next exchange sends them.
+        remote: canopen's object for the device.
+        outputs: Identifier to data of each RPDO for the next exchange.
         inputs: Identifier to the last frame of each TPDO.
-        expected: How many of those come with every SYNC.
-        missing: How many of those have not come since the last exchange began.
-        cycle: Number of that exchange.
-        nmt_state: From its last heartbeat; None before the first.
-        heard_ns: When that came.
-        monitored: True from the moment process data runs.
+        expected: Number of TPDOs that come with every SYNC.
+        missing: Number of these not received since the last exchange began.
+        cycle: Number of the last exchange.
+        nmt_state: NMT state in its last heartbeat; None before the first.
+        heard_ns: Time of its last heartbeat.
+        monitored: True once process data is running.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
@@ -78,12 +76,12 @@ class CanopenNode:
 
     @property
     def label(self) -> str:
-        """What to call the device in messages."""
+        """Name of the device in messages."""
         return f"node {self.node_id}"
 
     @property
     def fresh(self) -> bool:
-        """Whether everything that was due at the last exchange arrived whole."""
+        """Whether all data due at the last exchange arrived complete."""
         if self.missing:
             return False
         for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
@@ -126,21 +124,21 @@ class CanopenNode:
             self.remote.sdo.download(index, subindex, data)
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
+        """Check that the EDS has an object whose type can hold a value; raises as :meth:`write`.
 
         Sends nothing.
         """
         self._packed(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; an SDO request goes out before its answer is waited for.
+        """Write an integer object; the SDO request is sent even if no answer comes.
 
         Raises as :meth:`write`.
         """
         self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check what :meth:`map_process_data` checks before it writes; raises as that.
+        """Make the checks of :meth:`map_process_data` that need no write; raises the same.
 
         Sends nothing.
         """
@@ -193,7 +191,7 @@ class CanopenNode:
         return self._numbered[number].values
 
     def watch(self, limit_s: float) -> None:
-        """Arm the device's heartbeat consumer (1016h), and start it with a first heartbeat.
+        """Arm the device's heartbeat consumer (1016h), and send the first heartbeat to start it.
 
         Raises:
             ConfigurationError: 1016h does not read back as written.

@@ -27,10 +27,10 @@ class Input:
     """The last good frame of one TPDO.
 
     Attributes:
-        layout: Of its values.
-        slack: Cycles it may be old and still count as fresh.
-        values: Of the last good frame.
-        cycle: In which that came.
+        layout: Layout of its values.
+        slack: Age in cycles up to which it counts as fresh.
+        values: Values of the last good frame.
+        cycle: Cycle in which that frame came.
     """
 
     __slots__ = ("cycle", "layout", "size", "slack", "values")
@@ -38,15 +38,14 @@ class Input:
     def __init__(self, layout: struct.Struct, every: int, slack: int = 0) -> None:
         self.layout = layout
         self.size = layout.size
-        # A slow PDO's phase against the exchange is the device's own, so one period more is
-        # allowed.
+        # The device chooses the phase of a slow PDO, so one more period is allowed.
         self.slack = slack if every == 1 else 2 * every
         self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
 
 
 def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
-    """Return how the values of a PDO are packed, by the types in the device's EDS.
+    """Return the packing of a PDO's values from the types in the device's EDS.
 
     Raises:
         ConfigurationError: An object is not in the EDS or not an integer, or the PDO exceeds 8
@@ -70,7 +69,7 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
 
 
 def plan(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> dict[int, struct.Struct]:
-    """Return how the PDOs of one direction are packed, by number; sends nothing.
+    """Return the packing of the PDOs of one direction, by number; sends nothing.
 
     Raises as :func:`configure`.
     """
@@ -86,13 +85,12 @@ def plan(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> dict[in
 def configure(
     remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]
 ) -> list[tuple[int, struct.Struct]]:
-    """Write the mapping of every PDO of one direction into a device; PDOs not asked for are
-    switched off.
+    """Write the mapping of all PDOs of one direction into a device; PDOs not listed are disabled.
 
     Args:
         remote: The device.
         maps: Its ``rpdo`` or ``tpdo``.
-        layouts: What to map; synchronous, every ``layout.every``-th SYNC.
+        layouts: Objects to map; synchronous, every ``layout.every``-th SYNC.
 
     Returns:
         Identifier and packing of each layout.

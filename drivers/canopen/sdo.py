@@ -1,6 +1,4 @@
-"""SDO access without threads: canopen's client, with the bus pumped by whoever waits for the
-answer.
-"""
+"""SDO access without threads: canopen's client pumps the bus while it waits for an answer."""
 
 from __future__ import annotations
 
@@ -18,15 +16,17 @@ from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
-"""An abort by a server that does not say of which object."""
+"""Multiplexer of an abort by a server that does not name the object."""
 _LATE_ANSWERS = 64
-"""Answers to other requests that are passed over; a server that sends more of them answers none."""
+"""Number of answers to other requests that are skipped; beyond it the server counts as not
+answering.
+"""
 _INITIATE = (1, 2)
 """Command specifiers of a client that begins a download or an upload (CiA 301, 7.2.4.3)."""
 
 
 class Wire(Protocol):
-    """What a node needs of its link."""
+    """Interface of the link for a node."""
 
     sdo_timeout_s: float
     cycle: int
@@ -50,8 +50,8 @@ class Wire(Protocol):
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that pumps the link while it waits, so that simulated and real time run the same
-    code.
+    """SDO client that pumps the link while it waits; the same code runs in simulated and real
+    time.
     """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
@@ -60,18 +60,18 @@ class PumpedSdoClient(SdoClient):
         self._asked: bytes | None = None
 
     def send_request(self, request: bytes) -> None:
-        """Send a request, noting which object it asks for."""
+        """Send a request and note its object."""
         self._asked = bytes(request[1:4]) if request[0] >> 5 in _INITIATE else None
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:
-        """Return the next response; one to an earlier request, that comes late, is passed over.
+        """Return the next response; a late response to an earlier request is skipped.
 
-        Otherwise every later request would be given the answer to the one before it.
+        Otherwise every later request would receive the answer to its predecessor.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
-            SdoCommunicationError: No response in time, or none but to other requests.
+            SdoCommunicationError: No response in time, or only responses to other requests.
         """
         for _ in range(_LATE_ANSWERS):
             if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
@@ -110,7 +110,7 @@ class PumpedNode(canopen.RemoteNode):
 
 @contextmanager
 def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
-    """Turn canopen's SDO errors into this package's.
+    """Translate canopen's SDO errors into those of this package.
 
     Raises:
         ObjectAccessError: The device refuses.

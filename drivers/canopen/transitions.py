@@ -1,4 +1,4 @@
-"""Waiting for a drive to change its state, for all servos whose states are those of CiA 402."""
+"""Waits for a drive to change its state, for all servos with CiA 402 states."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def await_state(
     """Read the state until it is reached.
 
     Args:
-        read: Reads it from the device.
-        reached: Whether a state is what is waited for.
-        wanted: In words.
+        read: Reads the state from the device.
+        reached: Returns whether a state is the expected one.
+        wanted: Name of the expected state.
         clock: Measures the time.
-        timeout_s: How long it may take.
-        again: Called each time that it is not reached yet; may repeat the command.
+        timeout_s: Time-out, s.
+        again: Called each time the state is not reached yet; may repeat the command.
 
     Raises:
         StateError: It was not reached in time.
@@ -42,9 +42,7 @@ def await_state(
 
 
 def exchanges(link: Link, cycle_ns: int, timeout_s: float) -> Iterator[bool]:
-    """Exchange process data at the cycle's pace; yield after each exchange whether there is time
-    left.
-    """
+    """Exchange process data at the cycle rate; yield after each exchange whether time is left."""
     clock = link.clock
     due = clock.now_ns()
     deadline = due + timeout_s * NS

@@ -1,6 +1,4 @@
-"""Binds a map to a DBC: every name looked up once, every problem found at once, every layout ready
-for the hot path.
-"""
+"""Binds a map to a DBC: resolves all names, reports all problems at once, prepares all layouts."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from drivers.dbc.wiring import BoundLimit, BoundMessage, BoundQuantity, Wiring
 from drivers.interfaces import ServoState
 
 Place = tuple[str | int, ...]
-"""Keys from the top of the map to the value a problem is about."""
+"""Path of keys from the top of the map to the faulty value."""
 Problem = tuple[Place, str]
 _NOT_SAMPLED: Final = frozenset({"fault_code", "serial_number", "revision"})
 
@@ -26,7 +24,7 @@ class DbcMapError(Exception):
     """The map does not fit the DBC.
 
     Attributes:
-        problems: Each a place in the map and what is wrong there.
+        problems: Place in the map and description of each problem.
     """
 
     def __init__(self, problems: Iterable[Problem]) -> None:
@@ -40,14 +38,14 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
     """Bind a map to the messages of a DBC.
 
     Raises:
-        DbcMapError: Names that are not there, with the nearest that are; values that do not fit;
-            what is missing.
+        DbcMapError: Unknown names, with the nearest known ones; values that do not fit; missing
+            entries.
     """
     return _Binder(spec, layouts).bind()
 
 
 class _Binder:
-    """Collects problems on the way, so that all of them are told at once."""
+    """Collects problems, so that all are reported at once."""
 
     def __init__(self, spec: DbcMap, layouts: Mapping[str, Layout]) -> None:
         self._spec = spec
@@ -227,9 +225,7 @@ class _Binder:
         return None
 
     def _images(self, place: Place, values: Assignments) -> dict[str, bytes]:
-        """Return the frames of an order: every message that any order uses, with the values
-        given.
-        """
+        """Return the frames of an order: all messages used by any order, with the given values."""
         images = {name: bytes(self._layouts[name].size) for name in self._sent}
         for name, value in values.items():
             message, _, signal_name = name.partition(".")

@@ -1,5 +1,5 @@
-"""One drive with its own CAN frames: what it said last, what it is told next, with counters and
-checksums. No I/O.
+"""State of one drive with its own CAN frames: received values and next commands, with counters
+and checksums. No I/O.
 """
 
 from __future__ import annotations
@@ -13,23 +13,23 @@ from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 
 PERIODS_KEPT: Final = 2.5
-"""A message that comes on its own time counts as fresh for this many of its periods."""
+"""A periodic message counts as fresh for this many of its periods."""
 
 
 class Slot:
     """The last good frame of one message.
 
-    A frame of the wrong length, with a wrong checksum, or with a life counter that stood still or
-    ran backwards updates nothing. After a counter that ran backwards the next frame is taken again,
-    as after a restart of the drive.
+    A frame with wrong length or checksum, or with a life counter that stood still or ran backwards,
+    updates nothing. After a backward counter the next frame is accepted, as after a restart of the
+    drive.
 
     Attributes:
-        message: Which.
+        message: The message.
         data: The frame.
         count: Good frames so far.
-        cycle: Exchange in which it came.
-        time_ns: When it came.
-        refused: Frames that were not good.
+        cycle: Exchange in which the last good frame came.
+        time_ns: Time of the last good frame.
+        refused: Number of bad frames.
     """
 
     def __init__(self, message: BoundMessage) -> None:
@@ -44,7 +44,7 @@ class Slot:
         self._last: int | None = None
 
     def accept(self, data: bytes, cycle: int, time_ns: int) -> bool:
-        """Take a frame if it is good."""
+        """Accept a frame if it is good."""
         if not self._good(data):
             self.refused += 1
             return False
@@ -71,7 +71,7 @@ class Slot:
 
 
 class _Output:
-    """One message of the host: the order in force, the target where it carries it, life counter,
+    """One message of the host: current order, target (if it carries one), life counter,
     checksum.
     """
 
@@ -93,18 +93,17 @@ class _Output:
 
 
 class DbcChannel:
-    """The drive as its link sees it.
+    """The drive as seen from its link.
 
     Args:
         wiring: Its messages.
-        label: What to call it in messages.
+        label: Name of the drive in messages.
 
     Attributes:
         slots: Its messages by CAN identifier.
         cycle: Number of exchanges so far.
-        heard: Frames of it so far, good or not.
-        commanded: Whether it has been sent anything; a bus that was only listened to is left as it
-            was found.
+        heard: Number of frames received from it, good or bad.
+        commanded: Whether any frame has been sent to it; if not, closing sends nothing either.
     """
 
     def __init__(self, wiring: Wiring, label: str) -> None:
@@ -137,7 +136,7 @@ class DbcChannel:
         return self._by_name[message]
 
     def set_cycle(self, cycle_s: float) -> None:
-        """Work out in how many cycles each message of the host goes once."""
+        """Set the cycle time and compute the period in cycles of each message of the host."""
         for output in self._outputs.values():
             output.every = max(1, round(output.message.period_s / cycle_s))
         self._answers = [slot for slot in self._sampled if slot.message.period_s <= cycle_s]
@@ -148,8 +147,8 @@ class DbcChannel:
 
         Args:
             images: The order's frames.
-            hold: The drive is running and is to stay so; the order falls back to disable when it
-                stops by itself.
+            hold: Whether the drive must keep running; if it stops by itself, the order becomes
+                disable.
         """
         for name, image in images.items():
             self._outputs[name].image = image
@@ -177,9 +176,7 @@ class DbcChannel:
         return [(output.message.identifier, output.frame()) for output in self._settings.values()]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits in the last good frames that carry them, by the name they have in the
-        map.
-        """
+        """Return the limits in their last good frames, by name in the map."""
         held = {name: limit.held for name, limit in self.wiring.limits.items()}
         return {
             name: quantity.read(self._by_name[quantity.message].data)
@@ -187,7 +184,7 @@ class DbcChannel:
         }
 
     def pin(self, limits: dict[str, float]) -> None:
-        """Expect the drive to go on holding these limits; none to expect nothing."""
+        """Set the limits that the drive is expected to hold; none for no check."""
         self._pinned = limits
 
     def begin(self, now_ns: int) -> None:
@@ -196,21 +193,19 @@ class DbcChannel:
         self._begun_ns = now_ns
 
     def receive(self, slot: Slot, data: bytes, time_ns: int) -> None:
-        """Take a frame from the bus."""
+        """Process a received frame."""
         self.heard += 1
         slot.accept(data, self.cycle, time_ns)
 
     @property
     def answered(self) -> bool:
-        """Whether every message that answers the command has come in this exchange."""
+        """Whether all messages in answer to the command came in this exchange."""
         cycle = self.cycle
         return all([slot.cycle == cycle for slot in self._answers])
 
     @property
     def fresh(self) -> bool:
-        """Whether every message of a sample came whole and in time, those on their own period
-        included.
-        """
+        """Whether all messages of a sample, periodic ones included, came complete and in time."""
         begun = self._begun_ns
         return self.answered and all(
             [
@@ -221,16 +216,16 @@ class DbcChannel:
 
     @property
     def state(self) -> ServoState | None:
-        """State in the last good frame that carries it; None for a value that is not in the map."""
+        """State in its last good frame; None for a value that is not in the map."""
         wiring = self.wiring
         return wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
 
     def settle(self) -> None:
-        """End an exchange: a drive that has stopped by itself is not asked to run again.
+        """End an exchange: a drive that has stopped by itself is not commanded to run again.
 
         Raises:
             DriveFault: It went into fault while it was running.
-            StateError: It holds other limits than those written into it; told once.
+            StateError: It holds other limits than those written into it; raised once.
         """
         self._check_limits()
         if not self._holding or (state := self.state) is ServoState.OPERATION_ENABLED:

@@ -1,4 +1,4 @@
-"""Signals in and out of CAN frames by shifts, from a layout worked out once; checksums.
+"""Packs and unpacks signals of CAN frames by shifts from a precomputed layout; checksums.
 
 Pure functions of bytes.
 """
@@ -19,19 +19,19 @@ _FLOATS: Final = {32: ("<f", "<I"), 64: ("<d", "<Q")}
 
 @dataclass(frozen=True)
 class Signal:
-    """Where one signal of a DBC lies in its frame, and what its bits mean.
+    """Position and meaning of one signal of a DBC in its frame.
 
-    A frame is taken as one integer, most significant byte first where ``motorola``, else least
-    significant first; the signal is ``width`` bits of it, ``shift`` bits up.
+    A frame is read as one integer, most significant byte first if ``motorola``, else least
+    significant first; the signal is its ``width`` bits from bit ``shift``.
 
     Attributes:
         name: Name in the DBC.
         size: Bytes of its frame.
-        shift: Place of the least significant bit.
-        width: Bits.
+        shift: Position of the least significant bit.
+        width: Number of bits.
         motorola: Byte order (``@0`` in the DBC).
-        signed: Two's complement.
-        real: IEEE 754 of 32 or 64 bits.
+        signed: Whether it is in two's complement.
+        real: Whether it is IEEE 754 of 32 or 64 bits.
         factor: Physical value of one raw unit.
         offset: Physical value at raw 0.
         labels: Names of raw values (``VAL_``).
@@ -50,7 +50,7 @@ class Signal:
 
     @cached_property
     def mask(self) -> int:
-        """As many ones as there are bits."""
+        """Bit mask of the signal, not shifted."""
         return (1 << self.width) - 1
 
     @cached_property
@@ -63,11 +63,11 @@ class Signal:
         return 1 << (self.width - 1)
 
     def bits(self, data: bytes) -> int:
-        """Return the raw bits, without sign, of a frame of :attr:`size` bytes."""
+        """Return the unsigned raw bits in a frame of :attr:`size` bytes."""
         return int.from_bytes(data, self.order) >> self.shift & self.mask
 
     def raw(self, data: bytes) -> float:
-        """Return the raw value: an integer, but for a real signal."""
+        """Return the raw value: an integer, or a float for a real signal."""
         bits = int.from_bytes(data, self.order) >> self.shift & self.mask
         if self.real:
             code, unsigned = _FLOATS[self.width]
@@ -75,7 +75,7 @@ class Signal:
         return (bits ^ self._half) - self._half if self.signed else bits
 
     def reader(self, gain: float, bias: float) -> Callable[[bytes], float]:
-        """Return what reads ``gain`` x raw + ``bias`` from a frame in the least time."""
+        """Return a fast function that reads ``gain`` x raw + ``bias`` from a frame."""
         if self.real:
             return lambda data: self.raw(data) * gain + bias
         order, shift, mask = self.order, self.shift, self.mask
@@ -90,7 +90,7 @@ class Signal:
         """Return the bits of a raw value, to the nearest step.
 
         Raises:
-            ValueError: It does not fit; names the range, in physical units.
+            ValueError: The value does not fit; names the range in physical units.
         """
         if self.real:
             code, unsigned = _FLOATS[self.width]

@@ -1,4 +1,4 @@
-"""What a drive reports in frames of its own, and the waiting for those frames."""
+"""Reads the values that a drive reports in its own frames, and waits for those frames."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class Feedback:
         self.restart_time()
 
     def restart_time(self) -> None:
-        """Begin to count the overflows of the drive's time anew."""
+        """Restart counting the overflows of the drive's time."""
         time = self._inputs.get("time")
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
     def unasked(self, *names: str) -> list[float]:
-        """Return quantities in the next good frames that carry them; NaN where none comes without a
+        """Return quantities from their next good frames; NaN if these come only in answer to a
         command.
         """
         slots = {name: self._reads[name][0] for name in names}
@@ -56,7 +56,7 @@ class Feedback:
         ]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits that the drive says it holds, as it says them next.
+        """Return the limits that the drive reports next.
 
         Raises:
             LinkError: The drive is silent.
@@ -67,12 +67,12 @@ class Feedback:
         return self._channel.limits()
 
     def value(self, name: str) -> float:
-        """Return a quantity of the last good frame that carries it."""
+        """Return a quantity from its last good frame."""
         slot, read = self._reads[name]
         return read(slot.data)
 
     def device_time(self) -> float:
-        """Return the drive's own time of its last status, s; the host's where it tells none."""
+        """Return the drive's time of its last status, s; the host's time if it reports none."""
         quantity = self._inputs.get("time")
         if quantity is None:
             return self._status.time_ns / NS
@@ -81,7 +81,7 @@ class Feedback:
         return whole * quantity.gain + quantity.bias
 
     def told(self, name: str, otherwise: int) -> int:
-        """Return a whole number as the drive reports it next, ``otherwise`` where it reports none.
+        """Return an integer that the drive reports next, ``otherwise`` if it reports none.
 
         Raises:
             LinkError: The drive is silent.
@@ -104,10 +104,10 @@ class Feedback:
             raise self._silent(slot, refused)
 
     def hear(self, name: str) -> None:
-        """Send the order in force until a message has come; some come only as an answer.
+        """Send the current order until a message has come; some come only as an answer.
 
         Raises:
-            LinkError: It does not come, or never whole.
+            LinkError: It does not come, or never complete.
         """
         slot = self._channel.slot(name)
         count, refused = slot.count, slot.refused

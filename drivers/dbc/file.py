@@ -1,4 +1,4 @@
-"""A DBC file as layouts: the only place that knows ``cantools``."""
+"""Reads a DBC file into layouts; the only module that uses ``cantools``."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Layout:
     Attributes:
         name: Name in the DBC.
         identifier: CAN identifier, 11 bits.
-        size: Bytes.
-        period_s: Its cycle time there (``GenMsgCycleTime``), None where it has none.
-        signals: By name.
-        obstacle: Why it cannot be used here; empty if it can.
+        size: Number of bytes.
+        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s; None if there is none.
+        signals: Signals by name.
+        obstacle: Reason why it cannot be used here; empty if it can.
     """
 
     name: str
@@ -52,7 +52,7 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     """
     try:
         require_plain(path)
-        # The encoding of DBC files, as the editors write them.
+        # The encoding that DBC editors use.
         text = path.read_text(encoding="cp1252")
     except OSError as error:
         raise ConfigurationError(

@@ -1,5 +1,5 @@
-"""Limits of a drive with its own CAN frames: those it can be told, and those set with its maker's
-tool.
+"""Limits of a drive with its own CAN frames: those written over the bus, and those set with its
+maker's tool.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True)
 class DbcDrive:
-    """What the bench file says about the drive beside its signals.
+    """Data of the bench file about the drive, other than its signals.
 
     Attributes:
-        identity: Who it is; ``serial_number`` and ``revision`` are overridden by signals where the
-        map names them.
-        held: Limits set in the drive with its maker's tool; those it says over the bus are asked
-        for instead.
+        identity: Identity of the drive; ``serial_number`` and ``revision`` are overridden by
+        signals named in the map.
+        held: Limits set in the drive with its maker's tool; limits that the drive reports over the
+        bus replace these.
         gear_ratio: Motor turns per joint turn.
-        torque_constant_N_m_A: Turns a torque signal into a current.
+        torque_constant_N_m_A: Converts a torque signal into a current.
         offset_rad: Joint angle at position 0.
-        watchdog_s: The drive stops by itself when no command comes for this long; None if it never
+        watchdog_s: Time without a command after which the drive stops by itself; None if it never
             does.
     """
 
@@ -42,8 +42,8 @@ class DbcDrive:
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
-    """Return limits in the map's terms: angles, speed and following error at the motor, the
-    torque's as a current.
+    """Return limits in the map's terms: angles, speed and following error at the motor, torque
+    limit as a current.
     """
     gear = drive.gear_ratio
     window = limits.following_error_rad
@@ -57,9 +57,7 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
 
 
 def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
-    """Return what the drive holds at the joint: what it told, and what it cannot tell as the bench
-    file says.
-    """
+    """Return the drive's limits at the joint: as reported, else as stated in the bench file."""
     gear, limits = drive.gear_ratio, drive.held
     if "angle_min" in told:
         limits = replace(limits, angle_min_rad=told["angle_min"] / gear + drive.offset_rad)
@@ -76,9 +74,9 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
 
 
 def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
-    """Return one unit of each signal that says what the drive holds, at the joint.
+    """Return the resolution at the joint of each signal that reports a limit.
 
-    Zero for what the drive does not say, and for a floating-point signal.
+    Zero for limits that the drive does not report, and for floating-point signals.
     """
     held = {name: limit.held for name, limit in wiring.limits.items()}
     units = {
@@ -118,7 +116,7 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
 
 def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     raw = (value - quantity.bias) / quantity.gain
-    # The margin keeps a value that came from whole units at them.
+    # The margin keeps a value that was a whole number of units unchanged.
     if (name in _LOWER) is (quantity.gain > 0):
         return math.ceil(raw - _ROUNDING)
     return math.floor(raw + _ROUNDING)
@@ -130,7 +128,7 @@ def verify(
     limits: Mapping[str, BoundLimit],
     who: str,
 ) -> None:
-    """Check that the drive holds what was written, to two of its own units, and nothing wider.
+    """Check that the drive holds the written limits within two of its units, and none wider.
 
     Raises:
         ConfigurationError: Names each limit that it does not hold.
@@ -151,7 +149,7 @@ def verify(
 def require_room(
     limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str
 ) -> None:
-    """Check that limits which can only be set with the maker's tool leave room for the bench's.
+    """Check that limits which only the maker's tool can set are not tighter than the bench's.
 
     Raises:
         ConfigurationError: Names each that is tighter than the bench's, so that the drive would

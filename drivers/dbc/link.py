@@ -1,6 +1,4 @@
-"""A CAN bus with drives that speak frames of their own, described by DBC files, beside CANopen
-devices.
-"""
+"""A CAN bus with drives that use their own frames (described by DBC files) and CANopen devices."""
 
 from __future__ import annotations
 
@@ -22,7 +20,7 @@ _BACKLOG_READS: Final = 64
 
 
 class DbcLink(CanopenLink):
-    """A bus as of :class:`CanopenLink`, with drives of the other kind on it as well.
+    """A :class:`CanopenLink` that also carries drives with their own frames.
 
     The commands go out first in every exchange, then SYNC, so that drive and encoder sample within
     one frame time. Closing the link sends every drive that was commanded its stop frame.
@@ -55,9 +53,7 @@ class DbcLink(CanopenLink):
         super().open()
 
     def conflicts(self) -> Iterator[str]:
-        """Yield in words each CAN identifier of a drive that something else on this bus uses as
-        well.
-        """
+        """Yield a message for each CAN identifier of a drive that is used twice on this bus."""
         taken: set[int] = set()
         for channel in self._channels:
             wiring = channel.wiring
@@ -93,8 +89,7 @@ class DbcLink(CanopenLink):
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
-        """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the
-        cycle.
+        """Send every command, then SYNC, and collect the answers; waits at most 80 % of the cycle.
 
         Raises:
             LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.

@@ -27,10 +27,10 @@ STATES: Final[Mapping[StateName, ServoState]] = {
     "fault reaction": ServoState.FAULT_REACTION,
     "fault": ServoState.FAULT,
 }
-"""Words of the map for the states of the rest of the program."""
+"""State names in the map to states of the program."""
 
 Assignments = Mapping[str, str | int]
-"""Signal to the value it is to carry: a label of the DBC, or a number."""
+"""Signal to the value it must carry: a label of the DBC, or a number."""
 
 
 @dataclass(frozen=True)

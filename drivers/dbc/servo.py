@@ -1,6 +1,4 @@
-"""A position servo that speaks CAN frames of its own, by its DBC file and a map from signals to
-verbs.
-"""
+"""A position servo with its own CAN frames, driven by its DBC file and a map of its signals."""
 
 from __future__ import annotations
 
@@ -38,13 +36,13 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(Servo):
-    """A drive behind its own frames. Only :meth:`enable` ever moves it toward power.
+    """A drive with its own frames. Only :meth:`enable` ever moves it toward power.
 
     Args:
         link: The link it is on.
         channel: The drive.
-        drive: What is known of it.
-        state_timeout_s: How long it may take to reach a state.
+        drive: Data of the drive from the bench file.
+        state_timeout_s: Time-out for reaching a state, s.
     """
 
     def __init__(
@@ -68,7 +66,7 @@ class DbcServo(Servo):
         self._staged_in = 0
 
     def identity(self) -> Identity:
-        """Return who it is, as the bench file and the drive's own frames say.
+        """Return the identity from the bench file and the drive's own frames.
 
         Raises:
             LinkError: The drive is silent.
@@ -99,8 +97,7 @@ class DbcServo(Servo):
         return state
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits that the drive holds: what it says, else what the bench file says was
-        set in it.
+        """Return the limits that the drive holds: as reported, else as stated in the bench file.
 
         Raises:
             LinkError: The drive is silent.
@@ -108,13 +105,11 @@ class DbcServo(Servo):
         return dbc_limits.decode(self._feedback.limits(), self._drive)
 
     def limit_steps(self) -> LimitSteps:
-        """Return one unit of each signal that says what the drive holds, at the joint."""
+        """Return the resolution at the joint of each signal that reports a limit."""
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield what does not fit its signal, and what is looser than limits set with the maker's
-        tool.
-        """
+        """Yield limits that do not fit their signal or exceed those set with the maker's tool."""
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
         yield from refusal(
@@ -122,8 +117,7 @@ class DbcServo(Servo):
         )
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write the limits that the drive can be told, and check that all it holds are kept by
-        these.
+        """Write the limits that the drive accepts, and verify all limits that it holds.
 
         Raises:
             ConfigurationError: The drive holds another value than the one written, or one that was
@@ -143,7 +137,7 @@ class DbcServo(Servo):
     def readings(self) -> ServoReadings:
         """Wait for the next frame of each message that carries a value.
 
-        A message that only comes as an answer to a command is not asked for; its values are NaN.
+        Messages that only come in answer to a command are not requested; their values are NaN.
         """
         names = ("position", "velocity", self._effort, "supply_voltage", "temperature")
         position, velocity, effort, supply, temperature = self._feedback.unasked(*names)
@@ -169,13 +163,14 @@ class DbcServo(Servo):
             yield from refusal(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
-        """Set the cycle, and see every message of the drive come in whole. No power.
+        """Set the cycle, and wait until every message of the drive has come complete. Nothing is
+        energised.
 
         Raises:
-            ConfigurationError: The cycle is too slow for the drive's watchdog, another device has
-                another one, or the drive's position does not fit the target signal.
+            ConfigurationError: The cycle is too slow for the drive's watchdog or differs from
+                another device's, or the drive's position does not fit the target signal.
             StateError: The drive is energised.
-            LinkError: A message does not come, or never whole.
+            LinkError: A message does not come, or never complete.
         """
         state = self.state()
         if state.energised:
@@ -194,7 +189,7 @@ class DbcServo(Servo):
         self._stage(self._feedback.value("position"))
 
     def enable(self) -> None:
-        """Energise and hold the present position, exchanging all the while.
+        """Energise and hold the present position, with process data exchanged throughout.
 
         Raises:
             StateError: Not prepared, not allowed in this state, or not reached in time; the drive
@@ -216,8 +211,7 @@ class DbcServo(Servo):
             raise
 
     def disable(self) -> None:
-        """Take the power off, send the stop frame, and verify by the drive's own status that it is
-        off.
+        """Take the power off, send the stop frame, and verify by the drive's status that it is off.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -231,11 +225,10 @@ class DbcServo(Servo):
         """Brake with the drive's own ramp; never leads to power.
 
         Raises:
-            StateError: The drive neither stops nor is it stopped.
+            StateError: The drive does not stop and is not stopped already.
             LinkError: The drive cannot be reached.
         """
-        # The order for the cyclic exchange changes first: whatever happens next, it cannot undo the
-        # stop.
+        # The cyclic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
         self._link.send(*self._wiring.stop_frame)
         self._command(self._wiring.stop)
@@ -251,10 +244,10 @@ class DbcServo(Servo):
         Raises:
             StateError: There is no fault to reset, or it comes back.
         """
-        # The table of CiA 402 says in which states there is a fault to reset.
+        # The table of CiA 402 states in which states a fault can be reset.
         word = cia402.controlword(self.state(), cia402.Command.RESET_FAULT)
         disable, reset = self._wiring.disable, self._wiring.reset
-        # Drives act on the edge of a reset, so each one lies between two orders to stay off.
+        # Drives act on the edge of a reset, so each reset is sent between two orders to stay off.
         orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
         self._command(*orders)
         self._await(
@@ -278,8 +271,7 @@ class DbcServo(Servo):
         position = self._feedback.value("position")
         following = 0.0
         if state is ServoState.OPERATION_ENABLED:
-            # What was sent with the exchange before is what the drive has interpolated up to this
-            # one.
+            # The target of the previous exchange is the one that the drive has reached now.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) / drive.gear_ratio
         return ServoSample(
@@ -327,7 +319,7 @@ class DbcServo(Servo):
             self._link.command(self._channel)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Images) -> None:
-        # Repeats the orders, as a frame may have been lost.
+        # The orders are repeated, as a frame may have been lost.
         await_state(
             self.state,
             reached,

@@ -1,6 +1,4 @@
-"""A map bound to its DBC: every layout ready for the hot path, no names left to look up in a
-file.
-"""
+"""A map bound to its DBC: all layouts precomputed, no names left to look up."""
 
 from __future__ import annotations
 
@@ -14,16 +12,16 @@ from drivers.interfaces import ServoState
 
 @dataclass(frozen=True)
 class BoundMessage:
-    """A message that is used, with its guards.
+    """A message in use, with counter and checksum.
 
     Attributes:
         name: Name in the DBC.
         identifier: CAN identifier.
-        size: Bytes.
-        counter: Where its life counter is, if it has one.
-        checksum: Where its checksum is, if it has one.
+        size: Number of bytes.
+        counter: Its life counter signal, if any.
+        checksum: Its checksum signal, if any.
         algorithm: Computes that checksum.
-        period_s: How often it goes; 0 for every control cycle.
+        period_s: Sending period, s; 0 for every control cycle.
     """
 
     name: str
@@ -53,21 +51,21 @@ class BoundQuantity:
         """Return the bits of a value in SI.
 
         Raises:
-            ValueError: It does not fit; names the range.
+            ValueError: The value does not fit; names the range.
         """
         return self.signal.pack((value - self.bias) / self.gain)
 
 
 @dataclass(frozen=True)
 class BoundLimit:
-    """Where a limit is written, and where the drive says what it holds."""
+    """The signals that set and report a limit."""
 
     set: BoundQuantity
     held: BoundQuantity
 
 
 Images = Mapping[str, bytes]
-"""Message name to the frame that carries an order, everything else zero."""
+"""Message name to the frame with an order and zeros elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -76,20 +74,20 @@ class Wiring:
 
     Attributes:
         received: Messages the drive sends, by name.
-        sampled: Names of those that a sample is made of.
-        sent: Messages the host sends, by name; without the stop frame and the settings.
+        sampled: Names of the received messages that make up a sample.
+        sent: Messages the host sends, by name, except the stop frame and the settings.
         settings: Messages that carry limits, by name.
-        inputs: Quantities by the name they have in the map.
-        limits: Limits that can be written, by the name they have in the map.
+        inputs: Quantities by name in the map.
+        limits: Limits that can be written, by name in the map.
         status_message: Message that carries the state.
-        status: Its signal.
+        status: Signal of the state.
         states: Raw status value to state.
-        target: Where the position asked for goes.
+        target: Signal of the commanded position.
         disable: Frames that take the power off.
         stop: Frames that brake.
         reset: Frames that clear a fault.
         enable: Frames toward power, by state.
-        stop_frame: Identifier and data.
+        stop_frame: Identifier and data of the stop frame.
     """
 
     received: Mapping[str, BoundMessage]

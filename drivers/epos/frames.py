@@ -1,4 +1,4 @@
-"""Frames of the maxon EPOS4 over RS-232 and USB, both ways, and the services they carry. No I/O.
+"""Encodes and decodes frames of the maxon EPOS4 over RS-232 and USB, and their services. No I/O.
 
 A frame is ``90 02 opcode length data CRC``: length in 16-bit words, everything little-endian, every
 90h after the start pair doubled, the CRC included (EPOS4 Communication Guide, "USB & RS232
@@ -21,12 +21,12 @@ _HEAD: Final = 2
 _CRC: Final = 2
 MAX_WORDS: Final = 255
 SEGMENT_BYTES: Final = 255
-"""Most data bytes of one segment; the guide prints a byte for their number."""
+"""Most data bytes of one segment; their number is one byte in the guide."""
 
 WRITE_BYTES: Final = 30
 READ_BYTES: Final = 32
-"""Bytes on the line of one WriteObject and one ReadObject with its answer, at their longest: all
-that can be 90h is.
+"""Most bytes on the line for one WriteObject and one ReadObject with its answer: every byte that
+can be 90h is.
 """
 _BITS_PER_BYTE: Final = 10
 
@@ -56,7 +56,7 @@ OBJECT: Final = struct.Struct("<BHB")
 TOTAL: Final = struct.Struct("<I")
 """Bytes of a whole object."""
 ERROR: Final = struct.Struct("<I")
-"""First field of every answer: 0, or why it was refused."""
+"""First field of every answer: 0, or an error code."""
 NMT: Final = struct.Struct("<HH")
 """Node identifier and command specifier."""
 TOGGLE: Final = 0x01
@@ -74,7 +74,7 @@ def crc(words: bytes) -> int:
 
 
 def encode(opcode: int, data: bytes) -> bytes:
-    """Return a frame as it goes over the line; ``data`` of odd length gets the dummy byte.
+    """Return a frame as sent over the line; ``data`` of odd length is padded with a dummy byte.
 
     Raises:
         ValueError: More than 255 words.
@@ -92,7 +92,7 @@ def encode(opcode: int, data: bytes) -> bytes:
 
 
 class FrameDecoder:
-    """Takes bytes as they come and gives whole frames; never raises.
+    """Decodes received bytes into whole frames; never raises.
 
     A frame with a wrong CRC or broken stuffing is dropped, and the search goes on right after its
     start, so that a good frame behind or inside the damage is found.
@@ -129,13 +129,13 @@ class FrameDecoder:
         return frames
 
     def clear(self) -> None:
-        """Forget what has come in."""
+        """Discard the bytes received so far."""
         self._buffer.clear()
 
 
 def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
-    """Read the frame whose opcode is at ``start``; returns its end (0: not all there yet) and it,
-    or None if bad.
+    """Decode the frame with its opcode at ``start``; returns its end (0: incomplete) and the
+    frame, None if bad.
     """
     wanted = _HEAD + _CRC
     if len(buffer) - start >= _HEAD:
@@ -170,5 +170,5 @@ def segment(chunk: bytes, toggle: int, last: bool) -> bytes:
 
 
 def cycle_bits(writes: int, reads: int) -> int:
-    """Return the bit times of a control cycle of so many objects, at their longest."""
+    """Return the longest bit times of a control cycle with this many objects."""
     return _BITS_PER_BYTE * (writes * WRITE_BYTES + reads * READ_BYTES)

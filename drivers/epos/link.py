@@ -1,6 +1,4 @@
-"""EPOS4 drives on a serial line, strictly half duplex: one request, one answer, and nothing else in
-flight.
-"""
+"""EPOS4 drives on a serial line, strictly half duplex: one request at a time, then its answer."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
 _LONGEST_WAIT_NS: Final = 50_000_000
-"""Longest time in one wait for bytes: the guard is fed in between."""
+"""Longest single wait for bytes, ns; the guard is fed between waits."""
 _ACCEPTED: Final = ERROR.pack(0)
 _SUBINDICES: Final = (1, 2, 3, 4)
 
@@ -35,20 +33,20 @@ _SUBINDICES: Final = (1, 2, 3, 4)
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
-    An answer does not say what it answers: after one was lost, a late one could be taken for the
-    next. The line counts as out of step then, and before anything else is believed a part of the
-    drive's identity is asked for, and what comes before it is dropped.
+    An answer does not name its request: after a lost answer, a late one could be mistaken for the
+    next. The line then counts as out of step: a part of the drive's identity is requested, and all
+    answers before it are dropped.
 
-    The protocol has no watchdog in the drive: when the control loop stops, the drive goes on
-    holding its last target.
+    The protocol has no watchdog in the drive: if the control loop stops, the drive keeps holding
+    its last target.
 
     Args:
-        clock: Real or simulated; goes with the port.
+        clock: Real or simulated clock, matching the port.
         connect: Opens the port.
-        name: What to call the line in messages.
-        answer_s: How long a drive may take to answer outside the cycle.
-        guard: Stands by while a drive may be under power; None for nobody.
-        silence_s: How long a drive may be without a whole answer in the cycle.
+        name: Name of the line in messages.
+        answer_s: Time-out of an answer outside the cycle.
+        guard: Guard that is armed while a drive may be under power; None for none.
+        silence_s: Longest time without a complete answer of a drive in the cycle.
 
     Attributes:
         cycle: Number of exchanges so far.
@@ -114,10 +112,10 @@ class EposSerialLink(Link):
             close_all(port.close)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, the same for all devices, and learn what to find the step by.
+        """Set the cycle time, the same for all devices, and read the marks for resynchronisation.
 
         Raises:
-            ConfigurationError: Another device has another one.
+            ConfigurationError: Another device has a different cycle time.
             LinkError: No answer.
         """
         require_one_cycle(self._cycle_s, cycle_s, who)
@@ -128,10 +126,10 @@ class EposSerialLink(Link):
     def exchange(self) -> None:
         """Write every drive's outputs and read its inputs, at most for 80 % of the cycle.
 
-        A lost answer ends the cycle: what is left of it is not asked for, and the values stay.
+        A lost answer ends the cycle: the remaining requests are not sent, and their values stay.
 
         Raises:
-            LinkError: The line is gone, or a drive has been silent for too long.
+            LinkError: The line is gone, or a drive was silent for too long.
         """
         self.cycle += 1
         now = self.clock.now_ns()
@@ -152,7 +150,7 @@ class EposSerialLink(Link):
             )
 
     def take_frames(self) -> list[RawFrame]:
-        """Return what has gone over the line since the last call, oldest first, eight bytes to a
+        """Return the bytes sent and received since the last call, oldest first, eight bytes per
         frame.
         """
         frames = list(self._frames)
@@ -167,10 +165,10 @@ class EposSerialLink(Link):
         Args:
             opcode: The service.
             data: Its fields.
-            what: What to call it in messages.
-            repeat: Try again where the answer is lost; for what may be done twice.
-            insist: Send it even while the line is out of step, as what can't be heard may still
-                hear: for stops.
+            what: Name of the request in messages.
+            repeat: Repeat if the answer is lost; only for requests that may be executed twice.
+            insist: Send it even while the line is out of step, as the drive may still receive it;
+                for stops.
 
         Raises:
             LinkError: No good answer.
@@ -191,8 +189,8 @@ class EposSerialLink(Link):
         )
 
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
-        """Send a frame and return the data of its answer; None where none came in time that can be
-        believed.
+        """Send a frame and return the data of its answer; None without a reliable answer in
+        time.
         """
         if not self._in_step and not self._find_step(deadline_ns):
             return None
@@ -209,9 +207,10 @@ class EposSerialLink(Link):
         return None
 
     def _find_step(self, deadline_ns: int) -> bool:
-        """Make sure that no old answer is still under way."""
+        """Resynchronise: ensure that no old answer is pending."""
         if self._marks:
-            # Asked for in turn, so that a late mark is not taken for the one just asked for.
+            # The marks are requested in turn, so that a late one is not mistaken for the one just
+            # requested.
             self._marks.rotate(1)
             request, wanted = self._marks[0]
             self._send(request)
@@ -219,7 +218,7 @@ class EposSerialLink(Link):
                 if found[-1].data == wanted:
                     self._in_step = True
                     return True
-                # Of a line that never falls silent there is always more to read.
+                # A line that is never silent always has more to read.
                 if self.clock.now_ns() >= deadline_ns:
                     break
             return False
@@ -230,13 +229,13 @@ class EposSerialLink(Link):
         return True
 
     def _learn_marks(self) -> None:
-        """Read parts of the drives' identities that differ, to tell old answers by."""
+        """Read differing parts of the drives' identities as marks to detect old answers."""
         marks: dict[bytes, bytes] = {}
         for node in self._nodes.values():
             for subindex in _SUBINDICES:
                 fields = OBJECT.pack(node.node_id, IDENTITY, subindex)
                 answer = self.request(Opcode.READ_OBJECT, fields, node.label)
-                # Zero, and why something was refused, are what other objects answer as well.
+                # Zero and error codes may also be answers of other objects.
                 if answer.startswith(_ACCEPTED) and any(answer):
                     marks[answer] = encode(Opcode.READ_OBJECT, fields)
         self._marks = deque((request, answer) for answer, request in marks.items())
@@ -254,7 +253,7 @@ class EposSerialLink(Link):
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
 
     def _receive(self, deadline_ns: int) -> list[Frame]:
-        """Return the next frames that come in; none where none does by the deadline."""
+        """Return the next received frames; none if none comes by the deadline."""
         port = self._opened()
         clock = self.clock
         while True:

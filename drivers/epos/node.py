@@ -17,7 +17,7 @@ from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
-"""Objects of a control cycle of a servo: its target; state, position, current and one of the others
+"""Objects per control cycle of a servo: target, state, position, current and one of the others
 in turn.
 """
 
@@ -61,7 +61,7 @@ class _Input:
         self.value = value
 
     def take(self, answer: bytes) -> bool:
-        """Take an answer over; a refusal or a wrong length updates nothing and returns False."""
+        """Store an answer; a refusal or a wrong length updates nothing and returns False."""
         if len(answer) != _ANSWER_BYTES or not answer.startswith(_ACCEPTED):
             return False
         self.value = self.layout.unpack_from(answer, ERROR.size)[0]
@@ -73,20 +73,20 @@ class EposSerialNode(ObjectAccess):
     :class:`~drivers.objects.ProcessChannel`.
 
     There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the
-    controlword only when it has changed) and reads the first input layout; the objects of the
-    others take turns, one a cycle, the slower ones in every other turn. The time stamp 1013h is not
-    read: the host's time at the cycle's first request takes its place.
+    controlword only if changed) and reads the first input layout; the objects of the other layouts
+    are read in turn, one per cycle, the slower ones in every other turn. The time stamp 1013h is
+    not read; the host's time of the cycle's first request replaces it.
 
-    The position is read one object before the current, whose mean so ends too late. It is replaced
-    by the mean that ends with the position, taking the current as constant within a cycle. The
-    position itself is left as read, after the time stamp by as much in every cycle, but for doubled
-    bytes.
+    The position is read one object before the current, so the current's mean ends too late. It is
+    replaced by the mean that ends with the position, assuming a constant current within a cycle.
+    The position is used as read; its delay after the time stamp is the same in every cycle, except
+    for doubled bytes.
 
     Attributes:
         node_id: 1 to 127.
         cycle: Number of the last exchange.
-        monitored: True from the moment process data runs.
-        heard_ns: When the last whole answer came.
+        monitored: True once process data is running.
+        heard_ns: Time of the last complete answer.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
@@ -122,13 +122,13 @@ class EposSerialNode(ObjectAccess):
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
     ) -> None:
-        """Start the node, and list what every cycle writes and reads.
+        """Start the node, and list the objects that every cycle writes and reads.
 
-        Inputs start out with values read here.
+        Inputs start with values read here.
 
         Raises:
-            ConfigurationError: Another device has another cycle, or an object is not in the EDS or
-            no integer.
+            ConfigurationError: Another device has a different cycle time, or an object is not in
+            the EDS or no integer.
             ObjectAccessError: The device refuses one.
             LinkError: No answer.
         """
@@ -170,30 +170,29 @@ class EposSerialNode(ObjectAccess):
         )
 
     def watch(self, limit_s: float) -> None:
-        """Have the link's guard stand by; the protocol has no watch of its own, which
-        :attr:`Link.has_watchdog` says.
+        """Arm the link's guard; the protocol has no watchdog, see :attr:`Link.has_watchdog`.
 
         Args:
-            limit_s: Asked for. A process on a computer is not as punctual as a drive: the guard
-                acts after twice that, and after no less than three cycles.
+            limit_s: Requested time-out, s. A process is less punctual than a drive, so the guard
+                acts after twice this time, and after no less than three cycles.
 
         Raises:
-            LinkError: There should be a guard, and is none.
+            LinkError: A guard is required, but there is none.
         """
         if self._line.guard is not None:
             self._line.guard.arm(max(_GUARD_FACTOR * limit_s, _GUARD_CYCLES * self._cycle_s))
 
     def unwatch(self) -> None:
-        """Have the guard stand down."""
+        """Disarm the guard."""
         if self._line.guard is not None:
             self._line.guard.release()
 
     def exchange(self, cycle: int, ask: Callable[[bytes], bytes | None]) -> None:
-        """Write and read what this cycle is to; stops where an answer is lost.
+        """Write and read the objects of this cycle; stops at a lost answer.
 
         Args:
             cycle: Its number.
-            ask: Sends a frame and returns the data of its answer, None where that is lost.
+            ask: Sends a frame and returns the data of its answer, None if it is lost.
         """
         self.cycle = cycle
         self._complete = False
@@ -227,7 +226,8 @@ class EposSerialNode(ObjectAccess):
         mean, ended_ns = current.value, current.asked_ns
         if self._before is not None:
             before, began_ns = self._before
-            # Not so in simulated time on a line that takes none, or after a step of the clock.
+            # The time may not have advanced: in simulated time on a line without delay, or after a
+            # clock step.
             if ended_ns > began_ns:
                 late = (ended_ns - position.asked_ns) / (ended_ns - began_ns)
                 current.value = round(mean + late * (before - mean))

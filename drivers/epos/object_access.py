@@ -1,4 +1,4 @@
-"""The objects of an EPOS4 on a serial line, one at a time, by ReadObject and WriteObject."""
+"""Access to single objects of an EPOS4 on a serial line by ReadObject and WriteObject."""
 
 from __future__ import annotations
 
@@ -27,22 +27,20 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of
-    its own.
-    """
+    """Takes the power off if this program dies or hangs; the drive has no watchdog of its own."""
 
     def arm(self, limit_s: float) -> None:
-        """Stand by from now on; act where nobody feeds for this long, s.
+        """Arm the guard; it acts if it is not fed for this time, s.
 
         Raises:
-            LinkError: Nobody does.
+            LinkError: There is no guard.
         """
         ...
 
     def feed(self) -> None:
         """Show that the control loop is alive; called before every request.
 
-        Cheap, and nothing unless armed.
+        Takes little time; does nothing unless armed.
 
         Raises:
             LinkError: It has taken over, or is gone: the line must not be used.
@@ -50,12 +48,12 @@ class Guard(Protocol):
         ...
 
     def release(self) -> None:
-        """Stand down: the drive is verified off."""
+        """Disarm the guard; the drive is verified off."""
         ...
 
 
 class Line(Protocol):
-    """What a node needs of its link."""
+    """Interface of the link for a node."""
 
     cycle: int
     clock: Clock
@@ -64,7 +62,7 @@ class Line(Protocol):
     def request(
         self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
     ) -> bytes:
-        """Send one request and return the data of its answer; :class:`LinkError` where there is
+        """Send one request and return the data of its answer; :class:`LinkError` if there is
         none.
         """
         ...
@@ -79,7 +77,7 @@ class ObjectAccess:
 
     Args:
         node_id: 1 to 127.
-        dictionary: Its objects, from the EDS.
+        dictionary: Objects of the node, from the EDS.
         line: The line it is on.
     """
 
@@ -90,7 +88,7 @@ class ObjectAccess:
 
     @property
     def label(self) -> str:
-        """What to call the device in messages."""
+        """Name of the device in messages."""
         return f"node {self.node_id}"
 
     def read(self, index: int, subindex: int = 0) -> int:
@@ -120,7 +118,7 @@ class ObjectAccess:
         data = answer[TOTAL.size + 1 :][:length]
         toggle = 0
         while len(data) < total:
-            # A segment asked for twice would be skipped once.
+            # A repeated request would skip a segment.
             answer = self._request(
                 Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False
             )

@@ -1,1 +1,1 @@
-"""Simulated counterparts: a bus in simulated time and devices that speak the real wire."""
+"""Simulated counterparts: a bus in simulated time, and devices that use the real protocols."""

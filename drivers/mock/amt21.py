@@ -1,4 +1,4 @@
-"""A simulated AMT21 on the joint of the simulated machine, byte for byte."""
+"""Simulated AMT21 encoder on the joint of the simulated machine, exact to the byte."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ RESTART_S: Final = 0.2
 class SimulatedAmt21:
     """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Deaf for 0.2 s after reset and zero.
+    Ignores requests for 0.2 s after reset and zero.
 
     Args:
         clock: Simulated time.
-        sampler: Of the machine.
+        sampler: Sampler of the machine.
         address: A multiple of 4.
 
     Attributes:
-        distort: What a faulty sensor makes of its counts; None for a good one.
+        distort: Function by which a faulty sensor changes its counts; None for a good sensor.
     """
 
     counts_per_turn: Final = COUNTS_PER_TURN
@@ -43,7 +43,7 @@ class SimulatedAmt21:
         self._deaf_until_ns = 0
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the requests in ``data``; bytes meant for others get none."""
+        """Return the answers to the requests in ``data``; requests to other addresses get none."""
         if self._clock.now_ns() < self._deaf_until_ns:
             return b""
         return b"".join(self._answer(byte) for byte in data)

@@ -1,6 +1,4 @@
-"""A whole simulated bench: clock, bus, machine, drive and joint encoder, wired together and
-booted.
-"""
+"""Builds a simulated bench: clock, bus, machine, drive and joint encoder, connected and booted."""
 
 from __future__ import annotations
 
@@ -28,8 +26,8 @@ TRANSMITTER_NODE: Final = 4
 class SimulatedBench:
     """The parts of one simulated bench.
 
-    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any; ``transmitter``
-    measures the chamber pressure, where one is fitted.
+    ``lines`` are the serial lines of ``drive`` and ``encoder``, if any; ``transmitter`` measures
+    the chamber pressure, if fitted.
     """
 
     clock: SimulatedClock
@@ -55,12 +53,12 @@ def simulated_bench(
 
     Args:
         machine: Constants of the machine.
-        seed: Of its noise and of the devices' clock offsets.
-        bitrate: Of the bus, bit/s.
+        seed: Seed of its noise and of the devices' clock offsets.
+        bitrate: Bit rate of the bus, bit/s.
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
-        transmitter_node: That of a pressure transmitter; None for a bench without one.
-        rating: What the drive is rated at; 15 A unless given.
+        transmitter_node: Node identifier of the pressure transmitter; None for a bench without one.
+        rating: Rated values of the drive; 15 A unless given.
 
     Returns:
         The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up

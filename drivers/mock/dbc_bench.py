@@ -1,6 +1,4 @@
-"""A simulated bench whose drive speaks its own CAN frames, with the CANopen joint encoder on the
-same wire.
-"""
+"""Simulated bench with a drive with its own CAN frames and a CANopen joint encoder on one bus."""
 
 from __future__ import annotations
 
@@ -37,12 +35,12 @@ def simulated_dbc_bench(
 ) -> SimulatedDbcBench:
     """Build and boot a bench.
 
-    The same seed gives the same bytes on the bus, and the noise of the CANopen bench.
+    The same seed gives the same bytes on the bus, and the same noise as the CANopen bench.
 
     Args:
         machine: Constants of the machine.
-        seed: Of its noise and of the devices' clock offsets.
-        bitrate: Of the bus, bit/s.
+        seed: Seed of its noise and of the devices' clock offsets.
+        bitrate: Bit rate of the bus, bit/s.
         encoder_node: CANopen node identifier of the encoder.
 
     Returns:

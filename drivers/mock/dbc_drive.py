@@ -1,7 +1,7 @@
 """Simulated servo drive with CAN frames of its own (``dbc_drive.dbc``): no CANopen, its own states
 and watchdog.
 
-Frames are packed here by hand and not by the codec under test, so that an error in that cannot
+Frames are packed here by hand, not by the codec under test, so that an error in the codec cannot
 cancel itself.
 """
 
@@ -92,7 +92,7 @@ TRANSITIONS: Final[Mapping[tuple[State, Order], State]] = {
     (State.BRAKING, Order.OFF): State.FAULT,
     (State.FAULT, Order.RESET): State.OFF,
 }
-"""A pair that is absent changes nothing. A reset acts when it is first seen."""
+"""State transitions; an absent pair changes nothing. A reset acts on its first frame."""
 
 POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 """States in which the power stage is on."""
@@ -102,13 +102,13 @@ class DbcDrive:
     """The drive. It samples, then obeys, when a command comes, and answers with two frames.
 
     Attributes:
-        state: Where it is.
-        fault_code: Why it is in fault; 0 if it is not.
-        limits: What it holds, as in ``DRV_Limits``.
-        entered: Told every state as it is entered, in the instant of the change.
-        deaf_to: Orders that it ignores.
-        locked: Whether it keeps its limits, whatever it is told.
-        counting: Whether its life counters go on.
+        state: State of the drive.
+        fault_code: Cause of the fault; 0 without fault.
+        limits: Limits it holds, as in ``DRV_Limits``.
+        entered: Called with each new state at the instant of the change.
+        deaf_to: Orders that the drive ignores.
+        locked: Whether it refuses to change its limits.
+        counting: Whether its life counters advance.
     """
 
     def __init__(
@@ -144,7 +144,7 @@ class DbcDrive:
         self._port = bus.attach()
 
     def boot(self) -> None:
-        """Start listening and sending, as after power-on."""
+        """Start receiving and sending, as after power-on."""
         self._port.listen(COMMAND, self._on_command)
         self._port.listen(STOP, self._on_stop)
         self._port.listen(LIMITS, self._on_limits)
@@ -153,7 +153,7 @@ class DbcDrive:
         self._tell_info()
 
     def restart(self) -> None:
-        """Begin anew, as after a dip of its supply."""
+        """Restart, as after a dip of its supply."""
         self._enter(State.OFF)
         self.fault_code = 0
         self._order, self._heard_life = Order.OFF, -1
@@ -178,8 +178,8 @@ class DbcDrive:
             return
         self._heard_life = life
         now = self._clock.now_ns()
-        # In whole milliseconds, so that a command that waits for another frame does not make the
-        # motion uneven.
+        # In whole milliseconds, so that a command delayed by another frame does not make the motion
+        # uneven.
         step_ns = min(max(round((now - self._commanded_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
         self._commanded_ns = now
         self._reading = self._sampler.latch(now)
@@ -312,8 +312,8 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send at once, or after the next answer while commands come: the wire is free for long
-        enough then.
+        """Send at once or, while commands come, after the next answer, when the bus is free for
+        long enough.
         """
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:
             self._waiting.append(send)

@@ -1,8 +1,8 @@
-"""Recordings of the simulated bench without its bus: the same samples, two hundred times sooner.
+"""Recordings of the simulated bench without its bus: the same samples, two hundred times faster.
 
-The bus adds nothing to a good recording but its timing, the same in every cycle: at a SYNC both
-devices latch, and the target that came with it is reached by interpolation one cycle later. What is
-left of the devices is their units.
+In a good recording the bus only determines the timing, which is the same in every cycle: at a SYNC
+both devices latch, and the target sent with it is reached by interpolation one cycle later. Of the
+devices only their units matter.
 """
 
 from __future__ import annotations
@@ -17,19 +17,17 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10
-"""Cycles between two frames that carry supply voltage and temperature, as the host asks of the
-drive.
-"""
+"""Cycles between two frames with supply voltage and temperature, as configured by the host."""
 
 Channel = NDArray[np.float64]
 
 
 class Samples(NamedTuple):
-    """A recording as the host's drivers would give it, SI units, arrays of shape (n,).
+    """A recording as returned by the host's drivers: SI units, arrays of shape (n,).
 
     ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's,
     ``motor_angle`` the motor's. ``current`` and ``voltage`` are means over the cycle that ends at
-    the sample. ``pressure`` is that beyond the valve while no gas generator burns.
+    the sample. ``pressure`` is the pressure behind the valve while no gas generator burns.
     """
 
     time: Channel
@@ -51,17 +49,17 @@ def record(
     slow_phase: int = 0,
     pressure_rng: np.random.Generator | None = None,
 ) -> Samples:
-    """Have a powered machine follow one joint angle a cycle, from where it stands.
+    """Let an energised machine follow one joint angle per cycle, from its present state.
 
     Args:
-        machine: Its power is on; the drive's limits are those of its own loops.
+        machine: The machine with power on; the drive's limits are the limits of its loops.
         command_rad: Joint angle sent with each SYNC, shape (n,).
         cycle_s: Control cycle, s; a whole number of loop periods.
         slow_phase: Cycles since the last frame with supply voltage and temperature.
-        pressure_rng: Of the pressure transmitter's noise; None for one without.
+        pressure_rng: Random generator of the pressure transmitter's noise; None for no noise.
 
     Raises:
-        ValueError: The cycle is no whole number of loop periods.
+        ValueError: The cycle is not a whole number of loop periods.
     """
     gear = machine.constants.motor.gear_ratio
     increments, turns = encoder_resolution(machine.constants)

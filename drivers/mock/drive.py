@@ -1,4 +1,4 @@
-"""Simulated CiA 402 servo drive: speaks the real wire, moves the simulated machine."""
+"""Simulated CiA 402 servo drive: uses the real protocol and moves the simulated machine."""
 
 from __future__ import annotations
 
@@ -56,18 +56,18 @@ _FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
 _WHOLE: Final = 1e-6
-"""Share of a unit by which rounding may miss a whole number of units."""
+"""Tolerance for rounding to a whole number of units, in units."""
 _AT_LIMIT: Final = 0.98
-"""The measured mean is noisy, so a current this close to its limit counts as limited."""
+"""Ratio to the limit from which a current counts as limited, since the measured mean is noisy."""
 
 
 @dataclass(frozen=True)
 class Rating:
-    """What the drive is rated at; its units of current and torque are thousandths of these.
+    """Rated values of the drive; its units of current and torque are thousandths of these.
 
     Attributes:
         current_A: Rated motor current (6075h).
-        torque_N_m: Rated motor torque (6076h); None for that of the rated current.
+        torque_N_m: Rated motor torque (6076h); None for the torque at rated current.
     """
 
     current_A: float = 15.0
@@ -88,13 +88,13 @@ class SimulatedDrive(SimulatedNode):
     """A position servo in cyclic synchronous position mode.
 
     Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
-    6078h is the mean current since the last SYNC, per mille of 6075h. The torque offset 60B2h, per
-    mille of 6076h, is added to what the position loop asks for while targets are followed, and to
-    no ramp. The power stage is on only in the states of :data:`POWERED`.
+    6078h is the mean current since the last SYNC, per mille of 6075h. 60B2h (per mille of 6076h)
+    adds torque to the position loop's output while targets are followed, but not in ramps. The
+    power stage is on only in the states of :data:`POWERED`.
 
     Attributes:
         power_state: State of the power drive system.
-        entered: Told every state as it is entered, in the instant of the change.
+        entered: Called with each new state at the instant of the change.
     """
 
     def __init__(
@@ -166,7 +166,7 @@ class SimulatedDrive(SimulatedNode):
         self._watch_following(reading)
 
     def supervise(self) -> None:
-        """Watch the following error where no SYNC comes."""
+        """Monitor the following error if no SYNC comes."""
         self._watch_following(self._sampler.peek(self._clock.now_ns()))
 
     def _watch_following(self, reading: Reading) -> None:
@@ -189,14 +189,12 @@ class SimulatedDrive(SimulatedNode):
         self._show_status()
 
     def fail(self, code: int) -> None:
-        """Detect a fault of its own: EMCY, then the reaction that 605Eh asks for."""
+        """Enter an internal fault: send EMCY, then react as set in 605Eh."""
         self._fault(code, PROFILE)
         self._show_status()
 
     def connection_lost(self, code: int) -> None:
-        """React to the loss of the master as 6007h says; nothing is to be done where no power can
-        come.
-        """
+        """React to the loss of the master as set in 6007h; no reaction in states without power."""
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
         match self.objects.integer(0x6007):

@@ -14,7 +14,7 @@ from drivers.mock.wires.bus import SimulatedBus
 
 ENCODER_EDS: Final = Path(__file__).with_name("encoder.eds")
 EXACT_COUNTS: Final = 1 << 22
-"""Counts per turn that stand for an exact sensor."""
+"""Counts per turn used for an exact sensor."""
 
 _OPERATING: Final = key(0x6000)
 _POSITION: Final = key(0x6004)
@@ -29,7 +29,7 @@ class SimulatedEncoder(SimulatedNode):
     6002h.
 
     Attributes:
-        distort: What a faulty sensor makes of the joint counts; None for a good one.
+        distort: Function by which a faulty sensor changes the joint counts; None for a good sensor.
     """
 
     def __init__(
@@ -53,11 +53,11 @@ class SimulatedEncoder(SimulatedNode):
 
     @property
     def counts_per_turn(self) -> int:
-        """Joint counts of one turn, as :attr:`distort` sees them."""
+        """Joint counts of one turn, in the units of :attr:`distort`."""
         return self._resolution
 
     def restore(self) -> None:
-        """Put resolution and range of this machine's encoder into the dictionary."""
+        """Set resolution and range of this machine's encoder in the dictionary."""
         values = self._values
         values[key(0x6001)] = values[key(0x6501)] = self._resolution
         values[key(0x6002)] = min(self._resolution * _TURNS, 1 << 30)

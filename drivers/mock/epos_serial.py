@@ -1,4 +1,4 @@
-"""The serial port of a simulated EPOS4: a second way to the objects of the simulated drive."""
+"""Serial port of a simulated EPOS4: serial access to the objects of the simulated drive."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ _SEGMENT: Final = struct.Struct("BB")
 
 
 class SimulatedEposPort:
-    """Answers requests out of the drive's dictionary; a
+    """Answers requests from the drive's dictionary; a
     :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Without SYNC a target acts when it is written, values are those of the instant at which they are
-    read, and the drive watches its following error by itself every millisecond. Current and voltage
-    are means from one reading of the current to the next.
+    Without SYNC, a target takes effect when written, values are sampled when read, and the drive
+    checks its following error every millisecond. Current and voltage are means between two reads of
+    the current.
 
     Args:
-        bus: The drive's CAN side, where NMT services go.
+        bus: CAN bus of the drive, for NMT services.
         clock: Simulated time.
-        drive: Whose port this is.
+        drive: The drive with this port.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, drive: SimulatedDrive) -> None:
@@ -75,7 +75,7 @@ class SimulatedEposPort:
         drive.entered.append(self._entered)
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the whole frames that end in ``data``; bad ones get none."""
+        """Return the answers to the frames completed by ``data``; bad frames get none."""
         return b"".join(
             encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
         )

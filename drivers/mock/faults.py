@@ -1,4 +1,4 @@
-"""Faults of the wire: what a bad bus does to frames between the simulated devices and the host."""
+"""Bus faults: effects of a bad bus on frames between the simulated devices and the host."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.clock import SimulatedClock
 from drivers.mock.wires.bus import SimulatedBus
 
 FOR_GOOD: Final = 0
-"""Count of a fault that never ends."""
+"""Count of a permanent fault."""
 
 GENERAL_ERROR: Final = 0x08000000
 _SDO_REQUEST: Final = 0x600
@@ -32,16 +32,16 @@ class _Rule:
 
 
 class WireFaults:
-    """Loses, repeats, delays and spoils frames on a simulated bus.
+    """Loses, repeats, delays and corrupts frames on a simulated bus.
 
     Several faults may be active at once.
 
-    ``count`` is the number of frames that a fault meets, :data:`FOR_GOOD` for all from now on. A
-    frame that a check sum catches does not exist for its receivers (CAN repeats it); what is
-    spoiled here is what got past it.
+    ``count`` is the number of affected frames, :data:`FOR_GOOD` for all from now on. CAN repeats
+    frames with a wrong CRC, so receivers never see them; corruption here is one that the CRC did
+    not detect.
 
     Args:
-        bus: The wire; its ``frame_filters`` and ``down`` are used.
+        bus: The bus; its ``frame_filters`` and ``down`` are used.
         clock: Simulated time.
     """
 
@@ -54,11 +54,11 @@ class WireFaults:
         bus.frame_filters.append(self._filter)
 
     def lose(self, match: Match, count: int) -> None:
-        """Let frames vanish."""
+        """Lose frames."""
         self._add(match, count, lambda _identifier, _data, _host: None)
 
     def repeat(self, match: Match, count: int) -> None:
-        """Deliver frames twice, the second time as soon as the wire is free."""
+        """Deliver frames twice, the second time as soon as the bus is free."""
 
         def change(identifier: int, data: bytes, host: bool) -> Frame:
             self._send_again(identifier, data, host)
@@ -76,7 +76,7 @@ class WireFaults:
         self._add(match, count, change)
 
     def flip(self, match: Match, count: int, bit: int) -> None:
-        """Invert one data bit; frames too short to have it stay as they are."""
+        """Invert one data bit; shorter frames are unchanged."""
 
         def change(identifier: int, data: bytes, _host: bool) -> Frame:
             spoiled = bytearray(data)
@@ -91,7 +91,7 @@ class WireFaults:
         self._add(match, count, lambda identifier, data, _host: (identifier, data[:-1]))
 
     def refuse_sdo(self, node_id: int, count: int, code: int = GENERAL_ERROR) -> None:
-        """Answer SDO requests to a node with an abort, in the node's name."""
+        """Answer SDO requests to a node with an abort as if from the node."""
 
         def change(_identifier: int, data: bytes, _host: bool) -> None:
             answer = bytes([_SDO_ABORT]) + data[1:4] + struct.pack("<I", code)
@@ -113,7 +113,7 @@ class WireFaults:
             self._bus.disturb()
 
     def restart(self, node_id: int) -> None:
-        """Make a node boot again, as after a dip of its supply."""
+        """Restart a node, as after a dip of its supply."""
         self._ghost.send(0x000, bytes([129, node_id]))
 
     def _add(

@@ -1,6 +1,4 @@
-"""Faults of a serial line: what bad wiring does to messages between the simulated device and the
-host.
-"""
+"""Serial line faults: effects of bad wiring on messages between simulated device and host."""
 
 from __future__ import annotations
 
@@ -25,12 +23,12 @@ class _Rule:
 
 
 class LineFaults:
-    """Loses, spoils, delays and repeats messages on a simulated line.
+    """Loses, corrupts, delays and repeats messages on a simulated line.
 
     Several faults may be active at once.
 
     ``from_host`` chooses requests (True), answers (False) or both (None); ``count`` is the number
-    of messages that a fault meets, 0 for all from now on.
+    of affected messages, 0 for all from now on.
 
     Args:
         line: The line; its ``filters`` and ``cut`` are used.
@@ -45,7 +43,7 @@ class LineFaults:
         line.filters.append(self._filter)
 
     def lose(self, from_host: bool | None, count: int) -> None:
-        """Let messages vanish."""
+        """Lose messages."""
         self._add(from_host, count, lambda _data, _host: b"")
 
     def drop_byte(self, from_host: bool | None, count: int, at: int) -> None:
@@ -70,14 +68,14 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def break_stuffing(self, from_host: bool | None, count: int) -> None:
-        """Put a 90h that is not doubled behind opcode and length."""
+        """Insert a 90h that is not doubled after opcode and length."""
         self._add(
             from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:]
         )
 
     def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
-        """Deliver messages ``by_s`` late; those behind them wait, as bytes cannot overtake each
-        other on a line.
+        """Deliver messages ``by_s`` late; later messages wait, as bytes keep their order on a
+        line.
         """
         self._add(
             from_host,
@@ -86,11 +84,11 @@ class LineFaults:
         )
 
     def repeat(self, from_host: bool | None, count: int) -> None:
-        """Deliver messages twice, one right behind the other."""
+        """Deliver messages twice in direct succession."""
         self._add(from_host, count, lambda data, _host: data + data)
 
     def refuse(self, count: int) -> None:
-        """Answer an EPOS request with an error code, in the drive's name."""
+        """Answer an EPOS request with an error code as if from the drive."""
 
         def change(_data: bytes, _host: bool) -> bytes:
             self._line.deliver(encode(Opcode.ANSWER, ERROR.pack(GENERAL_ERROR)), False)

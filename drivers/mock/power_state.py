@@ -1,5 +1,5 @@
-"""The power drive system state machine as the simulated drive runs it (CiA 402-2, figure "FSA" and
-its transitions).
+"""State machine of the simulated power drive system (CiA 402-2, figure "FSA" and its
+transitions).
 """
 
 from __future__ import annotations
@@ -11,9 +11,7 @@ from typing import Final
 
 @unique
 class State(IntEnum):
-    """States; the value is what the statusword shows under mask 6Fh (4Fh where bit 5 does not
-    matter).
-    """
+    """States; the value is the statusword under mask 6Fh (4Fh if bit 5 does not matter)."""
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -26,7 +24,7 @@ class State(IntEnum):
 
 
 class Command(Enum):
-    """Device control commands, by the controlword bits that make them."""
+    """Device control commands with their controlword bits."""
 
     DISABLE_VOLTAGE = auto()
     QUICK_STOP = auto()

@@ -10,7 +10,7 @@ from drivers.mock.plant.machine import Reading, SimulatedMachine
 class Sampler:
     """Keeps the machine in step with simulated time.
 
-    The machine moves in whole loop periods, so what is latched belongs to :attr:`time_ns`, at most
+    The machine advances in whole loop periods, so latched values are of :attr:`time_ns`, at most
     one period ago.
 
     Attributes:

@@ -1,6 +1,4 @@
-"""Faults of the joint encoder, and of the drive's mode of operation: what they make of good
-values.
-"""
+"""Injected faults of the joint encoder and of the drive's mode of operation."""
 
 from __future__ import annotations
 
@@ -14,15 +12,15 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is what a fault makes of its counts, None for a
-    good one.
+    """A simulated encoder of any kind; ``distort`` is the fault's function of its counts, None
+    for none.
     """
 
     distort: Callable[[int], int] | None
 
     @property
     def counts_per_turn(self) -> int:
-        """Counts of one turn, as ``distort`` sees them."""
+        """Counts of one turn, in the units of ``distort``."""
         ...
 
 
@@ -42,12 +40,12 @@ def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
 
 
 def jump(encoder: Sensor, by_counts: int) -> None:
-    """Shift the position for good, as after a lost reference or a slipped coupling."""
+    """Shift the position permanently, as after a lost reference or a slipped coupling."""
     encoder.distort = lambda counts: counts + by_counts
 
 
 def freeze(encoder: Sensor) -> None:
-    """Hold the position at its next reading, while time stamps go on."""
+    """Hold the position at its next reading while time stamps advance."""
     held: int | None = None
 
     def distort(counts: int) -> int:
@@ -59,12 +57,12 @@ def freeze(encoder: Sensor) -> None:
 
 
 def reverse(encoder: Sensor) -> None:
-    """Count the other way from zero, as with two wires swapped."""
+    """Count in the opposite direction from zero, as with two wires swapped."""
     encoder.distort = _negated
 
 
 def refuse_mode(drive: SimulatedDrive) -> None:
-    """Take 6060h without acting on it: 6061h shows no mode."""
+    """Accept 6060h without effect: 6061h shows no mode."""
     drive.objects.values[_MODE_DISPLAY] = 0
     ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
     drive.objects.written[0x6060] = ignored

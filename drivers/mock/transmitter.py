@@ -25,7 +25,7 @@ _OVERLOAD: Final = 0x02
 
 
 class SimulatedTransmitter(SimulatedNode):
-    """9130h is the pressure at the last SYNC, with noise; 6150h says where it is beyond the
+    """A transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h flags out of
     range.
     """
 
@@ -58,11 +58,11 @@ class SimulatedTransmitter(SimulatedNode):
 def transmitted(
     transmitter: Transmitter, pressure_Pa: NDArray[np.float64], rng: np.random.Generator | None
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return what a transmitter makes of exact pressures, shape (n,).
+    """Return a transmitter's readings of exact pressures, shape (n,).
 
     Returns:
-        The reading in whole units of :data:`PRESSURE_UNIT_PA`, and whether it is held at the end of
-        the range.
+        The readings in whole units of :data:`PRESSURE_UNIT_PA`, and whether each is clamped to the
+        range.
     """
     noise = 0.0 if rng is None else transmitter.noise_Pa * rng.standard_normal(len(pressure_Pa))
     reading = pressure_Pa + noise

@@ -1,4 +1,6 @@
-"""What is done and said once a run has ended, by ``rig run`` and ``rig resume`` alike."""
+"""Steps after a run has ended, common to ``rig run`` and ``rig resume``: label check, page,
+status.
+"""
 
 from __future__ import annotations
 
@@ -40,20 +42,21 @@ def conclude(
     json_file: Path | None,
     screen: Screen,
 ) -> int:
-    """Check the labels, tell the operator the rest, write the page of the run, and return the exit
-    status.
+    """Check the mass labels, inform the operator, write the run page, and return the exit status.
 
-    How the run ended was shown and written down before; nothing here can hide it. What the operator
-    must know is shown before the page is drawn, which may take its time and may fail.
+    The outcome was shown and recorded before, so that no failure here can hide it. Messages are
+    shown before the page is drawn, which may be slow or fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
-        BaseException: What nobody foresaw during the run.
+        BaseException: An unexpected exception during the run.
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
     if wrong:
-        with suppress(StorageError):  # The warnings are shown all the same, and the run has ended.
+        with suppress(
+            StorageError
+        ):  # The warnings are shown even if this fails; the run has ended.
             folder.save()
     _tell(folder, screen)
     screen.drain()
@@ -75,7 +78,7 @@ def conclude(
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
-    """Note the stages whose mass is not their label; returns how many."""
+    """Record the stages whose measured mass differs from their label; returns their number."""
     record = folder.record
     if reference is None and not _worth_reading(record):
         return 0
@@ -109,7 +112,7 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
 
 
 def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
-    """Write the page of a run and say where it is; where it cannot be written, say that.
+    """Write the run page and print its path, or the reason why it cannot be written.
 
     Never raises.
     """

@@ -1,7 +1,7 @@
-"""What is said when this program itself breaks down, and where the traceback goes.
+"""Report on a defect of this program: message to the operator, and file for the traceback.
 
-What an operator has to know then travels with the exception as notes: how the drive was left, noted
-by whoever made it safe, and the folder of the run, noted by whoever opened it.
+What the operator must know is attached to the exception as notes: the final state of the drive, by
+the code that made it safe, and the run folder, by the code that opened it.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ from typing import Final
 from rig.common.provenance import utc_now, versions
 
 RUN_FILE: Final = "run.json"
-"""As in :mod:`rig.runs.run_record`, whose import takes a tenth of a second that ``rig --help`` does
-not have.
-"""
+"""Same as in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by 0.1 s."""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog"})
 _LONGEST: Final = 300
-"""Characters of an exception's message that are shown; all of it is in the traceback."""
+"""Number of characters of an exception's message that are shown; the traceback has all."""
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _NOT_KNOWN: Final = (
     "how the drive was left is not known; switch the main supply of a real bench "
@@ -35,18 +33,17 @@ _NOT_KNOWN: Final = (
 
 
 def note_drive(error: BaseException, words: str) -> None:
-    """Attach to an exception how the drive was left, e.g. "the drive is de-energised (read back:
-    ...)".
+    """Attach the final state of the drive to an exception, e.g. "the drive is de-energised (read
+    back: ...)".
     """
     error.add_note(f"{_DRIVE}{words}")
 
 
 def drive_words(error: BaseException) -> str | None:
-    """Return how the drive was left, as noted on an exception or on one that led to it; the latest
-    note counts.
+    """Return the latest noted final state of the drive, of an exception or of its causes.
 
-    So does an exception with an attribute ``safe`` that has a ``message``
-    (a :class:`rig.wiring.teardown.SafeState`).
+    An attribute ``safe`` with a ``message`` (a :class:`rig.wiring.teardown.SafeState`) counts as a
+    note.
     """
     for cause in _causes(error):
         for note in reversed(getattr(cause, "__notes__", ())):
@@ -60,9 +57,7 @@ def drive_words(error: BaseException) -> str | None:
 
 @contextmanager
 def noting_folder(folder: Path) -> Iterator[None]:
-    """Attach a run folder to every exception that passes, so that its traceback is written
-    there.
-    """
+    """Attach a run folder to every passing exception, so that its traceback is written there."""
     try:
         yield
     except BaseException as error:
@@ -71,9 +66,7 @@ def noting_folder(folder: Path) -> Iterator[None]:
 
 
 def storage_words(error: OSError) -> str | None:
-    """Return what a full or read-only disk says, or None for every other error of the operating
-    system.
-    """
+    """Return a message for a full or read-only disk, or None for other operating system errors."""
     if error.errno not in _STORAGE:
         return None
     place = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
@@ -81,12 +74,12 @@ def storage_words(error: OSError) -> str | None:
 
 
 def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
-    """Write the traceback to a file, and return what to tell the operator.
+    """Write the traceback to a file, and return the message for the operator.
 
     Args:
-        error: What was not foreseen.
-        arguments: Of the command line.
-        command: The subcommand, or nothing where none was reached.
+        error: The unexpected exception.
+        arguments: Arguments of the command line.
+        command: The subcommand; empty if none was reached.
     """
     drive = drive_words(error)
     if drive is None and command in _MOVES:
@@ -105,7 +98,7 @@ def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
 
 
 def _causes(error: BaseException) -> Iterator[BaseException]:
-    """Yield an exception, those it groups, and those that led to it."""
+    """Yield an exception, the members of its group, and its causes."""
     todo: list[BaseException] = [error]
     seen: set[int] = set()
     while todo:
@@ -120,7 +113,7 @@ def _causes(error: BaseException) -> Iterator[BaseException]:
 
 
 def _in_one_line(error: BaseException) -> str:
-    """Return class, message and innermost place of an exception."""
+    """Return class, message and innermost source line of an exception."""
     words = type(error).__name__
     said = _quietly(lambda: str(error)).strip().splitlines()
     if said:
@@ -132,7 +125,7 @@ def _in_one_line(error: BaseException) -> str:
 
 
 def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
-    """Return what is written to the file."""
+    """Return the content of the traceback file."""
     head = {
         "time": utc_now().isoformat(timespec="seconds"),
         "arguments": " ".join(map(repr, arguments)),
@@ -147,17 +140,15 @@ def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
 
 
 def _quietly(ask: Callable[[], str]) -> str:
-    """Return an answer, or nothing where it cannot be had: the report must not break down
-    itself.
-    """
+    """Return an answer, or an empty text if it fails: the report itself must not fail."""
     try:
         return ask()
-    except Exception:  # noqa: BLE001 - whatever broke the program may break this as well
+    except Exception:  # noqa: BLE001 - the defect may affect this as well
         return ""
 
 
 def _folders(error: BaseException, arguments: Sequence[str]) -> Iterator[Path]:
-    """Yield where the traceback may go: to the run, else here, else among the temporary files."""
+    """Yield folders for the traceback: the run folder, the current folder, the temporary folder."""
     for cause in _causes(error):
         for note in getattr(cause, "__notes__", ()):
             if isinstance(note, str) and note.startswith(_FOLDER):
@@ -172,14 +163,14 @@ def _folders(error: BaseException, arguments: Sequence[str]) -> Iterator[Path]:
 
 
 def _keep(page: str, folders: Iterable[Path]) -> Path | None:
-    """Write the page into the first folder that takes it; return where it is, or None."""
+    """Write the file into the first writable folder; return its path, or None."""
     stamp = f"{utc_now():%Y%m%dT%H%M%SZ}"
     content = page.encode("utf-8", "backslashreplace")
     for folder in folders:
         for name in (f"crash-{stamp}.txt", f"crash-{stamp}-{os.getpid()}.txt"):
             file = folder / name
             try:
-                # Never over a file or through a link that is there.
+                # Never overwrites a file and never follows an existing link.
                 file.touch(exist_ok=False)
             except FileExistsError:
                 continue

@@ -1,6 +1,4 @@
-"""The ``rig`` command: finds its subcommands when they are asked for, and turns errors into exit
-statuses.
-"""
+"""The ``rig`` command: imports subcommands on demand, and turns errors into exit statuses."""
 
 from __future__ import annotations
 
@@ -29,7 +27,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Write a bench, sequence or campaign file to start from.",
     ),
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
-    "resume": ("rig.cli.commands.resume:command", "Go on with a run that stopped."),
+    "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
     "check": (
         "rig.cli.commands.check:command",
@@ -45,37 +43,37 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "diagnose": (
         "rig.cli.commands.diagnose:command",
-        "Say what physics was left out, and model it.",
+        "Find the physics that the model lacks, and model it.",
     ),
     "effects": ("rig.cli.commands.effects:command", "List the effects that a diagnosis can name."),
     "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
     "prove": (
         "rig.cli.commands.prove:command",
-        "Prove the diagnosis blind on rigs that hide physics.",
+        "Test the diagnosis on blind trials with injected effects.",
     ),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
-    "recover": ("rig.cli.commands.recover:command", "Mend a run whose writer died."),
+    "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),
     "schema": (
         "rig.cli.commands.schema:command",
         "Write JSON Schemas, by which editors complete and check files.",
     ),
 }
-"""Name to module and attribute, and the line shown by ``rig --help`` without importing them."""
+"""Name to module, attribute, and the line shown by ``rig --help`` without an import."""
 
 _SILENCE = logging.NullHandler()
 GARBAGE_THRESHOLD = 200_000
 """Allocations between two garbage collections.
 
-What importing allocates stays for good, and the default of 700 would walk over it again and again:
-a tenth of a second of every command.
+Imported objects are never freed, and with the default of 700 the collector would scan them
+repeatedly: a tenth of a second in every command.
 """
 
 DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
-"""Exit statuses; the fourth also where a file cannot be written."""
+"""Exit statuses; 4 also if a file cannot be written."""
 
 
 class _HiddenError(Exception):
-    """Carries an error past click, which would end the program in its own way."""
+    """Carries an error past click, which would otherwise handle it itself."""
 
     def __init__(self, hidden: Exception) -> None:
         super().__init__(str(hidden))
@@ -114,8 +112,8 @@ class LazyGroup(click.Group):
     def invoke(self, ctx: click.Context) -> object:
         """Run the subcommand.
 
-        click takes the end of any file for Ctrl-C, and a broken pipe of any device for a reader of
-        the output that went away; both are errors of their own here.
+        click treats any EOFError as Ctrl-C and any broken pipe as a closed output; here both are
+        errors of their own.
         """
         try:
             return super().invoke(ctx)
@@ -142,8 +140,8 @@ def cli(verbose: bool) -> None:
     if verbose:
         logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     else:
-        # Whatever matters of it comes as an error in this program's own words; without a handler it
-        # would be printed. matplotlib tells of folders that cannot be written, and goes on without
+        # Everything important is reported as an error of this program; without a handler the log
+        # would be printed. matplotlib warns of folders that cannot be written and continues without
         # them.
         for name in ("can", "canopen", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
@@ -152,9 +150,9 @@ def cli(verbose: bool) -> None:
 def main() -> None:
     """Entry point: run the command line and exit with its status.
 
-    Worker threads of the linear algebra would spin beside the control loop, and make sums depend on
-    their number; the matrices here are too small to need them. Freezing spares the interpreter a
-    last walk over everything as it exits.
+    Linear algebra runs in one thread: worker threads would load the processor during the control
+    loop and make sums depend on their number, and the matrices are small. Freezing avoids a last
+    garbage collection at exit.
     """
     streams = Streams()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -167,7 +165,7 @@ def main() -> None:
         try:
             code = status(arguments)
         except KeyboardInterrupt:
-            # Pressed again while the words of the first time were printed.
+            # Pressed again while the first message was printed.
             code = STOPPED
         if code == STOPPED:
             ignore_stops()
@@ -182,7 +180,7 @@ def main() -> None:
 
 
 def status(arguments: list[str]) -> int:
-    """Run the command line and return its exit status; every error becomes words on stderr.
+    """Run the command line and return its exit status; every error becomes a message on stderr.
 
     Raises:
         SystemExit: A command ended the program by itself.
@@ -208,13 +206,13 @@ def status(arguments: list[str]) -> int:
         raise
     except _HiddenError as error:
         return _broke_down(error.hidden, arguments)
-    except BaseException as error:  # noqa: BLE001 - the last handler: what passes it is a traceback for an operator
+    except BaseException as error:  # noqa: BLE001 - the last handler: beyond it an operator would see a traceback
         return _broke_down(error, arguments)
     return result if isinstance(result, int) else DONE
 
 
 def _broke_down(error: BaseException, arguments: list[str]) -> int:
-    """Say what was not foreseen; a full disk is, wherever it shows. Returns the status."""
+    """Report an unexpected exception, or a full disk as a storage error. Returns the status."""
     words = crash.storage_words(error) if isinstance(error, OSError) else None
     if words is not None:
         return _ended(error, f"storage error: {words}", DEVICE_FAILED)
@@ -223,11 +221,10 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Words in place of a traceback for what breaks down in a second thread, or where nothing can
-    be raised.
+    """Reports errors in other threads, or where nothing can be raised, without a traceback.
 
     Attributes:
-        broken: Whether a thread broke down: what it was to compute is missing.
+        broken: Whether a thread failed, so that its result is missing.
     """
 
     def __init__(self, arguments: list[str]) -> None:
@@ -235,13 +232,13 @@ class _Threads:
         self._arguments = arguments
 
     def __enter__(self) -> Self:
-        """Take the hooks of the interpreter."""
+        """Install the hooks of the interpreter."""
         threading.excepthook = self._in_thread
         sys.unraisablehook = self._ignored
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Give them back."""
+        """Restore them."""
         threading.excepthook, sys.unraisablehook = threading.__excepthook__, sys.__unraisablehook__
 
     def _in_thread(self, failure: threading.ExceptHookArgs) -> None:
@@ -254,9 +251,7 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Say why a command ended, and how the drive was left where that is known; returns the
-    status.
-    """
+    """Print why a command ended and, if known, the final state of the drive; returns the status."""
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

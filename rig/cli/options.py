@@ -1,4 +1,4 @@
-"""Options that several commands share, each with one meaning and one type."""
+"""Options shared by several commands, each with one meaning and one type."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Decorator = Callable[[Any], Any]
 
 
 def result_file(command: Any) -> Any:
-    """Give a command ``--json`` for its result file, as ``json_file``."""
+    """Add ``--json`` for the result file to a command, as ``json_file``."""
     return click.option(
         "--json",
         "json_file",
@@ -25,38 +25,36 @@ def result_file(command: Any) -> Any:
 
 
 def record_file(words: str) -> Decorator:
-    """Return a decorator that gives a command ``--json`` for a copy of its record, as
-    ``json_file``.
-    """
+    """Return a decorator that adds ``--json`` for a copy of the record, as ``json_file``."""
     return click.option("--json", "json_file", type=click.Path(path_type=Path), help=words)
 
 
 def out_folder(words: str) -> Decorator:
-    """Return a decorator that gives a command ``--out`` for the folder of its report."""
+    """Return a decorator that adds ``--out`` for the report folder."""
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), help=words)
 
 
-def seed(words: str = "Of the random generator.") -> Decorator:
-    """Return a decorator that gives a command ``--seed``."""
+def seed(words: str = "Seed of the random generator.") -> Decorator:
+    """Return a decorator that adds ``--seed``."""
     return click.option(
         "--seed", type=click.IntRange(min=0), default=0, show_default=True, help=words
     )
 
 
 def simulated_seed(command: Any) -> Any:
-    """Give a command ``--seed`` for the noise of a simulated bench."""
-    return seed("Of the simulated bench's noise.")(command)
+    """Add ``--seed`` for the noise of a simulated bench to a command."""
+    return seed("Seed of the simulated bench's noise.")(command)
 
 
 def bandwidth(words: str) -> Decorator:
-    """Return a decorator that gives a command ``--bandwidth``, Hz."""
+    """Return a decorator that adds ``--bandwidth``, Hz."""
     return click.option(
         "--bandwidth", metavar="HZ", type=click.FloatRange(min=0.0, min_open=True), help=words
     )
 
 
 def partial(command: Any) -> Any:
-    """Give a command ``--partial``."""
+    """Add ``--partial`` to a command."""
     return click.option(
         "--partial",
         is_flag=True,
@@ -65,7 +63,7 @@ def partial(command: Any) -> Any:
 
 
 def yes(command: Any) -> Any:
-    """Give a command ``--yes`` for the weight prompts."""
+    """Add ``--yes`` for the weight prompts to a command."""
     return click.option(
         "--yes",
         is_flag=True,
@@ -74,7 +72,7 @@ def yes(command: Any) -> Any:
 
 
 def operator_name(command: Any) -> Any:
-    """Give a command ``--operator``, as ``operator_name``."""
+    """Add ``--operator`` to a command, as ``operator_name``."""
     return click.option(
         "--operator",
         "operator_name",
@@ -85,7 +83,7 @@ def operator_name(command: Any) -> Any:
 
 
 def identification(command: Any) -> Any:
-    """Give a command ``--identification``."""
+    """Add ``--identification`` to a command."""
     return click.option(
         "--identification",
         type=click.Path(path_type=Path),
@@ -95,20 +93,20 @@ def identification(command: Any) -> Any:
 
 
 def first_pass(command: Any) -> Any:
-    """Give a command ``--first-pass`` and ``--no-first-pass``."""
+    """Add ``--first-pass`` and ``--no-first-pass`` to a command."""
     return click.option(
         "--first-pass/--no-first-pass",
         default=None,
-        help="Go through each stage at 10 % first. [default: on a real bench, or with "
-        "--identification]",
+        help="Run a first pass at 10 % amplitude before each stage. [default: on a real bench, "
+        "or with --identification]",
     )(command)
 
 
 def reset_fault(more: str = "") -> Decorator:
-    """Return a decorator that gives a command ``--reset-fault``.
+    """Return a decorator that adds ``--reset-fault``.
 
     Args:
-        more: Added to its help.
+        more: Text added to its help.
     """
     return click.option(
         "--reset-fault",

@@ -1,1 +1,1 @@
-"""What every room may use: errors, tables, files, provenance, samples, locks."""
+"""Common modules of the bench side: errors, tables, files, provenance, samples, locks."""

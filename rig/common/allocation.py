@@ -1,4 +1,4 @@
-"""Memory that is given back and asked for again within a millisecond, kept in between."""
+"""Keeps freed memory in the process for reuse by later arrays."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 """Parameters of mallopt, malloc.h."""
 _KEPT_BYTES = 1 << 30
 _LARGEST_BYTES = 1 << 25
-"""The most that the C library takes from its heap at all."""
+"""Largest allocation that the C library serves from its heap."""
 
 
 def keep_freed_memory() -> None:
-    """Have the C library keep what numpy frees, instead of returning it to the system array by
-    array.
+    """Have the C library keep memory freed by numpy, instead of returning each array to the system.
 
-    A series of 30 s is 240 kB; beyond 128 kB each one would be mapped, zeroed page by page at its
-    first touch, and unmapped again, which costs ten times what is done with it. Elsewhere than on
-    Linux with glibc nothing is changed.
+    A series of 30 s is 240 kB; arrays beyond 128 kB would each be mapped, zeroed on first use and
+    unmapped, which takes ten times as long as the computation. Has an effect only on Linux with
+    glibc.
     """
     if sys.platform != "linux":
         return

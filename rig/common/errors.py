@@ -1,4 +1,4 @@
-"""Errors of the bench side that the user can put right."""
+"""Errors of the bench side that the user can correct."""
 
 from __future__ import annotations
 
@@ -9,9 +9,8 @@ class InputError(Exception):
     """A file the user wrote, or pointed at, cannot be used; the command line exits with status 2.
 
     Attributes:
-        problems: One line each, all that were found:
-            ``file:line:column: path: message (got VALUE)`` for configuration,
-            ``file: row N: message`` for recordings.
+        problems: All problems found, one line each: ``file:line:column: path: message (got VALUE)``
+            for configuration, ``file: row N: message`` for recordings.
     """
 
     def __init__(self, problems: str | Iterable[str]) -> None:

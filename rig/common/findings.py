@@ -1,4 +1,4 @@
-"""What a check before a run finds: causes, words, and whether a run would refuse."""
+"""Findings of a check before a run: cause, message, and whether a run would refuse."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from enum import Enum
 
 
 class Cause(Enum):
-    """What a finding is about; the words of a verdict."""
+    """Subject of a finding, as named in a verdict."""
 
     BUS = "bus"
     NODES = "node identifiers"
@@ -26,13 +26,13 @@ class Cause(Enum):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that a check found.
+    """One finding of a check.
 
     Attributes:
-        cause: What it is about.
-        text: In words, with the remedy; a refusal in the words in which a run refuses.
-        refused: Whether a run would refuse; else it is a warning.
-        connectable: Whether the bench can be connected to all the same.
+        cause: Subject of the finding.
+        text: Message with remedy; for a refusal, the message of the run.
+        refused: Whether a run would refuse; otherwise it is a warning.
+        connectable: Whether the bench can be connected to in spite of it.
     """
 
     cause: Cause
@@ -42,17 +42,17 @@ class Finding:
 
 
 def refusals(findings: Sequence[Finding]) -> list[str]:
-    """Return the words of those for which a run would refuse."""
+    """Return the messages of the findings for which a run would refuse."""
     return [finding.text for finding in findings if finding.refused]
 
 
 def warnings(findings: Sequence[Finding]) -> list[str]:
-    """Return the words of the others."""
+    """Return the messages of the other findings."""
     return [finding.text for finding in findings if not finding.refused]
 
 
 def verdict(findings: Sequence[Finding]) -> str:
-    """Return the verdict in words: good, or what is at fault."""
+    """Return the verdict as text: good, or the subjects at fault."""
     causes = list(dict.fromkeys(finding.cause.value for finding in findings if finding.refused))
     if not causes:
         return "good: a run would start"

@@ -1,4 +1,4 @@
-"""Files that somebody names, read with every reason why they cannot be."""
+"""Reads files named by the user, with an error message for every cause of failure."""
 
 from __future__ import annotations
 
@@ -15,22 +15,21 @@ def read_bytes(path: Path) -> bytes:
     """Return the content of a plain file.
 
     Raises:
-        OSError: It cannot be read; ``strerror`` says why.
+        OSError: It cannot be read; ``strerror`` states the reason.
     """
     require_plain(path)
     return path.read_bytes()
 
 
 def read_json(path: Path, remedy: str = "") -> Any:
-    """Return what a JSON file holds.
+    """Return the content of a JSON file.
 
     Args:
         path: The file.
-        remedy: What to do where it cannot be read, for the message.
+        remedy: Remedy in the message if it cannot be read.
 
     Raises:
-        InputError: It cannot be read, is no JSON, or holds a number beyond every floating-point
-            one.
+        InputError: It cannot be read, is no JSON, or has a number beyond the floating-point range.
     """
     return parse_json(path, read_utf8(path, remedy))
 
@@ -52,10 +51,10 @@ def read_utf8(path: Path, remedy: str = "") -> str:
 
 
 def parse_json(path: Path, text: str) -> Any:
-    """Return what JSON text says.
+    """Return the content of JSON text.
 
     Raises:
-        InputError: It is no JSON, or holds a number beyond every floating-point one.
+        InputError: It is no JSON, or has a number beyond the floating-point range.
     """
     try:
         return json.loads(text, parse_int=_whole)
@@ -66,22 +65,20 @@ def parse_json(path: Path, text: str) -> Any:
 
 
 def source_name(source: Path) -> str:
-    """Return the name of a run folder or campaign file, without its ending, wherever the path
-    leads.
-    """
+    """Return the name of a run folder or campaign file without suffix, after resolving the path."""
     return Path(os.path.realpath(source)).stem
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a plain file that can be seen; never raises, as
-    :meth:`pathlib.Path.is_file` may.
+    """Return whether ``path`` is a visible plain file; unlike :meth:`pathlib.Path.is_file` it
+    never raises.
     """
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether there is a folder that can be seen; never raises, as
-    :meth:`pathlib.Path.is_dir` may.
+    """Return whether ``path`` is a visible folder; unlike :meth:`pathlib.Path.is_dir` it never
+    raises.
     """
     return os.path.isdir(path)
 

@@ -1,4 +1,4 @@
-"""Who holds a lock: written into the lock file as JSON, read back with distrust, put into words."""
+"""Holder of a lock: written to the lock file as JSON, read back with validation, shown as text."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any, Final, Self
 from rig.common.provenance import utc_now
 
 _LONGEST: Final = 300
-"""Characters of a text that are shown; a lock file may be written by anyone."""
+"""Number of characters of a text that are shown; anyone may write a lock file."""
 _GREATEST_PID: Final = 2**31 - 1
 _STEPS: Final = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
 
@@ -23,9 +23,9 @@ class Holder:
     """A program that holds a lock.
 
     Attributes:
-        pid: Its process.
+        pid: Its process identifier.
         command: Its name, such as ``rig run``.
-        what: What it holds the lock for: ``bench NAME`` or ``run folder PATH``.
+        what: Locked object: ``bench NAME`` or ``run folder PATH``.
         user: Who started it.
         host: The computer it runs on.
         since: When it took the lock, ISO 8601 in UTC.
@@ -46,7 +46,7 @@ class Holder:
 
     @classmethod
     def parse(cls, content: bytes) -> Self | None:
-        """Return the holder that a lock file names; None where it is empty or damaged."""
+        """Return the holder named in a lock file; None if the file is empty or damaged."""
         try:
             told = json.loads(content)
         except (ValueError, RecursionError):
@@ -60,11 +60,11 @@ class Holder:
         return cls(pid, *(_printable(told.get(name)) for name in names))
 
     def content(self) -> bytes:
-        """Return what stands in the lock file."""
+        """Return the content for the lock file."""
         return json.dumps(dataclasses.asdict(self)).encode() + b"\n"
 
     def alive(self) -> bool:
-        """Whether the process is there; one that cannot be looked for is taken to be."""
+        """Whether the process exists; assumed if this cannot be checked."""
         if self.host != socket.gethostname() or os.name != "posix":
             return True
         try:
@@ -77,7 +77,9 @@ class Holder:
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return who this is, since when, and for what where that is not ``what``."""
+        """Return a description of the holder with its start time, and its purpose if that is not
+        ``what``.
+        """
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
         host = f", computer {self.host}" if self.host and self.host != socket.gethostname() else ""
@@ -87,7 +89,7 @@ class Holder:
         )
 
     def _when(self, now: datetime) -> str:
-        """Return since when, and how long ago that is; nothing where the file does not say it."""
+        """Return the start time and how long ago it was; empty if the file lacks it."""
         try:
             since = datetime.fromisoformat(self.since).astimezone(UTC)
         except (ValueError, OverflowError):
@@ -97,7 +99,7 @@ class Holder:
 
 
 def _ago(seconds: float) -> str:
-    """Return how long ago something was; nothing where a clock was set back meanwhile."""
+    """Return how long ago a time was; empty if a clock was set back meanwhile."""
     for length_s, unit in _STEPS:
         if seconds >= length_s:
             return f", {int(seconds // length_s)} {unit} ago"
@@ -105,14 +107,14 @@ def _ago(seconds: float) -> str:
 
 
 def _printable(text: Any) -> str:
-    """Return a text as it can be shown at a terminal: short, and without control characters."""
+    """Return a text shortened and without control characters, safe for a terminal."""
     if not isinstance(text, str):
         return ""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST])
 
 
 def _user() -> str:
-    """Return who runs this process; the number where the system knows no name."""
+    """Return the user of this process; the number if the system has no name."""
     try:
         import pwd
     except ImportError:

@@ -1,12 +1,12 @@
-"""One owner of a bench and of a run folder: advisory locks that name their holder.
+"""Advisory locks, with the name of their holder, for exclusive use of benches and run folders.
 
-A lock is an ``flock`` of the operating system. It ends when the last process that has the file
-open is gone, however that process ends; a stopped process keeps it, and so does a child that
-inherits the descriptor. What stands in the file names the holder. It makes the words of a refusal
-and decides nothing, so that damaged content does no harm.
+A lock is an ``flock`` of the operating system. It ends when the last process that has the file open
+ends, however that happens; a suspended process keeps it, and so does a child that inherits the
+descriptor. The content of the file names the holder. It is used only for messages, so that damaged
+content does no harm.
 
-The files of benches stay, empty while nobody holds them. The file in a run folder is removed by
-its holder; whoever locks it checks afterwards that it still is the file of that name.
+The lock files of benches remain, empty while not held. The file in a run folder is removed by its
+holder; a process that locks it then checks that the name still refers to the same file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rig.common.lock_holder import Holder
 from rig.common.provenance import utc_now
 
 LOCK_FOLDER: Final = Path("/tmp/loadrig-locks")
-"""Where the lock files of benches are, for all users of this computer."""
+"""Folder of the lock files of benches, for all users of this computer."""
 OWNER_FILE: Final = ".owner"
 """The lock file of a run folder."""
 
@@ -38,17 +38,16 @@ _READABLE: Final = 40
 _CONTENT_BYTES: Final = 16_384
 _ATTEMPTS: Final = 25
 _PAUSE_S: Final = 0.02
-"""So long a refusal waits for the name of a holder that has not written itself in yet."""
+"""Time that a refusal waits for the holder to write its name."""
 
 
 @dataclass(frozen=True, order=True)
 class Resource:
-    """A part of a bench that one program at a time may use.
+    """A part of a bench that only one program at a time may use.
 
     Attributes:
-        key: What is the same whichever way it is written: the real path of a device, else
-            ``interface:channel``.
-        label: What the operator calls it, such as ``port /dev/ttyUSB0``.
+        key: Unique key: the real path of a device, else ``interface:channel``.
+        label: Name for the operator, such as ``port /dev/ttyUSB0``.
     """
 
     key: str
@@ -56,10 +55,10 @@ class Resource:
 
 
 class Lock:
-    """What this process holds; a context manager that releases it at the end.
+    """Locks held by this process; a context manager that releases them at the end.
 
     Attributes:
-        taken_over: What a program that is gone had left locked, in words; None where nothing was.
+        taken_over: Message on locks left by a dead program; None if there were none.
     """
 
     def __init__(
@@ -75,14 +74,14 @@ class Lock:
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process in as the holder, under that name; never raises."""
+        """Write this process to the lock files as holder, under that name; never raises."""
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)
             item.write(holder if before is None else replace(holder, since=before.since))
 
     def release(self) -> None:
-        """Give it back; never raises. The name of a child that goes on holding it stays."""
+        """Release the locks; never raises. The name of a child that still holds them stays."""
         held, self._held = self._held, ()
         for item in reversed(held):
             item.close()
@@ -99,14 +98,14 @@ class Lock:
 def hold_bench(
     name: str, resources: Iterable[Resource], command: str, folder: Path | None = None
 ) -> Lock:
-    """Lock everything that a bench consists of, or nothing.
+    """Lock all parts of a bench, or none.
 
     Args:
-        name: Of the bench.
-        resources: Its parts; see :func:`rig.wiring.resources.resources`. Without any nothing is
+        name: Name of the bench.
+        resources: Its parts; see :func:`rig.wiring.resources.resources`. If empty, nothing is
         locked.
-        command: What locks it, such as ``rig run``.
-        folder: Where the lock files are; :data:`LOCK_FOLDER` by default.
+        command: The locking command, such as ``rig run``.
+        folder: Folder of the lock files; :data:`LOCK_FOLDER` by default.
 
     Raises:
         InUseError: Another program holds a part of it.
@@ -125,8 +124,8 @@ def hold_folder(folder: Path, command: str) -> Lock:
     """Lock a run folder.
 
     Args:
-        folder: It must be there.
-        command: What locks it, such as ``rig resume``.
+        folder: The run folder; it must exist.
+        command: The locking command, such as ``rig resume``.
 
     Raises:
         InputError: There is no such folder.
@@ -142,11 +141,11 @@ def hold_folder(folder: Path, command: str) -> Lock:
 
 
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
-    """Return the lock that a process has inherited; :meth:`Lock.note` writes it in as the holder.
+    """Return the locks that a process has inherited; :meth:`Lock.note` writes it as holder.
 
     Args:
-        descriptors: Of all that is held.
-        folder: The run folder where that is among it.
+        descriptors: Descriptors of all inherited lock files.
+        folder: The run folder, if its lock is among them.
     """
     return Lock(
         [_Held(descriptor) for descriptor in descriptors],
@@ -155,7 +154,7 @@ def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
 
 
 def file_name(key: str) -> str:
-    """Return the name of a resource's lock file: a readable part, and a digest of all of it."""
+    """Return the name of a resource's lock file: a readable part and a digest of the key."""
     digest = sha256(key.encode("utf-8", "surrogatepass")).hexdigest()[:20]
     return f"{sub('[^A-Za-z0-9]+', '-', key)[-_READABLE:].strip('-')}-{digest}.lock"
 
@@ -165,10 +164,10 @@ class _Place:
     """A lock file.
 
     Attributes:
-        subject: What it stands for, as the operator is told.
-        what: The same, as its holder is to write it in.
-        folder: Where it is.
-        file: Its name there.
+        subject: The locked object in messages to the operator.
+        what: The locked object as written in the file.
+        folder: Its folder.
+        file: Its name in the folder.
         shared: Whether the folder is for all users of this computer.
     """
 
@@ -180,27 +179,27 @@ class _Place:
 
 
 class _Held:
-    """A locked file, and what this process has written into it."""
+    """A locked file, and the content written by this process."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._written = b""
 
     def read(self) -> bytes:
-        """Return what stands in it; nothing where it cannot be read."""
+        """Return its content; empty if it cannot be read."""
         with suppress(OSError):
             return os.pread(self.descriptor, _CONTENT_BYTES, 0)
         return b""
 
     def write(self, holder: Holder) -> None:
-        """Name the holder, as far as the disk has room for it."""
+        """Write the holder's name, if the disk has room."""
         self._written = holder.content()
         with suppress(OSError):
             os.ftruncate(self.descriptor, 0)
             os.pwrite(self.descriptor, self._written, 0)
 
     def close(self) -> None:
-        """Take out what this process has written, and let go."""
+        """Erase the content of this process, and release the lock."""
         # No LOCK_UN: that would take the lock from a child that holds the same open file.
         with suppress(OSError):
             if self._written.startswith(self.read()):
@@ -227,7 +226,7 @@ def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> 
 
 
 def _take(place: _Place) -> tuple[_Held, bytes]:
-    """Lock one file; returns it with what its last holder has left in it."""
+    """Lock one file; returns it with the content left by its last holder."""
     holder: Holder | None = None
     for attempt in range(_ATTEMPTS):
         if attempt:
@@ -248,9 +247,7 @@ def _take(place: _Place) -> tuple[_Held, bytes]:
 
 
 def _attempt(place: _Place) -> _Held | Holder | None:
-    """Return the locked file, else its holder; None where that is not known, or the file is
-    gone.
-    """
+    """Return the locked file, else its holder; None if unknown or if the file is gone."""
     fcntl = _fcntl(place)
     with _folder(place) as folder:
         item = _Held(_open(place, folder, fcntl))
@@ -272,7 +269,7 @@ def _fcntl(place: _Place) -> ModuleType:
     try:
         import fcntl
     except ImportError as error:
-        # Windows has it not; without an owner a bench is not used.
+        # Windows lacks it; a bench is not used without a lock.
         raise StorageError(
             f"{place.subject}: this system cannot lock files; use Linux or macOS"
         ) from error
@@ -290,7 +287,9 @@ def _locked(descriptor: int, fcntl: ModuleType) -> bool:
 
 @contextmanager
 def _folder(place: _Place) -> Iterator[int]:
-    """Open the folder of a lock file; that of all users is made if missing, and must be no link."""
+    """Open the folder of a lock file; the shared folder is made if missing, and must not be a
+    link.
+    """
     flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
     if place.shared:
         flags |= os.O_NOFOLLOW
@@ -306,7 +305,7 @@ def _folder(place: _Place) -> Iterator[int]:
 
 
 def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
-    """Open a lock file, or make it; returns a descriptor above those of the standard streams."""
+    """Open or create a lock file; returns a descriptor above the standard streams."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
         # First without O_CREAT: in a sticky folder fs.protected_regular refuses that for a file
@@ -319,8 +318,8 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
         if not stat.S_ISREG(status.st_mode) or (place.shared and status.st_nlink > 1):
             raise StorageError(_unusable(place, "no plain file of its own"))
         _open_to_all(descriptor, _FILE_MODE)
-        # A standard stream that was closed would leave its number to the lock, and what is
-        # printed would go into the file.
+        # If a standard stream is closed, the lock could get its number, and printed text would go
+        # into the file.
         above: int = fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
         return above
     finally:
@@ -328,7 +327,9 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
 
 
 def _open_to_all(descriptor: int, mode: int) -> None:
-    """Set the mode of what this user owns, whatever the umask is; some file systems have none."""
+    """Set the mode of a file of this user regardless of the umask; some file systems have no
+    modes.
+    """
     status = os.fstat(descriptor)
     if status.st_uid == os.geteuid() and stat.S_IMODE(status.st_mode) != mode:
         with suppress(OSError):
@@ -336,7 +337,7 @@ def _open_to_all(descriptor: int, mode: int) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove the lock file of a run folder, unless it is held or names somebody."""
+    """Remove the lock file of a run folder, unless it is held or names a holder."""
     import fcntl
 
     with suppress(OSError):
@@ -354,7 +355,7 @@ def _remove(path: Path) -> None:
 
 
 def _refusal(place: _Place, holder: Holder | None) -> str:
-    """Return why a lock cannot be had, and what to do."""
+    """Return the reason why a lock is refused, and the remedy."""
     if holder is None:
         file = place.folder / place.file
         return (
@@ -372,14 +373,14 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
 
 
 def _left_words(place: _Place, left: bytes) -> str:
-    """Return what is taken over."""
+    """Return a message on the lock taken over."""
     holder = Holder.parse(left)
     who = "a program that is not known" if holder is None else holder.words(place.what, utc_now())
     return f"{place.subject} was left locked by {who}, which no longer holds it; taken over"
 
 
 def _unusable(place: _Place, reason: str) -> str:
-    """Return what is wrong with a lock file or its folder, and what to do."""
+    """Return the problem of a lock file or its folder, and the remedy."""
     if place.shared:
         remedy = (
             f"{place.folder} must be a folder that everyone may write to (mode 1777); remove "

@@ -6,7 +6,7 @@ from enum import Enum
 
 
 class Phase(Enum):
-    """Where a run is. The drive has power from ENABLE to RELEASE only."""
+    """Phase of a run. The drive is energised only from ENABLE to RELEASE."""
 
     LOAD = "load"
     PREPARE = "prepare"

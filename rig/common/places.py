@@ -1,4 +1,4 @@
-"""The places that results go to: judged before the work, written in one step after it."""
+"""Output paths: checked before the work, written atomically after it."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from rig.common.text import valid, valid_record
 
 
 def require_folder(path: Path, option: str) -> None:
-    """Check, before anything is computed, that a folder is there or can be made; makes nothing.
+    """Check before the work that a folder exists or can be made; creates nothing.
 
     Args:
         path: The folder.
-        option: What chose it, for the message.
+        option: Option that set it, for the message.
 
     Raises:
-        InputError: It cannot be; says which folder above it is in the way.
+        InputError: It cannot be made; names the parent folder that prevents it.
     """
     above = path
     while not os.path.exists(above) and above != above.parent:
@@ -36,7 +36,7 @@ def require_folder(path: Path, option: str) -> None:
 
 
 def require_file(path: Path | None, option: str) -> None:
-    """Check, before anything is computed, that a file can be written; makes nothing.
+    """Check before the work that a file can be written; creates nothing.
 
     Raises:
         InputError: Its folder is missing or read-only, or it is a folder itself.
@@ -57,17 +57,16 @@ def require_file(path: Path | None, option: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the name of a draft; it takes the place of ``path`` at the end, and is removed if there
-    is no good end.
+    """Yield a temporary name; the file replaces ``path`` at the end, or is removed after an error.
 
-    No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link
-    is followed, and what is no plain file (a pipe, ``/dev/stdout``) is written straight, never
+    Readers never see half a file, and an earlier version survives a full disk or Ctrl-C. A link is
+    followed; a path that is no plain file (a pipe, ``/dev/stdout``) is written directly, never
     replaced.
     """
     if os.path.exists(path) and not is_file(path):
         yield path
         return
-    # Unlike Path.resolve, realpath takes a loop of links too; opening it then says so.
+    # Unlike Path.resolve, realpath accepts a loop of links; opening it then raises the error.
     target = Path(os.path.realpath(path))
     draft = target.with_name(f".{target.name}.new")
     try:
@@ -97,17 +96,16 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """
     text = json.dumps(record, indent=1)
     if "\\ud" in text:
-        # Bytes that were not decoded may be among the escapes, and strict readers of JSON refuse
-        # those.
+        # The text may have escapes of undecoded bytes, which strict JSON readers refuse.
         text = json.dumps(valid_record(record), indent=1)
     write_text(path, text + "\n")
 
 
 def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
-    """Write what ``--json`` asks for; None is nothing.
+    """Write the file of ``--json``; does nothing if None.
 
     Raises:
-        InputError: It cannot be written after all; an earlier version is kept.
+        InputError: It cannot be written; an earlier version is kept.
     """
     if path is None:
         return

@@ -1,4 +1,4 @@
-"""Where a result came from: digests, versions, the commit."""
+"""Provenance of a result: digests, versions, commit."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def utc_now() -> datetime:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this program and of what a recording depends on, with the commit if
-    there is one.
-    """
+    """Return the versions of this program and its dependencies, with the commit if there is one."""
     found = {name: version(name) for name in ("loadrig", "numpy", "canopen", "python-can", "mcap")}
     found["python"] = platform.python_version()
     commit = git_commit(Path(__file__).parents[2])
@@ -61,5 +59,5 @@ def _text(path: Path) -> str | None:
     try:
         return path.read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
-        # No work tree, or somebody else's.
+        # No work tree, or one of another project.
         return None

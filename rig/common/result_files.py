@@ -1,4 +1,4 @@
-"""What every result file carries, and plain numbers for it."""
+"""Common head of all result files, and numbers in plain JSON form."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from rig.common.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
-"""Name of such a result beside the recordings of a run."""
+"""Name of such a result file in a run folder."""
 
 
 @dataclass(frozen=True)
 class Provenance:
-    """What every result file carries beside its result.
+    """Provenance data in every result file.
 
     Attributes:
-        seed: Of the random generator.
+        seed: Seed of the random generator.
         inputs: File to its SHA-256.
         seconds: Wall-clock time spent.
-        created: When, ISO 8601 in UTC.
-        versions: Of this program and of what it depends on.
+        created: Time of creation, ISO 8601 in UTC.
+        versions: Versions of this program and its dependencies.
     """
 
     seed: int
@@ -45,11 +45,10 @@ class Provenance:
         """Return the provenance of a result made just now from these recordings.
 
         Args:
-            seed: Of the random generator.
-            recordings: What was identified.
+            seed: Seed of the random generator.
+            recordings: The recordings used.
             seconds: Wall-clock time spent.
-            described_by: The campaign file, or a run's ``run.json``, which says what the recordings
-                are.
+            described_by: The campaign file or a run's ``run.json`` that describes the recordings.
 
         Raises:
             OSError: ``described_by`` cannot be read.

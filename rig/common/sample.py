@@ -1,6 +1,4 @@
-"""What one control cycle leaves behind: the row that is checked, recorded and later identified
-from.
-"""
+"""Sample of one control cycle: checked, recorded, and later used for identification."""
 
 from __future__ import annotations
 

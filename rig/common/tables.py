@@ -34,7 +34,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
 
 
 def number(value: float | None, digits: int = 5) -> str:
-    """Return a number with so many significant digits, or a dash for None."""
+    """Return a number with this many significant digits, or a dash for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 

@@ -1,8 +1,7 @@
-"""Text from the command line and from file names, made fit for files.
+"""Converts text from the command line and from file names to valid Unicode for files.
 
-Python carries bytes that its locale cannot decode as lone surrogates: the whole of a name like
-"Jürgen" in a C locale. They are no text: UTF-8 cannot hold them, and strict JSON readers refuse
-them.
+Python represents bytes that its locale cannot decode by lone surrogates, e.g. the umlaut of
+"Jürgen" in a C locale. UTF-8 cannot encode these, and strict JSON readers refuse them.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ def valid_record(record: Any) -> Any:
 
 
 def stored_path(text: str) -> Path:
-    """Return the path that a text of a file stands for, as this process encodes names of files."""
+    """Return the path for a text from a file, in this process's encoding of file names."""
     try:
         os.fsencode(text)
     except UnicodeEncodeError:
@@ -48,5 +47,5 @@ def _bytes(text: str) -> bytes:
     try:
         return text.encode("utf-8", "surrogateescape")
     except UnicodeEncodeError:
-        # Half of a character of UTF-16: it never was bytes.
+        # Half of a UTF-16 character, which never stands for bytes.
         return text.encode("utf-8", "replace")

@@ -1,4 +1,4 @@
-"""How punctual a run was: counts in fixed bins, cheap enough for every cycle."""
+"""Timing statistics of a run: counts in fixed bins, fast enough for every cycle."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Mapping
 from typing import Any
 
 EDGES_US = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
-"""Upper ends of the bins, microseconds; one more bin holds what is beyond."""
+"""Upper ends of the bins, microseconds; one more bin holds longer durations."""
 _EDGES_NS = tuple(edge * 1000 for edge in EDGES_US)
 
 
 class Histogram:
-    """Durations by bin, with the greatest.
+    """Histogram of durations, with the greatest.
 
     Attributes:
-        counts: One a bin of :data:`EDGES_US`, and one for what is beyond.
-        worst_ns: The longest, ns.
+        counts: Counts per bin of :data:`EDGES_US`, and one for longer durations.
+        worst_ns: Longest duration, ns.
     """
 
     def __init__(self) -> None:
@@ -29,10 +29,10 @@ class Histogram:
         self.worst_ns = max(self.worst_ns, duration_ns)
 
     def share_within_us(self, share: float) -> float | None:
-        """Return the end of the first bin that, with those below, holds ``share`` of all; the worst
-        beyond the last.
+        """Return the upper end of the bin at the quantile ``share``; the longest duration beyond
+        the last bin.
 
-        None where nothing was counted.
+        None if nothing was counted.
         """
         total = sum(self.counts)
         if not total:
@@ -45,7 +45,7 @@ class Histogram:
         return self.worst_ns * 1e-3
 
     def record(self) -> dict[str, Any]:
-        """Return the bins and the figures drawn from them, for ``run.json``."""
+        """Return the bins and statistics from them, for ``run.json``."""
         return {
             "edges_us": list(EDGES_US),
             "counts": list(self.counts),
@@ -56,17 +56,15 @@ class Histogram:
 
 
 class Timing:
-    """What is told about the time keeping of a run.
+    """Timing statistics of a run.
 
     Attributes:
-        lateness: How late cycles started; on a simulated bench held to real time, by the real
-        clock.
-        answer: From a cycle's start until its answer had been collected: the age of a sample when
-        it is judged.
-        missed_syncs: Cycles that were never sent because an earlier one was late by more than a
-        period.
+        lateness: Lateness of cycle starts; by the real clock for a simulated bench in real time.
+        answer: Time from a cycle's start until its sample was received: the sample's age at its
+        check.
+        missed_syncs: Cycles skipped because an earlier one was more than a period late.
         lost_servo: Cycles in which the drive's answer was missing or bad.
-        lost_encoder: The same of the joint encoder.
+        lost_encoder: Cycles in which the joint encoder's answer was missing or bad.
         oldest_s: The greatest age of the last fresh sample, s.
     """
 

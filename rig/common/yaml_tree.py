@@ -1,8 +1,8 @@
-"""YAML text to a tree that remembers where each value was written.
+"""Parses YAML text into a tree with the position of each value.
 
 Only plain data: mappings with text keys, lists, and the scalars of the YAML 1.2 core schema, so
-that ``1e3`` is a number and ``on`` or ``2020-01-01`` stay text. Anchors may be used, within a limit
-on what they expand to.
+that ``1e3`` is a number and ``on`` or ``2020-01-01`` stay text. Anchors are allowed, with a limit
+on their expansion.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ class DocumentError(Exception):
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes with the scalars of the YAML 1.2 core schema and bounded depth."""
+    """Composes nodes with scalars of the YAML 1.2 core schema and limited depth."""
 
     yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
     depth = 0
@@ -160,7 +160,7 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
 
 
 class _Builder:
-    """Turns composed nodes into the tree, counting what anchors expand to."""
+    """Converts composed nodes to the tree, and limits the expansion of anchors."""
 
     def __init__(self) -> None:
         self.duplicates: list[tuple[Mark, str, str]] = []
@@ -241,7 +241,7 @@ def _explain(error: yaml.MarkedYAMLError) -> str:
 
 
 def _nearby(path: Path) -> str:
-    """Name files of the same type beside a missing one, at most three."""
+    """Name up to three files of the same type in the folder of a missing one."""
     if not path.parent.is_dir():
         return f"; the folder {path.parent} does not exist either"
     names = sorted(p.name for p in path.parent.glob("*.y*ml"))

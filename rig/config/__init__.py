@@ -1,4 +1,4 @@
 """Bench, sequence, campaign and fault files: YAML to validated records.
 
-Data only, and what ships with the program.
+Data only; includes the packaged files.
 """

@@ -1,5 +1,4 @@
-"""The bench file: machine constants, bus, devices, limits and, for the mock, the true machine
-behind the bus.
+"""The bench file: machine constants, bus, devices, limits and (for `mock`) the simulated machine.
 
 Units are in the names, at the edge of the program (``angle_max_deg``); everything past the
 properties here is SI.
@@ -54,7 +53,7 @@ class Constants(Schema):
 
 
 def _servo_kind(section: object) -> object:
-    """Return what kind of servo a section describes; CANopen where it does not say."""
+    """Return the kind of servo of a section; CANopen if not stated."""
     return (
         section.get("kind", "canopen")
         if isinstance(section, dict)
@@ -63,9 +62,7 @@ def _servo_kind(section: object) -> object:
 
 
 def _bus_kind(section: object) -> object:
-    """Return what kind of bus a section describes: CAN, whose interfaces have many names, or the
-    one serial kind.
-    """
+    """Return the kind of bus of a section: CAN (many interface names), or the one serial kind."""
     name = (
         section.get("interface")
         if isinstance(section, dict)
@@ -75,7 +72,7 @@ def _bus_kind(section: object) -> object:
 
 
 def _encoder_kind(section: object) -> object:
-    """Return what kind of encoder a section describes; CiA 406 where it does not say."""
+    """Return the kind of encoder of a section; CiA 406 if not stated."""
     return (
         section.get("kind", "cia406")
         if isinstance(section, dict)
@@ -255,7 +252,7 @@ class Bench(Schema):
 
     @property
     def watched(self) -> bool:
-        """Whether the drive stops by itself when the control loop does."""
+        """Whether the drive stops by itself if the control loop stops."""
         if isinstance(self.servo, DbcServoSection):
             return self.servo.watchdog_ms is not None
         return not isinstance(self.bus, SerialBus)
@@ -274,11 +271,10 @@ class Bench(Schema):
 def load_bench(name: str | Path) -> Document[Bench]:
     """Read a bench by path, or by the bare name of a packaged one (``practical``).
 
-    Where the drive has no watchdog, the limits of torque, current and speed are those of the file,
-    cut.
+    For a drive without watchdog, the limits of torque, current and speed in the file are reduced.
 
     Raises:
-        InputError: It is not there, or not valid; every problem with its place in the file.
+        InputError: It is missing or not valid; every problem with its place in the file.
     """
     document = load_located(resolve(name, "benches"), Bench, follow_bench)
     bench = document.value
@@ -298,9 +294,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:
-    """Return a bench with the limits in force: cut, where nothing but this program watches the
-    drive.
-    """
+    """Return a bench with the limits in force: reduced if only this program monitors the drive."""
     bench = document.value
     if bench.watched:
         return document
@@ -311,8 +305,8 @@ def in_force(document: Document[Bench]) -> Document[Bench]:
 
 
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
-    """Yield what is wrong where a control cycle does not fit the bus, with these frames of the
-    drive.
+    """Yield a problem if a control cycle with these frames of the drive exceeds the bus
+    capacity.
     """
     bitrate, cycle_s = bus.bitrate, bench.cycle_s
     bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))

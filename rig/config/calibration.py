@@ -1,4 +1,4 @@
-"""The calibrations that the results of a bench rest on."""
+"""Calibrations on which the results of a bench depend."""
 
 from __future__ import annotations
 
@@ -11,9 +11,7 @@ from rig.config.configuration import Document
 
 
 def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
-    """Return the bench's calibrations as ``run.json`` holds them; one is good through the day it is
-    due.
-    """
+    """Return the bench's calibrations for ``run.json``; each is valid through its due day."""
     return [
         {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today}
         for c in bench.calibrations
@@ -21,7 +19,7 @@ def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
 
 
 def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return in words which of them are overdue."""
+    """Return a message for each overdue calibration."""
     return [
         f"calibration {c['id']} of {c['device']} was due on {c['due']}"
         for c in records
@@ -32,7 +30,7 @@ def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
 def overdue_problems(document: Document[Bench], today: date) -> list[str]:
     """Return the overdue calibrations that a run refuses, each with its place in the bench file.
 
-    None where the bench file lets a run go on with them.
+    None if the bench file permits runs with them.
     """
     bench = document.value
     if bench.overdue_calibration != "refuse":

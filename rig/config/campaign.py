@@ -74,7 +74,7 @@ def _overlay(under: Node, over: Node) -> Node:
 
 
 def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
-    """Yield what the schema alone cannot see, as (location, message)."""
+    """Yield problems that the schema cannot detect, as (location, message)."""
     fixed = campaign.model.fixed
     if "Mc" in fixed and "Ms" in fixed and fixed["Ms"] < fixed["Mc"]:
         yield (
@@ -87,7 +87,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
                 ("model", "fixed", name),
                 f"friction {campaign.model.rung} does not rise toward rest; remove it",
             )
-    # As a term it may be declared before any load is: a diagnosis may find one.
+    # A term may be declared without a declared load, since a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
         r.gravity and r.role == "fit" for r in campaign.recordings
     ):
@@ -170,9 +170,7 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
 def _check_burn(
     channels: Mapping[str, ChannelSection], bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield what a recording lacks that has no torque: the pressure of a gas generator under a
-    valve of known angle.
-    """
+    """Yield what a recording without torque lacks: gas generator pressure and valve angle."""
     if "pressure" not in channels:
         yield (
             ("channels",),

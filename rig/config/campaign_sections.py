@@ -1,6 +1,4 @@
-"""Sections of a campaign file: constants of the bench, declared physics, and what was recorded
-where.
-"""
+"""Sections of a campaign file: constants of the bench, declared physics, and recordings."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ from rig.config.configuration import Schema, nearest
 FITTED_TERMS = ("offset", "load_dependent_friction")
 """Terms that the estimators of this version can fit."""
 _BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
-"""Rung to the one with `load_dependent_friction` declared beside it."""
+"""Rung to the rung with `load_dependent_friction` in addition."""
 PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
 
 
@@ -39,7 +37,7 @@ def _known_term(name: str) -> str:
 
 
 ANGLE_TIME = "angle_time"
-"""Channel of the joint encoder's own stamps, s; used on reading, and gone then."""
+"""Channel of the joint encoder's own time stamps, s; used on reading, then removed."""
 
 
 def _known_friction(name: str) -> str:

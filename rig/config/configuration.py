@@ -40,7 +40,7 @@ class Schema(BaseModel):
 
 @dataclass(frozen=True)
 class Document(Generic[M]):
-    """A validated file that can still say where each of its values was written.
+    """A validated file with the position of each of its values.
 
     Attributes:
         value: The validated record.
@@ -52,14 +52,14 @@ class Document(Generic[M]):
     _root: Node
 
     def problem(self, loc: Loc, message: str, value: object = _ABSENT) -> str:
-        """Word a problem found after validation, in the form of :class:`InputError`.
+        """Format a problem found after validation for :class:`InputError`.
 
         Args:
-            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. Where
-                the file does not go that deep (a default was used), the nearest value above it is
-                pointed at.
+            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
+                file does not contain it (a default was used), the message points to the nearest
+                enclosing value.
             message: What is wrong, the limit and the remedy.
-            value: What was found; left out, the value in the file is shown.
+            value: Value found; if omitted, the value in the file is shown.
         """
         node, mark, path, _ = _resolve(self._root, loc)
         if value is _ABSENT and path == loc:
@@ -139,20 +139,19 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
-    """Word what is wrong in a JSON file that was validated as a record or a standard dataclass,
-    with its places.
+    """Format validation problems of a JSON file (record or standard dataclass), with their places.
 
     Raises:
-        InputError: The text is too deep or too long to look for places in.
+        InputError: The text is too deep or too long to search for places.
     """
     return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
 
 
 def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
-    """Word problems found in a JSON file after validation, each with its place.
+    """Format problems found in a JSON file after validation, each with its place.
 
     Raises:
-        InputError: The text is too deep or too long to look for places in.
+        InputError: The text is too deep or too long to search for places.
     """
     root, found = _json_tree(path, text), []
     for loc, message in problems:
@@ -188,7 +187,7 @@ def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Ite
         if details["type"] == "too_short" and any(
             e["loc"][: len(loc)] == loc != e["loc"] for e in errors
         ):
-            continue  # pydantic leaves bad items out of the count of a tuple
+            continue  # pydantic does not count bad items of a tuple
         mark, path, message, value = _place(root, schema, details)
         messages, _ = places.setdefault((mark, path), ([], value))
         if message not in messages:
@@ -222,9 +221,7 @@ def _place(
 
 
 def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
-    """Yield the keys that a missing section must hold, so that none is asked for only once the
-    section is there.
-    """
+    """Yield the required keys of a missing section, so that all are reported at once."""
     records = _records_at([schema], loc)
     if len(records) != 1:
         return
@@ -244,7 +241,7 @@ def _required(record: type[Any]) -> Iterator[str]:
 
 def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
     names = {name for record in _records_at([schema], loc[:-1]) for name in _keys(record)}
-    # Another branch of a union may know the key.
+    # Another branch of a union may have the key.
     known = sorted(names - {loc[-1]})
     return f"unknown key; {nearest(str(loc[-1]), known)}"
 
@@ -259,8 +256,8 @@ def nearest(name: str, known: list[str]) -> str:
 
 
 def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
-    """Return the models and dataclasses a location may refer to; elements naming a union's branch
-    are passed over.
+    """Return the models and dataclasses of a location; elements naming a union's branch are
+    skipped.
     """
     for element in loc:
         branches = [branch for annotation in annotations for branch in _branches(annotation)]
@@ -308,8 +305,8 @@ _Place = tuple[Node, Mark, Loc, Mark | None]
 def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
     """Follow a location as far as the tree goes.
 
-    pydantic puts the names of union branches between keys; such an element is passed over, and
-    where it happens to equal a key, the reading that follows more of the location wins.
+    pydantic puts names of union branches between keys; such elements are skipped. If one equals a
+    key, the interpretation that follows more of the location is used.
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an

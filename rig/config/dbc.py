@@ -33,7 +33,7 @@ from rig.config.configuration import Loc, Positive, Schema
 
 _Natural = Annotated[int, Field(ge=0)]
 Problem = Callable[[Loc, str], str]
-"""Words a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
+"""Formats a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
 
 
 class HeldSection(Schema):
@@ -103,17 +103,17 @@ class DbcServoSection(Schema):
 
     @property
     def quick_stop_option(self) -> int:
-        """Every stop of such a drive ends without power, as option 2 of 605Ah says."""
+        """Quick stop option 2 of 605Ah: every stop of such a drive ends without power."""
         return 2
 
     @property
     def quick_stop_deceleration_deg_s2(self) -> float:
-        """Of the drive's own ramp."""
+        """Deceleration of the drive's own ramp."""
         return self.held.quick_stop_deceleration_deg_s2
 
     @property
     def signal_map(self) -> DbcMap:
-        """The map alone."""
+        """The signal map alone."""
         return DbcMap(
             self.inputs,
             self.status,
@@ -125,7 +125,7 @@ class DbcServoSection(Schema):
         )
 
     def drive(self, gear_ratio: float, torque_constant_N_m_A: float) -> DbcDrive:
-        """Return what is known of the drive beside its signals, in SI units."""
+        """Return the data of the drive other than its signals, in SI units."""
         held = self.held
         window = held.following_error_deg
         return DbcDrive(
@@ -152,7 +152,7 @@ class DbcServoSection(Schema):
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
     """Return the drive's DBC file; ``path`` is the bench file's.
 
-    The simulated drive brings its own.
+    The simulated drive has its own.
     """
     return DRIVE_DBC if section.file is None else path.parent / section.file
 
@@ -163,7 +163,7 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
     Args:
         section: The section, validated.
         path: The bench file.
-        simulated: Whether the drive is the simulated one, which brings its own DBC.
+        simulated: Whether the drive is the simulated one, which has its own DBC.
         problem: Finds the place of a value in the bench file.
 
     Raises:
@@ -186,6 +186,6 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return data bytes of each message, and the number of cycles in which it goes once."""
+    """Return data bytes and period in cycles of each message."""
     messages = (*wiring.sent.values(), *wiring.received.values())
     return [(message.size, max(1, round(message.period_s / cycle_s))) for message in messages]

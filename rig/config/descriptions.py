@@ -1,4 +1,4 @@
-"""What the fields of a record mean, read from the record's own docstring.
+"""Reads the meaning of a record's fields from the record's docstring.
 
 A record lists its fields under ``Attributes:``. The unit of a field is the ending of its name
 (``speed_deg_s``) or follows the last comma of its first sentence ("Winding resistance, ohm.").
@@ -49,9 +49,9 @@ SUFFIXES: Mapping[str, str] = {
     "m": "m",
     "s": "s",
 }
-"""Ending of a name to the unit, longest first."""
+"""Name suffix to unit, longest first."""
 _NO_UNIT = frozenset({"mu_s"})
-"""Names of the paper that end like a unit by chance."""
+"""Names from the paper whose ending only looks like a unit."""
 UNITS = frozenset(
     {*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"}
 )
@@ -60,11 +60,11 @@ _SECTION = re.compile(r"^[A-Z]\w+:$")
 
 
 class Meaning(NamedTuple):
-    """What one field means.
+    """Meaning of one field.
 
     Attributes:
-        text: In words, one or more sentences.
-        unit: Unit; empty where the field has none.
+        text: Description of one or more sentences.
+        unit: Unit; empty if the field has none.
     """
 
     text: str
@@ -72,14 +72,14 @@ class Meaning(NamedTuple):
 
 
 def summary(record: type) -> str:
-    """Return what a record is: its docstring up to the list of its fields."""
+    """Return the description of a record: its docstring before the list of fields."""
     lines = inspect.cleandoc(record.__doc__ or "").split("\n")
     end = next((n for n, line in enumerate(lines) if _SECTION.match(line)), len(lines))
     return "\n".join(lines[:end]).strip()
 
 
 def meanings(record: type) -> dict[str, Meaning]:
-    """Return what the docstring of a record says of its fields, with those it inherits."""
+    """Return the meanings of a record's fields, inherited ones included, from the docstrings."""
     found: dict[str, Meaning] = {}
     for base in reversed(record.__mro__):
         for name, text in _attributes(base.__dict__.get("__doc__") or "").items():
@@ -118,7 +118,7 @@ def _meaning(name: str, text: str) -> Meaning:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit that a name ends with; empty where it names none."""
+    """Return the unit from the suffix of a name; empty if there is none."""
     if name in _NO_UNIT:
         return ""
     return next((unit for ending, unit in SUFFIXES.items() if name.endswith(f"_{ending}")), "")

@@ -1,4 +1,4 @@
-"""The fault schedule: what goes wrong on a simulated bench, when, and how the run must react.
+"""The fault schedule: injected faults on a simulated bench, their times, and the expected reaction.
 
 YAML or CSV.
 """
@@ -40,11 +40,11 @@ class Kind:
     """One kind of fault.
 
     Attributes:
-        meaning: In words.
-        unit: Of ``value``; empty where there is none.
-        default: Of ``value``.
-        counted: Whether ``count`` means anything.
-        integer: Whether ``value`` must be whole.
+        meaning: Description.
+        unit: Unit of ``value``; empty if it has none.
+        default: Default of ``value``.
+        counted: Whether ``count`` applies.
+        integer: Whether ``value`` must be an integer.
     """
 
     meaning: str
@@ -114,7 +114,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ),
     ("operator", "wrong_weight"): Kind("hangs this mass and types the planned one", "kg", 60.0),
 }
-"""Target and name to what it is."""
+"""Target and name to the kind of fault."""
 
 COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sync": (0x080,),
@@ -237,7 +237,7 @@ class FaultRow(Schema):
 
     @property
     def kind(self) -> Kind:
-        """What sort of fault it is."""
+        """The kind of fault."""
         return FAULTS[self.target, self.fault]
 
     @property
@@ -247,7 +247,7 @@ class FaultRow(Schema):
 
     @property
     def when(self) -> str:
-        """When it comes, in words."""
+        """Time of the fault, as text."""
         after = f" + {self.after_s:g} s" if self.after_s else ""
         if self.time_s is not None:
             return f"{self.time_s + self.after_s:g} s"
@@ -274,7 +274,7 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     ``words`` for those of ``expect``.
 
     Raises:
-        InputError: It is not there, or not valid; every problem with its place in the file.
+        InputError: It is missing or not valid; every problem with its place in the file.
     """
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)

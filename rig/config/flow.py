@@ -1,6 +1,4 @@
-"""Closed-loop stages in a sequence file: the gas flow that is asked for, and the controller that is
-to bring it.
-"""
+"""Closed-loop stages in a sequence file: commanded gas flow and pressure controller."""
 
 from __future__ import annotations
 
@@ -92,7 +90,7 @@ class FlowSection(Schema):
         return self
 
     def command(self, duration_s: float, cycle_s: float) -> Array:
-        """Return the flow asked for in each cycle, kg/s, shape (n,)."""
+        """Return the commanded flow in each cycle, kg/s, shape (n,)."""
         t = np.arange(round(duration_s / cycle_s)) * cycle_s
         corners = [(0.0, self.steps[0].flow_kg_s)]
         for before, step in pairwise(self.steps):

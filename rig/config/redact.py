@@ -1,6 +1,4 @@
-"""A simulated bench as the recording keeps it: with what an engineer of a real one knows, and
-nothing more.
-"""
+"""Removes from a simulated bench, before it is recorded, all values unknown on a real bench."""
 
 from __future__ import annotations
 
@@ -27,16 +25,16 @@ _KNOWN: Mapping[str, frozenset[str] | None] = {
     "steps_per_loop": None,
     "supply_V": None,
 }
-"""What stays of the ``mock`` section; None for all of it.
+"""Keys of the ``mock`` section that are kept; None for all of a subsection.
 
-Friction, inertia, noise, warming and effects go.
+Friction, inertia, noise, warming and effects are removed.
 """
 _HEAD = "# What is true of the simulated machine and not known of a real one was left out here.\n"
 
 
 def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the simulated machine's secrets; one without a ``mock``
-    section as it is.
+    """Return a valid bench file without the simulated machine's true values; unchanged without a
+    ``mock`` section.
     """
     tree, _ = parse(content.decode("utf-8"))
     bench: Any = tree.plain()

@@ -48,12 +48,12 @@ class Ramp(Schema):
 
     @property
     def period_s(self) -> float:
-        """Time to the far end and back with the rest there, s."""
+        """Time to the far end and back, with the rest there, s."""
         return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
 
     @property
     def moving_s(self) -> float:
-        """The same of all times, s."""
+        """Total time of all repetitions, s."""
         return self.times * self.period_s
 
 
@@ -246,7 +246,7 @@ def load_sequence(name: str | Path) -> Document[Sequence]:
     """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
 
     Raises:
-        InputError: It is not there, or not valid; every problem with its place in the file.
+        InputError: It is missing or not valid; every problem with its place in the file.
     """
     return load_located(resolve(name, "sequences"), Sequence)
 

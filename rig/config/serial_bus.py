@@ -1,6 +1,4 @@
-"""Serial buses and encoders in a bench file: their sections, whether a cycle fits, and the devices
-behind them.
-"""
+"""Serial buses and encoders in a bench file: sections, cycle time check and devices."""
 
 from __future__ import annotations
 
@@ -18,9 +16,7 @@ from rig.config.configuration import Positive, Schema
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
-"""Share of the bench's torque, current and speed limits that is in force where the drive has no
-watchdog.
-"""
+"""Factor on the bench's torque, current and speed limits for a drive without watchdog."""
 _ALONE: Final = (
     "the drive goes on holding its last target under power, and nothing but the main switch or "
     "the emergency stop "
@@ -83,7 +79,7 @@ class Amt21Section(Schema):
 
 
 def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
-    """Yield what is wrong where a control cycle does not fit the line."""
+    """Yield a problem if a control cycle exceeds the line's capacity."""
     writes, reads = epos_serial_node.CYCLE_WRITES, epos_serial_node.CYCLE_READS
     bits = epos_serial.cycle_bits(writes, reads)
     needed_s = bits / bus.baud + (writes + reads) * bus.round_trip_ms * 1e-3

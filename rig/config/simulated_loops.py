@@ -1,7 +1,7 @@
-"""Is the current loop of a simulated drive stable with the motor that it is to drive?
+"""Checks that the current loop of a simulated drive is stable with its motor.
 
-An unstable one looks like a jam: the current swings to its limit, and the run trips on torque or
-current.
+An unstable loop looks like a jam: the current oscillates at its limit, and the run trips on torque
+or current.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from drivers.mock.plant.parts import constants
 
 _BISECTIONS = 60
 _ADVISED_SHARE = 0.5
-"""Of the gain at the edge of stability: a gain margin of 6 dB."""
+"""Share of the gain at the stability limit: a gain margin of 6 dB."""
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
-    """Return what is wrong with the gain of a simulated drive's current loop, and what would be
-    right.
+    """Return the problem of a simulated drive's current loop gain, with a stable value.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
-    (eq. 1). It is linear, so its eigenvalues decide; the supply only bounds how far it swings.
+    (eq. 1). It is linear, so its eigenvalues decide; the supply voltage only limits the
+    oscillation.
 
     Args:
         machine: The simulated machine.
@@ -46,8 +46,8 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
 
 
 def _radius(machine: constants.Machine, gain: float) -> float:
-    """Return by what factor the loop's error grows each period: the greatest magnitude of an
-    eigenvalue.
+    """Return the growth factor of the loop's error per period: the greatest eigenvalue
+    magnitude.
     """
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
@@ -55,14 +55,13 @@ def _radius(machine: constants.Machine, gain: float) -> float:
     constant_s = motor.inductance_H / motor.resistance_ohm
     kept = math.exp(-period / constant_s) if constant_s > 0.0 else 0.0
     rise = (1.0 - kept) / motor.resistance_ohm
-    # State: current, and the voltage that the integral holds, which takes in this period's error
-    # first.
+    # State: current, and the integrator's voltage, which includes this period's error.
     loop = np.array([[kept - rise * (gain + integral), rise], [-integral, 1.0]])
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 
 
 def _greatest_stable_gain(machine: constants.Machine) -> float:
-    """Return the gain at the edge of stability, V/A; below it all are stable."""
+    """Return the gain at the stability limit, V/A; all lower gains are stable."""
     low, high = 0.0, machine.loops.current_gain_V_A
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)

@@ -1,9 +1,8 @@
-"""The ``mock`` section of a bench file: what it leaves out follows from the rest of the file, and
-what its numbers may be.
+"""The ``mock`` section of a bench file: derived defaults and ranges of its values.
 
-A bench that is simulated in place of the real one is then the same machine: the same motor, gear,
-lever, encoders, supply and current limit. Friction and inertia, which nobody knows before they are
-identified, are those of the paper, scaled by the limit on torque.
+A simulated bench then has the same motor, gear, lever, encoders, supply and current limit as the
+real one. Friction and inertia, unknown before an identification, are the paper's values scaled by
+the torque limit.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sen
 from rig.common.yaml_tree import Mark, Node
 
 _PAPER_TORQUE_N_M: Final = 75.0
-"""Limit on torque of the bench whose friction the defaults are."""
+"""Torque limit of the bench with the default friction."""
 _FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
 _ANY_SIGN: Final = frozenset({"temperature_C"})
 _SMALLEST: Final = 1e-12
-"""Of a constant of the simulated machine, in SI units; the largest is its inverse."""
+"""Smallest permitted constant of the simulated machine, SI units; the largest is its inverse."""
 _LOOPS_HZ: Final = (100.0, 1e8)
-"""Of the simulated drive's loops; faster ones stand for a drive in continuous time."""
+"""Rate of the simulated drive's loops; faster ones represent a continuous-time drive."""
 _MAY_BE_ZERO: Final = frozenset(
     {
         "inductance_H",
@@ -54,8 +53,8 @@ Section = dict[str, float]
 def follow_bench(root: Node) -> Node:
     """Complete the ``mock`` section of a bench file; what it states is kept.
 
-    A simulated bench without the section gets a whole one. What can't be computed, because the file
-    lacks it or states it wrong, is left to the checks of the file.
+    A simulated bench without the section gets a complete one. Values that cannot be computed,
+    because the file is incomplete or wrong, are left to the file's checks.
     """
     top = root.value
     if not isinstance(top, dict):
@@ -117,7 +116,7 @@ def _joint(bench: Mapping[str, Any]) -> Section:
 def _loops(
     bench: Mapping[str, Any], motor: Section, inertia_share: float, supply_V: float | None
 ) -> Section:
-    """Return gains of the bandwidths that the practical bench has, whatever the motor."""
+    """Return gains for the same bandwidths as the practical bench, for any motor."""
 
     def of_motor(name: str) -> float:
         return float(_number(bench, "mock", "motor", name) or motor.get(name, getattr(Motor, name)))
@@ -146,7 +145,7 @@ def _sensing(bench: Mapping[str, Any]) -> Section:
 
 
 def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> float | None:
-    """Return counts per turn of an encoder that the file states, or that its kind has."""
+    """Return an encoder's counts per turn, from the file or fixed by its kind."""
     found = bench.get(section)
     stated = found.get("kind", kind) if isinstance(found, dict) else kind
     fixed = _FALLBACK.get(stated) if isinstance(stated, str) else None
@@ -154,7 +153,7 @@ def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> floa
 
 
 def _supply(bench: Mapping[str, Any]) -> float | None:
-    """Return the middle of the limits on the supply, V; None where one of them is open."""
+    """Return the mean of the supply voltage limits, V; None if one is not set."""
     low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
     return None if low is None or high is None else 0.5 * (low + high)
 
@@ -170,13 +169,13 @@ def _simulated(bench: Mapping[str, Any]) -> bool:
 
 
 def _number(tree: Mapping[str, Any], *path: str) -> Any:
-    """Return a positive number of the file, or None where there is none."""
+    """Return a positive number of the file, or None if there is none."""
     value: Any = tree
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None
     if not isinstance(value, int | float) or isinstance(value, bool):
         return None
-    # Whole numbers of a file may be beyond what a float holds.
+    # Integers in a file may exceed the range of a float.
     return value if 0 < value < math.inf and value <= sys.float_info.max else None
 
 
@@ -185,7 +184,7 @@ def _known(**values: float | None) -> Section:
 
 
 def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
-    """Put values under a mapping of the file, whose own keys win."""
+    """Add values to a mapping of the file; existing keys have priority."""
     if not isinstance(given.value, dict):
         return given
     children = dict(given.value)
@@ -198,7 +197,7 @@ def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
 
 
 def may_be(name: str) -> str:
-    """Return what a number of the simulated machine may be: "> 0", "≥ 0", or anything (empty)."""
+    """Return the range of a number of the simulated machine: "> 0", "≥ 0", or any (empty)."""
     if name in _ANY_SIGN:
         return ""
     return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
@@ -208,7 +207,7 @@ def require_buildable(machine: Machine) -> None:
     """Check the numbers of a simulated machine.
 
     Raises:
-        ValueError: One is not finite, has the wrong sign, or lies where no machine is built; or the
+        ValueError: One is not finite, has the wrong sign or is outside a realistic range; or the
             gas generator cannot burn steadily.
     """
     for path, value in _leaves(machine):
@@ -259,7 +258,7 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 
 def hidden_problems(machine: Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield what is wrong with the physics that a simulated machine is to hide."""
+    """Yield the problems of the effects to be injected into a simulated machine."""
     if machine is None or not machine.effects:
         return
     found = False

@@ -1,4 +1,4 @@
-"""Whether a run needs a person: nobody but one hangs weights on a bench that isn't simulated."""
+"""Decides whether a run needs a person: on a real bench only a person hangs the weights."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rig.wiring.devices import Devices
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
-    """Refuse a run with weights in which no person is asked for their mass.
+    """Refuse a run that hangs weights if no person would be asked for their mass.
 
     Args:
-        plan: What is to be run.
-        bench: On which bench.
-        yes: Whether the prompts are answered as planned (``--yes``).
+        plan: The planned run.
+        bench: The bench it runs on.
+        yes: Whether prompts are answered with the planned mass (``--yes``).
         terminal: Whether a person can be asked.
 
     Raises:
@@ -49,8 +49,8 @@ def connected(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop interrupts the opening, where
-    nothing has power.
+    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop signal interrupts the
+    opening, as nothing is energised yet.
 
     Raises:
         KeyboardInterrupt: The operator stopped it.

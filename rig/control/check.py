@@ -1,4 +1,4 @@
-"""``rig check``: what a bench is, shows and holds, and whether a run would refuse it.
+"""``rig check``: reads a bench's identities, live values and limits; says if a run would refuse it.
 
 Nothing is written, energised or moved.
 """
@@ -31,10 +31,10 @@ _UNSET_RAD = 2000.0 * math.pi
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
-    """Return what is wrong with a bench that can be connected to all the same.
+    """Return the faults of a bench file that do not prevent connecting to the bench.
 
     Raises:
-        InputError: It cannot be; lists every reason.
+        InputError: It cannot be connected to; lists every reason.
     """
     found = bench_findings(document, utc_now().date())
     in_the_way = [finding.text for finding in found if not finding.connectable]
@@ -50,12 +50,12 @@ def examine(
 
     Args:
         document: The bench.
-        devices: On its opened link.
-        seed: Of a simulated bench's noise.
-        found: What its file says, of :func:`require_connectable`.
+        devices: Its devices, on an open link.
+        seed: Seed of a simulated bench's noise.
+        found: Findings in its file, from :func:`require_connectable`.
 
     Returns:
-        The record of ``--json``, and the readings in it.
+        The record for ``--json``, and the readings it contains.
 
     Raises:
         DeviceError: A device does not answer.
@@ -100,12 +100,12 @@ def examine(
 
 
 def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> str:
-    """Return what was found for the terminal.
+    """Return the findings as text for the terminal.
 
     Args:
-        found: Of :func:`examine`.
-        readings: The same.
-        watching: Who stops the drive when this program does not.
+        found: Record from :func:`examine`.
+        readings: Readings from :func:`examine`.
+        watching: What stops the drive if this program no longer commands it.
     """
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
     lines += [

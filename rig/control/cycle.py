@@ -1,6 +1,4 @@
-"""The control cycle: send a target, collect the answer, record it, judge it, in that order and on
-time.
-"""
+"""The control cycle: send a target, receive the sample, record it, check it against the limits."""
 
 from __future__ import annotations
 
@@ -23,17 +21,17 @@ PROGRESS_CYCLES = 100
 
 
 Progress = Callable[[str, int, Sample], None]
-"""Called now and then with stage name, cycles since the last call and the latest sample."""
+"""Progress callback: stage name, cycles since the last call, latest sample."""
 
 
 class SampleSink(Protocol):
-    """Takes what each cycle leaves behind; a :class:`rig.runs.recorder.Recorder` does."""
+    """Receives the sample of each cycle, as :class:`rig.runs.recorder.Recorder` does."""
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
-        """Keep one cycle.
+        """Store the sample of one cycle.
 
         Raises:
-            StorageError: It cannot be kept.
+            StorageError: It cannot be stored.
         """
         ...
 
@@ -42,7 +40,7 @@ class TripError(Exception):
     """A sample broke a limit.
 
     Args:
-        trip: Which.
+        trip: The limit that was broken.
     """
 
     def __init__(self, trip: Trip) -> None:
@@ -51,24 +49,23 @@ class TripError(Exception):
 
 
 class Cycle:
-    """Runs control cycles and keeps their time.
+    """Runs control cycles at a fixed period.
 
-    A cycle that starts more than a period late moves the following ones back rather than rushing to
-    catch up.
+    A cycle that starts more than a period late delays all later ones; lost time is not made up.
 
     Args:
         limits: Checked on every sample, until :meth:`use` changes them.
         cycle_ns: Control cycle, ns.
-        devices: What to move.
+        devices: The devices to command.
         recorder: Takes every sample.
-        stop: Looked at every cycle.
-        progress: Told how it goes.
+        stop: Stop button, read every cycle.
+        progress: Progress callback.
 
     Attributes:
         overruns: Cycles that started more than a period late.
-        stale: Cycles in which a part of the answer was missing.
+        stale: Cycles in which part of the sample was missing.
         count: Cycles so far.
-        timing: How punctual they were.
+        timing: Statistics of their lateness.
     """
 
     def __init__(
@@ -107,7 +104,7 @@ class Cycle:
 
     @property
     def target(self) -> float:
-        """Joint angle commanded last, rad."""
+        """Last commanded joint angle, rad."""
         return self._target
 
     @property
@@ -126,20 +123,20 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Check samples against these limits from now on."""
+        """Use these limits for all further samples."""
         self._limits = limits
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
-        """Start cycling afresh after a pause, at rest on ``target``, and reset the safety latch
-        with the first sample.
+        """Restart the cycle after a pause, holding ``target``; the first sample resets the safety
+        latch.
 
         Args:
             target: Present joint angle, rad.
             time_limit_s: How long commands may be followed from now on, s; None for ever.
 
         Raises:
-            TripError: That sample is outside a limit, or nobody asked for the reset; nothing was
-                commanded to move.
+            TripError: That sample is outside a limit, or the reset was not requested; no motion was
+                commanded.
         """
         self.resume()
         self._powered_ns = self._next_ns
@@ -151,7 +148,7 @@ class Cycle:
             raise TripError(trip)
 
     def resume(self) -> None:
-        """Go on after work that took longer than a cycle and is no sign of lateness."""
+        """Continue after work longer than a cycle, without counting it as lateness."""
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
 
@@ -163,18 +160,17 @@ class Cycle:
         keep: Callable[[Sample], object] | None = None,
         compensate: Callable[[Sample | None], float] | None = None,
     ) -> None:
-        """Command one joint angle in rad a cycle; each sample is judged before the next command
-        goes out.
+        """Command one joint angle (rad) per cycle; each sample is checked before the next command.
 
         Args:
-            targets: Joint angles, rad; each is taken after the sample before it was judged and
-            kept.
+            targets: Joint angles, rad; each is drawn after the previous sample was checked and
+            stored.
             segment: Number of the excitation, 0 for none.
             stage: Name for the progress display.
-            keep: Called with every sample that passed.
-            compensate: Called before every command with the sample before it (None before the
-                first); returns the torque in N m that the drive is to add until the next. It adds
-                none after the last.
+            keep: Called with every sample inside the limits.
+            compensate: Called before every command with the previous sample (None before the
+                first); returns the torque, N m, that the drive adds until the next command. No
+                torque is added after the last command.
 
         Raises:
             TripError: A sample broke a limit.
@@ -208,8 +204,7 @@ class Cycle:
             self._servo.set_torque_offset(0.0)
 
     def watch(self) -> None:
-        """Run one cycle that commands nothing and is not judged, for the time in which the drive
-        brakes by itself.
+        """Run one cycle without a command or a limit check, while the drive brakes by itself.
 
         Raises:
             DeviceError: A device or the bus failed.
@@ -287,10 +282,9 @@ class Cycle:
         return sample
 
     def _pace(self, pacer: Clock, begin_ns: int) -> int:
-        """Hold simulated time back to real time; returns how late this computer is, ns.
+        """Slow simulated time down to real time; returns how late this computer is, ns.
 
-        The simulated bench cannot be late itself. It is judged by this computer's lateness as a
-        real one would be.
+        The simulated bench itself is never late, so this computer's lateness is checked instead.
         """
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)

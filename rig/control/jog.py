@@ -1,4 +1,4 @@
-"""A bench moved by hand: one move at a time, at low limits, without power before and after it."""
+"""Jogging: single moves at low limits, the drive de-energised before and after each."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from rig.wiring.drive_limits import require_held, require_within_own
 from rig.wiring.teardown import attempt_all, give_back, make_safe, words_of
 
 SPEED_MARGIN = 2.0
-"""Limit on the speed over the speed that was asked for: room for breaking away."""
+"""Ratio of the speed limit to the requested speed: a margin for breaking away."""
 TORQUE_SHARE = 0.6
-"""Share of the bench's limits on torque and current."""
+"""Share of the bench's torque and current limits that a jog uses."""
 GREATEST_SPEED_SHARE = 0.25
-"""Share of the bench's limit on speed that may be asked for."""
+"""Highest speed that may be requested, as a share of the bench's speed limit."""
 REST_S = 0.2
-"""Rest at the end of a move before the power goes off."""
+"""Time at rest after a move before the drive is de-energised."""
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Jog:
     Attributes:
         angles: Joint angles to go to, rad.
         speed: Greatest speed on the way, rad/s.
-        limits: In force meanwhile.
+        limits: Limits in force during the moves.
     """
 
     angles: tuple[float, ...]
@@ -49,10 +49,10 @@ class Jog:
 
 
 def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
-    """Check what is asked for against the bench.
+    """Check the requested moves against the bench.
 
     Raises:
-        InputError: An angle or the speed is outside what may be; lists all.
+        InputError: An angle or the speed is outside its permitted range; lists all.
     """
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
@@ -96,9 +96,9 @@ def move(
 ) -> Outcome:
     """Make the moves and leave the drive de-energised, whatever happens. Never raises.
 
-    The limits are written into the drive before each enabling, and its own back at the end. A fault
-    that the drive is in is cleared where ``reset_fault`` says so. ``tell`` shows how it ended, and
-    whether that is good, the moment it is known; what nobody foresaw is the outcome's ``error``.
+    The limits are written into the drive before each enabling, and its own limits are restored at
+    the end. A drive fault is cleared if ``reset_fault``. ``tell`` shows at once how the moves ended
+    and whether that is good; an unexpected exception becomes the outcome's ``error``.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo = devices.servo
@@ -138,7 +138,7 @@ def _moves(
 ) -> tuple[Ending, str, BaseException | None]:
     """Make the moves; returns how they ended.
 
-    ``own`` takes the drive's own limits once they are read.
+    ``own`` receives the drive's own limits once they are read.
     """
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     try:

@@ -1,5 +1,5 @@
-"""The person at the bench, who hangs the weights and types their mass, and what stands in for
-one.
+"""The operator at the bench, who hangs the weights and types their mass, and automatic
+substitutes.
 """
 
 from __future__ import annotations
@@ -15,11 +15,10 @@ from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 
 WEIGHT_TOLERANCE = 0.005
-"""Share of the planned mass by which the typed one may differ, unless the bench file says
-otherwise.
-"""
+"""Default tolerance of the typed mass, as a share of the planned mass."""
 LEAST_TOLERANCE_KG = 0.001
-"""Difference that is always allowed: the last digit of a balance, and an empty lever."""
+"""Difference that is always allowed: the resolution of a balance; also needed for an empty lever.
+"""
 _LOOK_NS = NS // 20
 _ROUNDING = 1e-9
 _MASS = re.compile(r"([+-]?\d+(?:[.,]\d*)?|[+-]?[.,]\d+)\s*(kg|g)?", re.IGNORECASE)
@@ -27,7 +26,7 @@ _UNIT_KG = {"kg": 1.0, "g": 1e-3}
 
 
 class Verb(Enum):
-    """What the operator can ask for between stages, where the drive is de-energised."""
+    """Requests the operator can make between stages, while the drive is de-energised."""
 
     GO_ON = "go on"
     REPEAT = "repeat"
@@ -38,11 +37,11 @@ class Operator(Protocol):
     """Whoever hangs the weights."""
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Have a weight hung and its mass confirmed. The drive was read back as off.
+        """Ask for a weight to be hung and its mass confirmed. The drive is verified off before.
 
         Returns:
-            The mass on the lever, kg, which force and fit are to use, or :attr:`Verb.REPEAT` to do
-            the stage before this one again.
+            The mass on the lever, kg, from which force and fit are computed, or :attr:`Verb.REPEAT`
+            to repeat the previous stage.
 
         Raises:
             OperatorStopError: The operator gave up.
@@ -50,15 +49,15 @@ class Operator(Protocol):
         ...
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the mass that ends up on a simulated lever, kg."""
+        """Return the mass that is actually on a simulated lever, kg."""
         ...
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait at the boundary after ``stage`` until the operator says how to go on."""
+        """Wait after ``stage`` until the operator chooses how to continue."""
         ...
 
     def tell(self, words: str) -> None:
-        """Show the operator something that needs no answer, without blocking."""
+        """Show a message that needs no answer, without blocking."""
         ...
 
     def result(self, words: str, good: bool) -> None:
@@ -67,13 +66,12 @@ class Operator(Protocol):
 
 
 class AutomaticOperator:
-    """Answers every prompt with what the plan says (``--yes``); a pause ends with the signal that
-    asked for it.
+    """Answers every prompt as planned (``--yes``); a second pause signal ends a pause.
 
     Args:
-        hung: Stage to the mass that is hung there in truth, kg, where it is not the planned one: a
-            mistake to be found, on a simulated lever.
-        clock: To wait by while paused.
+        hung: Stage to the mass actually hung on a simulated lever, kg, where it differs from the
+            planned mass: a simulated mistake.
+        clock: Clock for waiting while paused.
         screen: Where messages go.
     """
 
@@ -92,7 +90,7 @@ class AutomaticOperator:
         return weight_kg
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the confirmed mass, or the mistake."""
+        """Return the confirmed mass, or the simulated mistaken one."""
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
@@ -107,11 +105,11 @@ class AutomaticOperator:
         return Verb.GO_ON
 
     def tell(self, words: str) -> None:
-        """Show words on stderr."""
+        """Show the message on stderr."""
         self._screen.say(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show the end of a run, on stdout where it is good."""
+        """Show how a run ended: on stdout if good, else on stderr."""
         self._screen.say(words, err=not good)
 
 
@@ -120,7 +118,8 @@ class ConsoleOperator(AutomaticOperator):
 
     Args:
         screen: Where questions and messages go.
-        asker: Asks and reads; a :class:`rig.terminal.prompt.Prompt` on the terminal unless given.
+        asker: Asks and reads answers; by default a :class:`rig.terminal.prompt.Prompt` on the
+            terminal.
         patience_s: How long an answer is waited for; None for ever.
         tolerance: Share of the planned mass by which the typed one may differ.
     """
@@ -137,11 +136,10 @@ class ConsoleOperator(AutomaticOperator):
         self._tolerance = tolerance
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Ask until the typed mass is the planned one within the tolerance, or another verb is
-        typed.
+        """Ask until the typed mass is within the tolerance of the planned mass, or a verb is typed.
 
-        The planned mass is not shown before a first answer, so that what is typed is what was
-        weighed.
+        The planned mass is not shown before the first answer, so that the operator types the
+        weighed mass.
 
         Raises:
             OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
@@ -210,7 +208,7 @@ class ConsoleOperator(AutomaticOperator):
 def operator_for(
     yes: bool, screen: Screen, patience_s: float | None, tolerance: float
 ) -> AutomaticOperator:
-    """Return who answers the prompts of a run.
+    """Return the operator object that answers the prompts of a run.
 
     Args:
         yes: Whether they are answered as planned, without asking.
@@ -224,8 +222,8 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a mass as it is typed, in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None where
-    it is none.
+    """Parse a typed mass to kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None if it is no
+    mass.
     """
     found = _MASS.fullmatch(text.strip())
     if found is None:

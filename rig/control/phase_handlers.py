@@ -1,4 +1,4 @@
-"""What happens in each phase of a run: one handler a phase, which returns how the phase ended."""
+"""Handlers of the phases of a run, one per phase; each returns how its phase ended."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ from rig.wiring.preflight import energised, require_ready
 
 
 class WeightError(Exception):
-    """The friction of a stage is not that of the confirmed mass."""
+    """The friction of a stage does not fit the confirmed mass."""
 
 
 @dataclass(frozen=True)
 class Console:
-    """What the operator runs a bench with.
+    """The operator's interface: prompts, stop button and progress display.
 
     Attributes:
         operator: Answers the prompts.
-        stop: Looked at every cycle.
-        progress: Told how it goes.
+        stop: Stop button, read every cycle.
+        progress: Progress callback.
     """
 
     operator: Operator
@@ -52,7 +52,7 @@ class StartingPoint:
     Attributes:
         stage: Index of the stage to begin with.
         segment: Number of the last excitation of an earlier part of the run.
-        reset_fault: Clear a fault that the drive is in, once the operator has answered the weight
+        reset_fault: Whether to clear a drive fault once the operator has answered the weight
             prompt.
     """
 
@@ -62,7 +62,7 @@ class StartingPoint:
 
 
 class PhaseHandlers:
-    """The handlers of a run's phases, and where among its stages it is.
+    """The handlers of a run's phases; keeps track of its current stage.
 
     Attributes:
         cycle: The control cycle, with its counts.
@@ -114,15 +114,15 @@ class PhaseHandlers:
 
     @property
     def stage(self) -> PlannedStage:
-        """The stage that the run is in."""
+        """The current stage."""
         return self._stages[self._stage_index]
 
     def handle(self, phase: Phase) -> Event:
-        """Go through a phase and return how it ended.
+        """Execute a phase and return how it ended.
 
         Raises:
             TripError: A limit tripped.
-            WeightError: The friction of the stage is not that of the confirmed mass.
+            WeightError: The friction of the stage does not fit the confirmed mass.
             OperatorStopError: The operator stopped the run.
             DeviceError: A device failed.
             StorageError: The recording or the journal cannot be written.
@@ -134,7 +134,8 @@ class PhaseHandlers:
         if (error := energised(devices.servo.state())) is not None:
             raise error
         if devices.hang is None and self.own_limits is None:
-            # Before a person hangs a weight for a run that would be refused.
+            # Checked before a person hangs a weight, so that no weight is hung for a run that is
+            # refused.
             require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
@@ -153,13 +154,12 @@ class PhaseHandlers:
             return self._go_back()
         self._recorder.event(self.cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
         self._journal.weight_confirmed(self._stage_index, confirmed)
-        # What was weighed, not what was planned, is what force, feed-forward and weight check go
-        # by.
+        # Force, feed-forward and weight check use the weighed mass, not the planned one.
         self._stages[self._stage_index] = stage = with_mass(
             self._plan, self._plan.stages[self._stage_index], confirmed
         )
-        # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the
-        # latch's reset.
+        # By confirming the weight, the operator requests both the enabling and the reset of the
+        # latch.
         self.cycle.ask_reset()
         if self._reset_fault and devices.servo.state() is ServoState.FAULT:
             devices.servo.reset_fault()
@@ -223,11 +223,11 @@ class PhaseHandlers:
         return Event.DONE
 
     def _weigh(self) -> Event:
-        """Compare the friction met at low amplitude with the confirmed mass, while the drive holds
-        still.
+        """Compare the friction measured at low amplitude with the confirmed mass, while the drive
+        holds.
 
-        That takes milliseconds, far less than its heartbeat watch allows. Where the joint has not
-        moved there is nothing to compare, and a larger pass follows.
+        This takes milliseconds, far less than the drive's heartbeat time-out. If the joint did not
+        move, nothing can be compared, and a pass at larger amplitude follows.
         """
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
@@ -297,9 +297,7 @@ class PhaseHandlers:
         return Event.DONE
 
     def _boundary(self) -> Event:
-        """Pause between two stages, or after the last, if that was asked for; the drive is
-        de-energised.
-        """
+        """Pause after a stage if requested; the drive is de-energised."""
         verb = Verb.GO_ON
         if self._stop.pausing:
             self._recorder.event(self.cycle.now_ns, "paused", stage=self.stage.name)

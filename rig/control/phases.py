@@ -1,4 +1,4 @@
-"""The phases of a run and the only ways from one to the next."""
+"""The phases of a run and the permitted transitions between them."""
 
 from __future__ import annotations
 

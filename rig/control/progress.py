@@ -12,14 +12,14 @@ _BAR = 12
 
 
 class RunProgress:
-    """Run time done and left, with stage, angle error and current.
+    """Shows elapsed and remaining run time, stage, angle error and current.
 
-    Time is that of the motion: waiting at a prompt doesn't count.
+    Only time in motion counts, not waiting at a prompt.
 
     Args:
         cycle_s: Control cycle, s.
         duration_s: Expected time in motion, s.
-        screen: Where it is shown.
+        screen: Terminal to show it on.
     """
 
     def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
@@ -32,10 +32,10 @@ class RunProgress:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Leave the status line to the next message."""
+        """Release the status line."""
 
     def __call__(self, stage: str, cycles: int, sample: Sample) -> None:
-        """Advance by so many cycles, and show the latest sample."""
+        """Advance by this many cycles and show the latest sample."""
         self._done_s = min(self._done_s + cycles * self._cycle_s, self._total_s)
         if not self._screen.has_status:
             self._screen.pump()

@@ -1,6 +1,4 @@
-"""What the devices of a bench show, read without preparing them, and whether a run could begin
-so.
-"""
+"""Readings of all devices before a run, without writing to them, and whether a run could start."""
 
 from __future__ import annotations
 
@@ -20,17 +18,17 @@ NOT_AVAILABLE = "not available"
 
 @dataclass(frozen=True)
 class Readings:
-    """What the devices show, not all of one instant. NaN stands for what a device does not say.
+    """Readings of the devices, not all of the same instant. NaN where a device gives no value.
 
     Attributes:
-        state: Of the drive, in words.
-        motor_encoder_at_joint_rad: Angle of the drive's encoder, over the gear ratio.
-        joint_encoder_rad: Angle of the joint encoder.
-        speed_rad_s: Of the joint, as the drive estimates it.
-        current_A: Of the motor.
-        supply_V: Of the drive's power stage.
-        temperature_C: As the drive reports it.
-        pressure_Pa: In the gas generator's chamber; None on a bench without transmitter.
+        state: State of the drive, as text.
+        motor_encoder_at_joint_rad: Angle of the drive's encoder divided by the gear ratio.
+        joint_encoder_rad: Angle measured by the joint encoder.
+        speed_rad_s: Joint speed as estimated by the drive.
+        current_A: Motor current.
+        supply_V: Supply voltage of the drive's power stage.
+        temperature_C: Temperature reported by the drive.
+        pressure_Pa: Pressure in the gas generator's chamber; None on a bench without transmitter.
     """
 
     state: str
@@ -44,11 +42,11 @@ class Readings:
 
     @property
     def difference_rad(self) -> float:
-        """Drive's encoder less joint encoder, at the joint."""
+        """Angle of the drive's encoder minus the joint encoder, both at the joint."""
         return self.motor_encoder_at_joint_rad - self.joint_encoder_rad
 
     def record(self) -> dict[str, str | float | None]:
-        """Return the record of ``--json``; null for what is not available."""
+        """Return the record for ``--json``; null for values that are not available."""
         values = {**dataclasses.asdict(self), "difference_rad": self.difference_rad}
         return {
             name: None if isinstance(value, float) and math.isnan(value) else value
@@ -72,10 +70,10 @@ class Readings:
 
 
 def take_readings(devices: Devices, gear_ratio: float) -> Readings:
-    """Ask every device what it shows. Writes nothing.
+    """Read the values of every device. Writes nothing.
 
     Args:
-        devices: On an opened link.
+        devices: The devices, on an open link.
         gear_ratio: Motor turns per joint turn.
 
     Raises:
@@ -95,10 +93,10 @@ def take_readings(devices: Devices, gear_ratio: float) -> Readings:
 
 
 def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
-    """Yield the readings with which a run would end as soon as the drive is enabled.
+    """Yield the readings that would trip a run as soon as the drive is enabled.
 
-    Each is judged by the check of a run, :func:`rig.control.safety.check`, with all others inside
-    their limits. What is not available is not judged.
+    Each is checked with :func:`rig.control.safety.check`, as in a run, with all others set inside
+    their limits. Values that are not available are not checked.
     """
     gear, angle, pressure = limits.gear_ratio, readings.joint_encoder_rad, readings.pressure_Pa
     calm = _calm(limits)
@@ -114,7 +112,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]
     if pressure is not None:
-        # Its force depends on where the valve is. An angle beyond its limit was judged above.
+        # The gas force depends on the valve angle; an angle beyond its limit was reported above.
         at = angle if limits.angle_min <= angle <= limits.angle_max else calm.angle
         shown.append((pressure, calm._replace(pressure=pressure, angle=at, motor_angle=at * gear)))
     for value, sample in shown:

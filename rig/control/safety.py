@@ -1,4 +1,4 @@
-"""The check made on every sample before the next command goes out, and the latch that holds a trip.
+"""Limit check of every sample before the next command, and the latch that holds a trip.
 
 Pure functions and one latch. This is a stop function in software, not an emergency stop.
 """
@@ -18,7 +18,7 @@ RUNNING = 0x27
 
 
 class Check(Enum):
-    """What a trip was about."""
+    """The quantity that tripped."""
 
     NOT_RESET = "not reset"
     SAMPLE_AGE = "sample age"
@@ -60,24 +60,24 @@ _REMEDY = {
 }
 
 AGAIN = ", then run again"
-"""End of a remedy after which the same run can be tried once more."""
+"""Ending of a remedy after which the same run can be repeated."""
 
 
 def remedy(check: Check) -> str:
-    """Return what to do about a trip before anything moves again."""
+    """Return what the operator must do about a trip before the next motion."""
     return _REMEDY[check].removesuffix(AGAIN)
 
 
 @dataclass(frozen=True, slots=True)
 class Trip:
-    """A limit that was broken, by which sample.
+    """A limit that was exceeded, with the sample that exceeded it.
 
     Attributes:
-        check: Which check.
-        value: What was found.
-        limit: What was allowed: the bound that was crossed.
-        unit: Of both.
-        time: Of the sample, s since the start of the run.
+        check: The check that failed.
+        value: Measured value.
+        limit: The bound that was crossed.
+        unit: Unit of both values.
+        time: Time of the sample since the start of the run, s.
     """
 
     check: Check
@@ -88,12 +88,12 @@ class Trip:
 
     @property
     def message(self) -> str:
-        """Value, limit, unit, when and what to do."""
+        """Message with value, limit, unit, time and remedy."""
         return f"{self._found} at {self.time:.3f} s; {_REMEDY[self.check]}"
 
     @property
     def now(self) -> str:
-        """The same of a value that was read outside of a run."""
+        """Message with value, limit and unit, for a value read outside a run."""
         return f"{self._found}; {_REMEDY[self.check]}"
 
     @property
@@ -111,7 +111,7 @@ class Trip:
 def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
     """Compare one sample with the limits.
 
-    Written as "inside", so that a value that is not a number trips.
+    Conditions are written as "inside the limit", so that NaN trips.
 
     Args:
         sample: The sample just received.
@@ -167,7 +167,7 @@ def _check_gas(sample: Sample, limits: GasLimits) -> Trip | None:
 
 
 def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
-    """Compare how long a stage has been under power with its limit; all in s."""
+    """Compare the time a stage has been under power with its limit, both in s."""
     if not elapsed <= limit:
         return Trip(Check.STAGE_TIME, elapsed, limit, "s", time)
     return None
@@ -176,8 +176,8 @@ def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
 class Latch:
     """Remembers the first trip. Starts tripped.
 
-    Closing it takes two things: that the operator asks (:meth:`ask`), and a sample inside every
-    limit (:meth:`reset`). Asking is good for one reset. Neither moves anything.
+    Closing it takes a request of the operator (:meth:`ask`) and a sample inside every limit
+    (:meth:`reset`). A request is valid for one reset. Neither causes motion.
     """
 
     def __init__(self) -> None:
@@ -190,17 +190,16 @@ class Latch:
         return self._trip
 
     def open(self) -> None:
-        """Open the latch at an orderly end, and forget what was asked."""
+        """Open the latch at an orderly end and withdraw any reset request."""
         self._trip = _NOT_RESET
         self._asked = False
 
     def ask(self) -> None:
-        """Note that the operator asks for the next reset."""
+        """Note the operator's request for the next reset."""
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if it was asked for and the sample is inside every limit; else hold the
-        reason why not.
+        """Close the latch if requested and the sample is inside every limit; else keep the reason.
 
         Returns:
             None when the latch is now closed.
@@ -213,7 +212,7 @@ class Latch:
         return self._trip
 
     def judge(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Check a sample. Once open, the latch stays open whatever the later samples say."""
+        """Check a sample. Once open, the latch stays open whatever later samples are."""
         if self._trip is None:
             self._trip = check(sample, age, late, limits)
         return self._trip

@@ -1,6 +1,4 @@
-"""Runs a plan on a bench: a transition table, one handler a phase, and a teardown that always
-happens.
-"""
+"""Runs a plan on a bench, phase by phase from a transition table, with a teardown in every case."""
 
 from __future__ import annotations
 
@@ -26,10 +24,10 @@ from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, wo
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a run: how, why, what to do, and how the drive was left.
+    """Outcome of a run: ending, reason, remedy and final state of the drive.
 
-    ``error`` is what nobody foresaw: a defect of this program, to be raised once everything is
-    written down.
+    ``error`` is an unexpected exception, a defect of this program; it is raised once everything is
+    recorded.
     """
 
     ending: Ending
@@ -40,22 +38,20 @@ class Outcome:
 
 
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
-"""Trips that say that a device, the bus or this computer failed, rather than that the bench went
-too far.
-"""
+"""Trips caused by a failed device, bus or computer, not by the bench exceeding a physical limit."""
 
 
 class Sequencer:
     """One run of one plan.
 
     Args:
-        plan: What to do.
-        devices: What to do it with; the link is open.
-        console: Who hangs the weights, and what stops the run and shows how it goes.
+        plan: The plan to run.
+        devices: The devices, on an open link.
+        console: Operator, stop button and progress display.
         recorder: Open recording.
-        journal: State on disk.
+        journal: Writes the state of the run to disk.
         scale: Checks the weights.
-        start: Where to begin.
+        start: Where the run begins.
     """
 
     def __init__(
@@ -84,10 +80,10 @@ class Sequencer:
         return self._cycle
 
     def run(self) -> Outcome:
-        """Run to the end, or to the first thing that stops it, and make the drive safe.
+        """Run until the end or the first stop, and make the drive safe.
 
-        How the drive was left is shown and written down the moment it is known. Never raises; what
-        nobody foresaw is the outcome's ``error``.
+        The final state of the drive is shown and recorded as soon as it is known. Never raises; an
+        unexpected exception becomes the outcome's ``error``.
         """
         ending, message, trip, error = self._attempt()
         presses = self._stop.presses
@@ -113,14 +109,13 @@ class Sequencer:
         return outcome
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
-        """Run the phases; returns how they ended, in words, with the trip or the defect that ended
+        """Run the phases; returns how they ended, as text, with the trip or defect that ended
         them.
         """
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
-                # What went over the wire outside the control cycle, before anything else can go
-                # wrong.
+                # Record the frames outside the control cycle before anything else can go wrong.
                 self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
                     self._devices.observer(self._handlers.stage.name, self.phase)
@@ -147,7 +142,9 @@ class Sequencer:
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
 
     def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
-        """Show and write down how the drive was left, at once: nothing that follows can hide it."""
+        """Show and record the final state of the drive at once, before later failures can hide
+        it.
+        """
         ending = outcome.ending
         return attempt_all(
             lambda: self._operator.result(
@@ -160,7 +157,7 @@ class Sequencer:
         return f"stage {self._handlers.stage.name}, phase {self.phase.value}: {message}"
 
     def _note_end(self, outcome: Outcome) -> Outcome:
-        """Put the ending into the recording, unless it is the recording that failed."""
+        """Write the ending into the recording, unless the recording itself failed."""
         try:
             self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
             self._recorder.event(

@@ -1,5 +1,5 @@
-"""One run from opened bus to closed folder: recording started, plan run, everything written down
-however it ends.
+"""One run from open bus to finished folder: starts the recording, runs the plan, stores the
+outcome.
 """
 
 from __future__ import annotations
@@ -48,24 +48,24 @@ from rig.wiring.devices import Devices
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
 DEVICES = ("servo", "encoder", "pressure")
-"""Roles that devices have; not every bench has all."""
+"""Device roles; a bench need not have all."""
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a run was asked for.
+    """The inputs of a run.
 
     Attributes:
         bench: The bench file, validated.
         sequence: The sequence file, validated.
-        seed: Of a simulated bench's noise.
-        realtime: Whether a simulated bench is held to real time.
-        operator: Who runs it, as given.
-        reference: An accepted identification of the bench, to check the weights by.
-        reset_fault: Whether a fault that the drive is in may be cleared.
-        feedforward: What the torque that the drive adds is computed from; None where it adds none.
-        resumed: ``run.json`` of a run that stopped, to go on with at its first unfinished stage;
-            None for a new run.
+        seed: Seed of a simulated bench's noise.
+        realtime: Whether a simulated bench runs in real time.
+        operator: Name of the person who runs it, as given.
+        reference: Accepted identification of the bench, for the weight check.
+        reset_fault: Whether a drive fault may be cleared.
+        feedforward: Model of the feed-forward torque that the drive adds; None for none.
+        resumed: ``run.json`` of a stopped run to continue at its first unfinished stage; None for a
+            new run.
     """
 
     bench: Document[Bench]
@@ -87,7 +87,7 @@ class Inputs:
 
 
 def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
-    """Return ``run.json`` as it stands before anything moves."""
+    """Return the initial ``run.json``, before any motion."""
     paths = (inputs.bench.path, inputs.sequence.path)
     calibrations = calibration_records(inputs.bench.value, utc_now().date())
     return RunRecord(
@@ -131,18 +131,18 @@ def execute(
     progress: Progress,
     start_recording: Callable[[Path], Recorder] = open_recorder,
 ) -> tuple[RunFolder, Outcome]:
-    """Run a plan into an empty folder, or go on with a run.
+    """Run a plan into an empty folder, or continue a stopped run.
 
     The link is open on entry and left open.
 
     Args:
-        inputs: What was asked for.
-        plan: Computed from it.
-        devices: What to move.
+        inputs: The inputs of the run.
+        plan: The plan computed from the inputs.
+        devices: The devices to command.
         path: The run folder.
         operator: Who hangs the weights.
-        stop: Looked at every cycle.
-        progress: Told how it goes.
+        stop: Stop button, read every cycle.
+        progress: Progress callback.
         start_recording: Creates the recording.
 
     Raises:
@@ -269,7 +269,7 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 def _head(
     recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]
 ) -> None:
-    """Put everything that explains the samples at the front, where even a torn file keeps it."""
+    """Write everything that explains the samples at the start, where a truncated file keeps it."""
     part = record.parts[-1]
     run = {
         "name": record.name,
@@ -307,7 +307,7 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
-    """Save ``run.json``; on a full disk the last version stays, and the outcome says so."""
+    """Save ``run.json``; on a full disk the previous version remains, and the outcome says so."""
     try:
         folder.save()
     except StorageError as error:
@@ -316,9 +316,7 @@ def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
-    """Return the outcome of a run whose files lack something; only a good ending becomes
-    another.
-    """
+    """Return the outcome of a run with incomplete files; only a good ending is changed."""
     if outcome is None:
         return None
     ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending

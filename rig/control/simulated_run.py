@@ -1,6 +1,4 @@
-"""A whole run on a simulated bench in one call, as studies and figures need it: bus, drive,
-sequencer, recorder.
-"""
+"""Runs a sequence on a simulated bench in one call, for studies and figures: bus to recording."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ from rig.wiring.connect import connect
 
 
 class _Unattended(AutomaticOperator):
-    """Answers as planned, and has nobody to tell."""
+    """Answers as planned and shows no messages."""
 
     def tell(self, words: str) -> None:
         """Say nothing."""
@@ -43,15 +41,15 @@ def run_simulated(
     back.
 
     Args:
-        bench: A simulated one.
-        sequence: What to do.
-        seed: Of the bench's noise.
+        bench: A simulated bench.
+        sequence: The sequence to run.
+        seed: Seed of the bench's noise.
         folder: The run folder; new or empty.
-        feedforward: What torque the drive is to add is computed from; None for none.
+        feedforward: Model of the feed-forward torque that the drive adds; None for none.
 
     Raises:
         InputError: The bench is a real one, or the run did not end in order.
-        KeyboardInterrupt: It was stopped.
+        KeyboardInterrupt: The run was stopped.
     """
     if not bench.value.simulated:
         raise InputError(

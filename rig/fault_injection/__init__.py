@@ -1,1 +1,1 @@
-"""Faults of the simulated bench, made at a chosen moment of a run."""
+"""Injection of faults into the simulated bench at chosen times of a run."""

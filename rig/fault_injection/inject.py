@@ -1,4 +1,4 @@
-"""Brings a fault schedule about on a simulated bench, and notes what the drive did."""
+"""Executes a fault schedule on a simulated bench, and records the drive's reaction."""
 
 from __future__ import annotations
 
@@ -43,19 +43,18 @@ SCHEMA = "loadrig.faults/1"
 REPORT_FILE = "faults.json"
 _AFTERMATH_S = 2.0
 _PHASES: Mapping[Phase, str] = {Phase.LOAD: "prompt", Phase.RELEASE: "disable"}
-"""Phases of the sequencer that a schedule calls by another name."""
+"""Phases of the sequencer with another name in schedules."""
 
 
 @dataclass
 class Finding:
-    """What one fault led to.
+    """Result of one fault.
 
     Attributes:
         row: Number in the schedule, from 1.
-        applied_s: When it came, bench time; None if its moment never did.
-        off_after_s: How long after that the drive was de-energised for good; None while it is
-        energised.
-        as_expected: Whether the reaction was the expected one; None where nothing was expected.
+        applied_s: Bench time of the fault; None if it was never triggered.
+        off_after_s: Time from the fault to the final de-energised state; None while energised.
+        as_expected: Whether the reaction was as expected; None without an expectation.
     """
 
     row: int
@@ -70,12 +69,12 @@ class Finding:
 
 
 class FaultInjector:
-    """One schedule at work on one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
+    """Executes one schedule in one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
 
     Args:
         schedule: The faults.
-        sequence: What is run; places the phase ``ramp_out``.
-        patience_s: How long the run waits for an answer; None for ever.
+        sequence: The sequence of the run; determines the phase ``ramp_out``.
+        patience_s: Time the run waits for an answer, s; None for ever.
     """
 
     def __init__(
@@ -95,7 +94,7 @@ class FaultInjector:
         self._limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def attach(self, bench: SimulatedBench | SimulatedDbcBench) -> Clock:
-        """Take hold of a bench; returns the clock that the host is to see."""
+        """Attach to a bench; returns the clock for the host."""
         self._scene = Scene(bench)
         self._clock = SteppedClock(bench.clock)
         self._scene.watch(self._entered)
@@ -126,7 +125,7 @@ class FaultInjector:
             resource.setrlimit(resource.RLIMIT_FSIZE, self._limits)
 
     def _observe(self, stage: str, phase: Phase) -> None:
-        """Note that a phase of a stage begins, and set off what waits for it."""
+        """Note the start of a phase, and trigger the faults that wait for it."""
         name = _PHASES.get(phase, phase.value)
         for number in sorted(self._waiting):
             row = self._rows[number]
@@ -147,12 +146,11 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file))
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices live on for a while without the host, judge every row, and write the
-        findings.
+        """Run the devices on for a while without the host, judge every row, and write the findings.
 
         Args:
-            status: Exit status of the run; None where the process is about to be killed.
-            message: Its last words.
+            status: Exit status of the run; None if the process is about to be killed.
+            message: Last message of the run.
 
         Raises:
             OSError: The findings cannot be written.
@@ -223,10 +221,10 @@ class FaultInjector:
         return finding
 
     def _answer(self, stage: str) -> None:
-        """Be the operator who does not answer, where one is scheduled.
+        """Act as an operator who does not answer, if scheduled.
 
         Raises:
-            OperatorStopError: The input ended, or the run's patience did before it.
+            OperatorStopError: The input ended, or the run's time-out came first.
         """
         if self._answer_after_s is not None:
             clock, patience_s = self._scene.clock, self._patience_s
@@ -281,9 +279,9 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("operator", "unanswered"): FaultInjector._be_silent,
     ("operator", "wrong_weight"): FaultInjector._hang_wrong,
 }
-"""Target and name to what is done to this program and its operator.
+"""Target and name to the action on this program and its operator.
 
-What is done to the bench is in :mod:`rig.fault_injection.scene`.
+Actions on the bench are in :mod:`rig.fault_injection.scene`.
 """
 
 
@@ -317,7 +315,7 @@ def fault_injector(
 
 
 def describe(findings: list[Finding]) -> str:
-    """Return the findings as a table, and every unexpected reaction in words."""
+    """Return the findings as a table, with a message for every unexpected reaction."""
     verdicts = {None: "", True: "yes", False: "NO"}
     rows = [
         [
@@ -337,23 +335,23 @@ def describe(findings: list[Finding]) -> str:
 
 
 class _Unreliable:
-    """An operator with the faults of a schedule."""
+    """An operator with scheduled faults."""
 
     def __init__(self, inner: Operator, answer: Callable[[str], None]) -> None:
         self._inner = inner
         self._answer = answer
 
     def confirm_weight(self, stage: str, weight_kg: float) -> Any:
-        """Ask the real one, unless the schedule answers."""
+        """Ask the real operator, unless the schedule answers."""
         self._answer(stage)
         return self._inner.confirm_weight(stage, weight_kg)
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Hang what the real one hangs; a wrong weight is the bench's matter."""
+        """Return the mass that the real operator hangs; a wrong weight is injected at the bench."""
         return self._inner.hangs(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait as the real one does."""
+        """Wait as the real operator does."""
         return self._inner.paused(stage, stop)
 
     def tell(self, words: str) -> None:

@@ -1,6 +1,4 @@
-"""What a fault schedule can do to a simulated bench of any kind, and which faults a bench has at
-all.
-"""
+"""Actions of a fault schedule on a simulated bench of any kind, and the faults a bench supports."""
 
 from __future__ import annotations
 
@@ -38,7 +36,7 @@ _DBC_FRAMES: Final[Mapping[str, int]] = {
     "speed": dbc_drive.POWER,
     "heartbeat": dbc_drive.STATUS,
 }
-"""Which of its frames do what those of a CANopen drive do that ``frames`` names."""
+"""Frames of this drive for the functions of a CANopen drive that ``frames`` names."""
 _DBC_IDENTIFIERS: Final = frozenset(
     {
         dbc_drive.STOP,
@@ -54,7 +52,7 @@ _DBC_IDENTIFIERS: Final = frozenset(
 
 
 def impossible(row: FaultRow, bench: Bench) -> str | None:
-    """Return why a fault does not exist on a bench, or None where it does."""
+    """Return why a bench does not support a fault, or None if it does."""
     serial = isinstance(bench.bus, SerialBus)
     own_frames = isinstance(bench.servo, DbcServoSection)
     has = {
@@ -85,10 +83,10 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
 
 
 class Scene:
-    """One simulated bench, and the faults of its wires.
+    """One simulated bench, with the faults of its buses and lines.
 
     Args:
-        bench: Booted, with nobody on it yet.
+        bench: Booted bench, with no host connected yet.
     """
 
     def __init__(self, bench: SimulatedBench | SimulatedDbcBench) -> None:
@@ -98,8 +96,8 @@ class Scene:
         self._lines: dict[str, LineFaults] = {}
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
-        """Have every state of the drive told as it is entered: its name in a schedule, and whether
-        power is on.
+        """Set a callback for every new state of the drive: its name in a schedule, and if it is
+        energised.
         """
         drive = self.bench.drive
         if isinstance(drive, DbcDrive):
@@ -110,11 +108,11 @@ class Scene:
             )
 
     def apply(self, row: FaultRow) -> None:
-        """Bring a fault about."""
+        """Execute a fault."""
         ACTIONS[row.target, row.fault](self, row)
 
     def line(self, device: str) -> LineFaults:
-        """Return the faults of a serial line; it is there once the host has its driver."""
+        """Return the fault injector of a serial line, which exists once the host has its driver."""
         if device not in self._lines:
             assert isinstance(self.bench, SimulatedBench)
             self._lines[device] = LineFaults(self.bench.lines[device], self.clock)
@@ -122,19 +120,19 @@ class Scene:
 
     @property
     def canopen_drive(self) -> SimulatedDrive:
-        """The drive where it is a CANopen one."""
+        """The drive, if it is a CANopen drive."""
         assert isinstance(self.bench, SimulatedBench)
         return self.bench.drive
 
     @property
     def dbc_drive(self) -> DbcDrive:
-        """The drive where it has frames of its own."""
+        """The drive, if it has its own CAN frames."""
         assert isinstance(self.bench, SimulatedDbcBench)
         return self.bench.drive
 
     @property
     def sensor(self) -> sensor_faults.Sensor:
-        """The joint encoder that the host listens to."""
+        """The joint encoder that the host uses."""
         if isinstance(self.bench, SimulatedBench) and "encoder" in self.bench.lines:
             station = self.bench.lines["encoder"].station
             assert isinstance(station, SimulatedAmt21)
@@ -146,21 +144,21 @@ class Scene:
         return round(degrees / 360.0 * self.sensor.counts_per_turn)
 
     def restart(self) -> None:
-        """Make the drive boot again."""
+        """Restart the drive."""
         if isinstance(self.bench, SimulatedBench):
             self.wire.restart(self.bench.drive.node_id)
         else:
             self.bench.drive.restart()
 
     def refuse_mode(self) -> None:
-        """Make the drive ignore what it needs to be told before it follows targets."""
+        """Make the drive ignore the command that it needs before it follows targets."""
         if isinstance(self.bench, SimulatedBench):
             sensor_faults.refuse_mode(self.bench.drive)
         else:
             self.bench.drive.deaf_to = frozenset({dbc_drive.Order.RUN})
 
     def match(self, frames: Frames) -> Match:
-        """Return the choice of frames on the bus that a row makes."""
+        """Return the selection of bus frames by a row."""
         drive, encoder = self.bench.drive, self.bench.encoder
         nodes = {"encoder": encoder.node_id}
         own: Mapping[str, int] = {}
@@ -243,4 +241,4 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("encoder", "frozen"): lambda s, _: sensor_faults.freeze(s.sensor),
     ("encoder", "reversed"): lambda s, _: sensor_faults.reverse(s.sensor),
 }
-"""Target and name to what is done to a bench."""
+"""Target and name to the action on a bench."""

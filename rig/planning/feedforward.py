@@ -30,21 +30,22 @@ LOADED = ("mu_c", "mu_2")
 RISES = STRIBECK_TERMS[:2]
 """Kinetic level, static level and Stribeck speed of eq. 9 and 12."""
 CATCH_UP_SHARE = 0.1
-"""Share of the speed limit at which damping balances the greatest torque of the stiffness."""
+"""Share of the speed limit at which damping balances the greatest stiffness torque."""
 
 
 @dataclass(frozen=True)
 class Feedforward:
-    """Identified parameters of a bench, from which torque is computed.
+    """Identified parameters of a bench for the feed-forward torque.
 
     Attributes:
-        values: Parameter name to value, SI; those of the load may be missing. A rise that the
-            identification leaves open is zero.
+        values: Parameter name to value, SI; those of the load may be missing. A rise of friction
+            toward rest that the identification did not determine is zero.
         alpha: Stribeck exponent.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: The result file.
-        sha256: Of that file.
-        left_open: Parameters of friction's rise toward rest that the identification does not give.
+        sha256: SHA-256 of that file.
+        left_open: Parameters of friction's rise toward rest that the identification did not
+            determine.
     """
 
     values: Mapping[str, float]
@@ -68,7 +69,7 @@ class Feedforward:
         )
 
     def missing(self, loaded: bool) -> tuple[str, ...]:
-        """Return the parameters that a stage needs and the identification does not give."""
+        """Return the parameters that a stage needs and the identification did not determine."""
         return tuple(
             name for name in (*UNLOADED, *(LOADED if loaded else ())) if name not in self.values
         )
@@ -80,13 +81,13 @@ class Offsets:
 
     Attributes:
         torque: Torque of the commanded motion, N m.
-        stiffness: Torque per angle error, N m/rad; fades out where the command rests.
-        damping: Torque per speed error, N m s/rad; fades out likewise.
+        stiffness: Torque per angle error, N m/rad; fades out while the command rests.
+        damping: Torque per speed error, N m s/rad; fades out while the command rests.
         angle: Commanded joint angle that belongs to the sample before the cycle, rad.
         speed: Commanded joint speed that belongs to the speed measured last before the cycle,
         rad/s.
-        reach: Greatest torque of the stiffness, N m.
-        limit: Greatest magnitude that is sent, N m.
+        reach: Greatest stiffness torque, N m.
+        limit: Limit on the magnitude of the sent torque, N m.
     """
 
     torque: Array
@@ -102,7 +103,7 @@ class Compensator:
     """Gives the torque offset of each cycle of one excitation, in order.
 
     Args:
-        offsets: Of the stage.
+        offsets: Torque offsets of the stage.
         gear_ratio: Motor turns per joint turn.
         cycle_s: Control cycle, s.
     """
@@ -118,8 +119,8 @@ class Compensator:
         """Return the torque offset to send next, N m, within its limit.
 
         Args:
-            sample: Of the cycle before; None in the first. A sample that is not fresh gives no
-                feedback, and damping needs a fresh one before it as well.
+            sample: Sample of the previous cycle; None in the first. A sample that is not fresh
+                gives no feedback; damping needs two fresh samples in succession.
         """
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
@@ -138,8 +139,8 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or leaves open a parameter of the unloaded
-            joint other than those of friction's rise toward rest.
+        InputError: It cannot be read, is no such result, or does not determine the unloaded joint,
+            apart from friction's rise toward rest.
     """
     raw = read_identification(path)
     try:
@@ -167,7 +168,7 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
 
 
 def require_torque_offset(bench: Document[Bench]) -> None:
-    """Refuse a bench whose drive cannot add a torque that is sent once a cycle.
+    """Refuse a bench whose drive cannot add a torque sent in every cycle.
 
     Raises:
         InputError: With the reason and the place in the bench file.
@@ -207,12 +208,13 @@ def stage_offsets(
         targets: Joint angles, rad, one a cycle; each is reached one cycle after it is sent.
         weight_kg: Mass on the lever.
         cycle_s: Control cycle, s.
-        torque_limit: Of the run, N m.
-        speed_limit: Of the run, rad/s. A joint far off its command, as soft gains leave it, is
-            brought back at no more than :data:`CATCH_UP_SHARE` of it.
+        torque_limit: Torque limit of the run, N m.
+        speed_limit: Speed limit of the run, rad/s. A joint far from its command, as with soft
+            gains, returns at no more than :data:`CATCH_UP_SHARE` of it.
 
     Raises:
-        InputError: The stage is loaded, and the identification leaves open a parameter of the load.
+        InputError: The stage is loaded, and the identification did not determine a parameter of the
+            load.
     """
     moment = model.moment_per_kg * weight_kg
     if missing := model.missing(loaded=moment > 0.0):
@@ -221,8 +223,8 @@ def stage_offsets(
     speed = compensation.commanded_speed(targets, cycle_s)
     gains = feedback.gains(model.values["J"], cycle_s)
     share = np.abs(compensation.motion(targets, cycle_s))
-    # When cycle k is sent, the last sample is that of cycle k - 1, in which the joint was to arrive
-    # at target k - 2.
+    # When cycle k is sent, the last sample is of cycle k - 1, in which the joint should reach
+    # target k - 2.
     return Offsets(
         torque,
         gains.stiffness * share,

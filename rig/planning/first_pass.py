@@ -1,4 +1,6 @@
-"""The pass at low amplitude that goes before a stage, under tighter limits."""
+"""Plans the trial pass at low amplitude before a stage, and the larger ones if the joint does
+not move, with tighter limits.
+"""
 
 from __future__ import annotations
 
@@ -11,10 +13,10 @@ from rig.config.sequence import Array, FirstPass, StageSection, excitation
 from rig.planning.limits import Limits
 
 LONGEST_RAMP_SHARE = 0.25
-"""Share of the pass that each of its ramps may take."""
+"""Longest fade-in or fade-out, as a share of the pass."""
 GROWTH = 2.0
-"""Factor of the amplitude from one pass to the next, where the joint has not moved: a soft drive
-deflects by degrees before friction yields.
+"""Factor on the amplitude from one pass to the next while the joint does not move: a soft drive
+deflects by degrees before breaking away.
 """
 
 
@@ -25,9 +27,9 @@ class PlannedPass:
     Attributes:
         targets: Joint angles in rad, one a cycle, shape (n,).
         amplitude: Share of the stage's own amplitude.
-        duration_s: s.
-        move_limits: In force on the way to its start.
-        limits: In force during the pass.
+        duration_s: Duration, s.
+        move_limits: Limits during the move to its start.
+        limits: Limits during the pass.
     """
 
     targets: Array
@@ -57,8 +59,8 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its
-    speed over a shorter travel.
+    """Compute one pass: tones about the same centre with less amplitude and duration, or a ramp
+    at the same speed with less travel.
     """
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
@@ -87,7 +89,7 @@ def _plan_pass(
 def _judged(
     targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Put the limits of a first pass around its targets."""
+    """Set the limits of a first pass from its targets."""
     moving = _tighter(limits, low.limit_share)
     return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
 
@@ -97,10 +99,10 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
-    """Cut the limits.
+    """Reduce the limits.
 
-    Static friction does not shrink with the amplitude, so those on torque are cut half as much. So
-    is the following error, which measures torque on a soft drive.
+    Static friction does not decrease with the amplitude, so torque limits are reduced half as much,
+    and so is the following error limit, since a soft drive's error is proportional to torque.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(

@@ -1,9 +1,8 @@
-"""From a flow command to the valve's angle: the closed loop of Fig. 5 and 11 around the position
-servo.
+"""Flow control by the valve angle: the closed loop of Fig. 5 and 11 around the position servo.
 
-A flow corresponds to the pressure at which the propellant gives it (eq. 2); a PI controller turns
-the valve until the chamber has that pressure. The valve and the gas generator act on each other:
-pressure and area load the valve (eq. 10), and friction under that load delays the valve.
+A flow corresponds to a chamber pressure (eq. 2); a PI controller turns the valve until the chamber
+has that pressure. Valve and gas generator are coupled: pressure and area load the valve (eq. 10),
+and friction under that load delays the valve.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ from rig.common.sample import Sample
 from rig.config.flow import Array, FlowController
 
 _LEAST_PRESSURE_PA = 1e3
-"""Least pressure of the control law, Pa, so that a dead transmitter gives no logarithm of zero."""
+"""Lower bound of the pressure in the control law, Pa, to avoid the logarithm of zero."""
 _ANGLES = 20001
 
 
 @dataclass(frozen=True)
 class FlowLaw:
-    """The controller at one control cycle, SI.
+    """The discrete-time controller for one cycle time, SI.
 
     Attributes:
         gain: Valve angle per unit of ln(p/p_c), rad.
-        integral: Share of the gain that is added each cycle.
-        share: Of a new reading that the low-pass takes.
+        integral: Integral gain per cycle, as a share of the gain.
+        share: Weight of a new reading in the low-pass filter.
         least: Least angle, rad.
         most: Greatest angle, rad.
         step: Greatest change in a cycle, rad.
@@ -55,7 +54,9 @@ class LawState:
 
 
 def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> FlowLaw:
-    """Return the controller of a sequence file at this cycle, no faster than ``speed_rad_s``."""
+    """Return the controller of a sequence file for this cycle time, with speed limit
+    ``speed_rad_s``.
+    """
     gain = math.radians(controller.gain_deg)
     return FlowLaw(
         gain=gain,
@@ -72,7 +73,7 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
     Args:
         law: The controller.
-        state: After the cycle before.
+        state: State after the previous cycle.
         wanted: Pressure command p_c, Pa.
         reading: Measured pressure, Pa.
     """
@@ -88,13 +89,13 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
 
 class Regulator:
-    """The controller in the control cycle: gives a target, takes the resulting sample, gives the
-    next target.
+    """The controller in the control cycle: yields a target, receives the resulting sample, yields
+    the next.
 
     Args:
         law: The controller.
         pressures: Pressure command of each cycle, Pa.
-        angle: Of the valve at the start, rad.
+        angle: Valve angle at the start, rad.
     """
 
     def __init__(self, law: FlowLaw, pressures: Sequence[float], angle: float) -> None:
@@ -104,13 +105,13 @@ class Regulator:
         self._wanted = 0.0
 
     def targets(self) -> Iterator[float]:
-        """Yield the angle of each cycle, rad; after each of them :meth:`see` is to be called."""
+        """Yield the angle of each cycle, rad; :meth:`see` must be called after each."""
         for wanted in self._pressures:
             self._wanted = wanted
             yield self._state.angle
 
     def see(self, sample: Sample) -> None:
-        """Take the sample of the last target."""
+        """Receive the sample of the last target."""
         state = self._state
         if state.pressure == 0.0:
             state = replace(state, pressure=max(sample.pressure, _LEAST_PRESSURE_PA))
@@ -118,13 +119,13 @@ class Regulator:
 
 
 def pressure_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the pressure at which the propellant gives a flow (kg/s), eq. 2, Pa."""
+    """Return the steady pressure for a flow (kg/s), eq. 2, Pa."""
     return np.asarray(1e6 * (flow / (g.rho_b * g.A_b * g.a)) ** (1.0 / g.n))
 
 
 def angle_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; outside the valve's
-    range that of the nearest throat.
+    """Return the steady valve angle for a flow (kg/s), eq. 3, rad; outside the valve's range,
+    the angle with the nearest throat area.
     """
     angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
     areas = throat_area(angles, g.valve)

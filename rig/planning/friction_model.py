@@ -1,6 +1,4 @@
-"""Friction and inertia to predict a run with: an identification of the bench, or the paper's
-values.
-"""
+"""Friction and inertia for the prediction of a run: identified on the bench, or from the paper."""
 
 from __future__ import annotations
 
@@ -20,7 +18,7 @@ from rig.runs.run_file import read_record, recorded_bench
 NOMINAL_ALPHA = 2.0
 """Stribeck exponent of the paper."""
 RUNS = Path("runs")
-"""Default folder of runs and of the identifications beside them."""
+"""Default folder of runs and their identifications."""
 
 _UNLOADED_FRICTION = ("Mc", "Ms")
 _LOAD_FRICTION = ("mu_c", "mu_s")
@@ -33,7 +31,7 @@ class FrictionModel:
     Attributes:
         values: The nine parameters, SI, at the joint.
         alpha: Stribeck exponent.
-        moment_arm_m: L1.
+        moment_arm_m: Moment arm L1, m.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: Origin of the values, as text.
         measured: Whether they come from an identification.
@@ -66,8 +64,7 @@ def friction_model(
     Args:
         bench: Its constants.
         named: Result of ``rig identify --json`` to use.
-        runs: Folder that is searched otherwise for the newest result of a bench with the same
-            constants.
+        runs: Folder searched otherwise for the newest result of a bench with the same constants.
 
     Raises:
         InputError: ``named`` cannot be read, or is no such result.
@@ -93,7 +90,7 @@ def friction_model(
 
 
 def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
-    """Return a warning where an identification lies beside a run on a bench of other constants.
+    """Return a warning if an identification belongs to a run on a bench with other constants.
 
     Args:
         path: Result of ``rig identify --json``.
@@ -102,7 +99,7 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:
-        return None  # not beside a run: its bench is unknown
+        return None  # not in a run folder: its bench is unknown
     if recorded == bench:
         return None
     differing = [

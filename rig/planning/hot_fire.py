@@ -1,6 +1,4 @@
-"""Hot firings planned: the flow that a controller follows, the expected state of the gas
-generator, and its limits.
-"""
+"""Plans hot firings: flow command, expected state of the gas generator, and its limits."""
 
 from __future__ import annotations
 
@@ -45,8 +43,8 @@ def nominal_generator(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Compute the closed-loop excitation of a stage; None where it has none, or the bench no gas
-    generator.
+    """Compute the closed-loop excitation of a stage; None if the stage has none or the bench no
+    gas generator.
     """
     generator = nominal_generator(bench)
     if section.flow is None:
@@ -59,15 +57,12 @@ def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPl
 
 
 def expected_force(targets: Array, bench: Bench) -> float:
-    """Return the greatest contact force over these joint angles, N, the pressure being steady at
-    each.
-    """
+    """Return the greatest contact force over these joint angles at steady pressure, N."""
     return float(np.max(steady_force(targets, bench), initial=0.0))
 
 
 def steady_force(targets: Array, bench: Bench) -> Array:
-    """Return the contact force at these joint angles, N, shape (n,), the pressure being steady at
-    each.
+    """Return the contact force at these joint angles at steady pressure, N, shape (n,).
 
     Zero on a bench without gas generator.
     """

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class GasLimits:
-    """Limits on the gas generator: chamber pressure, Pa, and the contact force that follows from
-    it, N (eq. 10).
+    """Limits on the gas generator: chamber pressure, Pa, and the resulting contact force, N (eq.
+    10).
 
     ``back_pressure`` is p_c0, Pa; ``area`` gives A_s, m^2, at a joint angle in rad.
     """

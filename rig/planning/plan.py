@@ -1,5 +1,5 @@
-"""The plan of a run from bench and sequence: every target computed and every limit checked before
-anything moves.
+"""Plans a run from bench and sequence: computes all targets and checks all limits before any
+motion.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
 SAMPLES_PER_PERIOD = 20
-"""Fewest control cycles in a period of a tone; fewer make a staircase rather than a sine."""
+"""Fewest control cycles per period of a tone, for a smooth sine."""
 APPROACH_SPEED_SHARE = 0.25
 """Share of the speed limit used to move to the start of a stage."""
 HOLD_S = 0.1
-"""Rest at the last target before the power goes off."""
+"""Rest at the last target before the drive is de-energised, s."""
 _LIMIT_NAMES = (
     "angle_min_deg",
     "angle_max_deg",
@@ -44,17 +44,17 @@ _LIMIT_NAMES = (
 )
 _LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
 TIME_LIMIT_SHARE = 1.5
-"""Longest time under power in a stage over what the plan needs, where the sequence gives none."""
+"""Default ratio of the time limit of a stage to its planned time under power."""
 
 
 @dataclass(frozen=True)
 class PlannedStage:
     """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
 
-    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques
-    that the drive adds during the excitation, None where it adds none. With a ``flow`` a controller
-    moves the valve, and ``targets`` are the expected angles. ``contact_force_N`` is the
-    greatest.
+    ``first_passes`` precede it, in order, until one has moved the joint. ``offsets`` are torques
+    that the drive adds during the excitation, None for none. With a ``flow`` a controller moves the
+    valve, and ``targets`` are the expected angles. ``contact_force_N`` is the greatest contact
+    force.
     """
 
     name: str
@@ -79,13 +79,13 @@ class Plan:
     """A whole run, ready to start.
 
     Attributes:
-        name: Of the sequence.
-        stages: In the order in which they run.
-        limits: The limits in force: the bench's, tightened by the sequence's.
-        servo_limits: The same, as the drive is to hold them.
+        name: Name of the sequence.
+        stages: Stages in the order in which they run.
+        limits: The limits in force: limits of the bench, tightened by the sequence.
+        servo_limits: The limits to be written into the drive.
         approach_speed: Peak speed of moves to a start angle, rad/s.
         cycle_ns: Control cycle, ns.
-        feedforward: Source of the stages' torque offsets; None where there are none.
+        feedforward: Source of the stages' torque offsets; None for none.
     """
 
     name: str
@@ -103,7 +103,7 @@ class Plan:
 
     @property
     def duration_s(self) -> float:
-        """Time in motion and at rest, without moves to the start, s."""
+        """Duration of motion and rest, without moves to the start, s."""
         return sum(_under_power_s(s) for s in self.stages)
 
 
@@ -123,14 +123,14 @@ def make_plan(
     Args:
         sequence: The sequence.
         bench: The bench.
-        first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
-        feedforward: Identified parameters of the bench, for torque that the drive adds during the
+        first_pass: Whether to make a first pass at low amplitude; None to follow the sequence.
+        feedforward: Identified parameters of the bench for the torque that the drive adds during
             excitations; None for none.
 
     Raises:
-        InputError: A stage exceeds what the bench allows, or a limit is looser than the bench's;
-            lists all. Or the drive cannot add torque, or the identification lacks parameters
-            for it.
+        InputError: A stage exceeds a limit of the bench, or a limit of the sequence is looser than
+            the bench's (lists all); or the drive cannot add torque, or the identification lacks
+            parameters for it.
     """
     if feedforward is not None:
         require_torque_offset(bench)
@@ -169,9 +169,7 @@ def make_plan(
 
 
 def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage:
-    """Return a stage with the mass that was confirmed, kg: contact force and feed-forward follow
-    from it.
-    """
+    """Return a stage with contact force and feed-forward for the confirmed mass, kg."""
     if weight_kg == stage.weight_kg:
         return stage
     force = stage.contact_force_N * (weight_kg / stage.weight_kg if stage.weight_kg else 1.0)
@@ -191,7 +189,7 @@ def bench_limits(bench: Bench) -> Limits:
 
 
 def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPass | None:
-    """Return how the first passes are made, or None for none."""
+    """Return the settings of the first passes, or None for none."""
     stated = sequence.first_pass
     described = stated if isinstance(stated, FirstPass) else None
     wanted = (
@@ -223,7 +221,7 @@ def _plan_stage(
         / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        # The load of a hot firing is measured, and its friction does not depend on a mass.
+        # The load of a hot firing is measured; its friction does not depend on a weight.
         first_passes=()
         if low is None or section.stage == "hot_fire"
         else plan_passes(section, low, limits, bench.cycle_s),
@@ -255,7 +253,7 @@ _Objection = tuple[tuple[str | int, ...], str, object]
 def _objections(
     section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench
 ) -> Iterator[_Objection]:
-    """Yield key, message and value of everything that a stage requests beyond the limits."""
+    """Yield key, message and value of each request of a stage beyond a limit."""
     if len(stage.targets) < 2:
         yield (
             ("duration_s",),
@@ -300,7 +298,7 @@ def _objections(
 def _motion_objections(
     section: StageSection, stage: PlannedStage, limits: Limits
 ) -> Iterator[_Objection]:
-    """Yield what leaves the range of angles, or is faster than the limit on speed."""
+    """Yield targets outside the angle range or above the speed limit."""
     way: tuple[str, ...]
     pace: tuple[str, ...]
     way, pace, slower = (
@@ -332,7 +330,7 @@ def _motion_objections(
 
 
 def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
-    """Merge the sequence's limits into the bench's, collecting those that would loosen."""
+    """Merge the sequence's limits into the bench's, and collect those that are looser."""
     values: dict[str, float] = {}
     problems: list[str] = []
     for name in _LIMIT_NAMES:
@@ -378,7 +376,7 @@ def _limits(values: dict[str, float], bench: Bench) -> Limits:
 
 
 def servo_limits(limits: Limits, bench: Bench) -> ServoLimits:
-    """Return the limits as the drive is to hold them."""
+    """Return the limits to be written into the drive."""
     return ServoLimits(
         angle_min_rad=limits.angle_min,
         angle_max_rad=limits.angle_max,
@@ -392,7 +390,7 @@ def servo_limits(limits: Limits, bench: Bench) -> ServoLimits:
 
 
 def stage_records(plan: Plan) -> list[StageRecord]:
-    """Return the stages of a plan as they stand before the run."""
+    """Return the records of a plan's stages before the run."""
     return [
         StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role)
         for s in plan.stages

@@ -1,4 +1,4 @@
-"""A plan in words and tables, for ``rig run --dry-run``."""
+"""A plan as text and tables, for ``rig run --dry-run``."""
 
 from __future__ import annotations
 

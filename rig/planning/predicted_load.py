@@ -1,4 +1,4 @@
-"""Peak torque and current of the stages of a plan, from friction and load (eq. 9 to 13) and
+"""Predicts peak torque and current of the stages of a plan from friction, load (eq. 9 to 13) and
 inertia.
 """
 
@@ -18,10 +18,10 @@ from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
 
 WARNING_SHARE = 0.8
-"""Share of a limit beyond which a predicted peak is warned of."""
+"""Share of a limit above which a predicted peak gives a warning."""
 LOOP_S = 0.005
-"""Time in which a stiff drive makes a step of the commanded speed, s; a softer one takes less
-torque.
+"""Time in which a stiff drive follows a step of the commanded speed, s; a softer drive needs
+less torque.
 """
 
 
@@ -32,10 +32,10 @@ class PredictedPeak:
     Attributes:
         stage: Name of the stage.
         part: ``first pass`` or ``stage``.
-        torque_N_m: At the joint.
-        torque_limit_N_m: In force meanwhile.
-        current_A: Of the motor.
-        current_limit_A: In force meanwhile.
+        torque_N_m: Peak torque at the joint.
+        torque_limit_N_m: Torque limit in force.
+        current_A: Peak motor current.
+        current_limit_A: Current limit in force.
     """
 
     stage: str
@@ -47,22 +47,22 @@ class PredictedPeak:
 
     @property
     def torque_share(self) -> float:
-        """Of its limit."""
+        """Peak as a share of its limit."""
         return self.torque_N_m / self.torque_limit_N_m
 
     @property
     def current_share(self) -> float:
-        """Of its limit."""
+        """Peak as a share of its limit."""
         return self.current_A / self.current_limit_A
 
     @property
     def share(self) -> float:
-        """The greater of the two."""
+        """Greater of the torque and current shares."""
         return max(self.torque_share, self.current_share)
 
 
 def predicted_peaks(plan: Plan, bench: Bench, model: FrictionModel) -> list[PredictedPeak]:
-    """Return the predicted peaks of every stage and of its first pass, in the order of the run."""
+    """Return the predicted peaks of every stage and its first pass, in the order of the run."""
     return [peak for stage in plan.stages for peak in _peaks(stage, plan, bench, model)]
 
 
@@ -83,7 +83,7 @@ def _peaks(
     if stage.flow is None:
         torque = peak_torque(stage.targets, plan.cycle_s, moments, model)
     else:
-        # A controller may move the joint from rest to its fastest at any moment.
+        # A controller may accelerate the joint from rest to its highest speed at any time.
         fastest = stage.peak_speed_rad_s
         breaking = _at_speed(0.0, moments, model) + model.values["J"] * fastest / LOOP_S
         torque = max(breaking, _at_speed(fastest, moments, model))
@@ -115,8 +115,8 @@ def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak
 def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionModel) -> float:
     """Return the greatest torque at the joint while it follows commanded angles, N m.
 
-    It breaks away from rest against the static friction, and follows against friction, working load
-    and inertia (eq. 15). Torque of the feedback, as under stick-slip, is not predicted.
+    The torque overcomes static friction at breakaway, and friction, working load and inertia in
+    motion (eq. 15). Feedback torque, as in stick-slip, is not predicted.
 
     Args:
         angle: Commanded joint angles, rad, one a cycle, shape (n,), at least two.

@@ -1,4 +1,4 @@
-"""An accepted identification of a bench, as the weight check uses it."""
+"""Accepted identification of a bench, as the reference of the weight check."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or leaves open a parameter that the check
-            needs.
+        InputError: It cannot be read, is no such result, or does not determine a parameter that the
+            check needs.
     """
     raw = read_identification(path)
     try:

@@ -1,1 +1,1 @@
-"""What each command finds: from a record to terminal, JSON, HTML and figures."""
+"""Results of the commands: from a record to terminal, JSON, HTML and figures."""

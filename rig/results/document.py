@@ -1,7 +1,7 @@
-"""What a command says, as sections of text, tables and pictures.
+"""Output of a command as sections of text, tables and pictures.
 
 A command makes one :class:`Document` of its result record; :mod:`rig.results.terminal` and
-:mod:`rig.results.html` show it. Nothing here knows a result, a terminal or HTML.
+:mod:`rig.results.html` show it. This module is independent of results, terminal and HTML.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from identification.plots.style import Figure, png
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text.
+    """A table with text cells.
 
     Attributes:
         header: Column titles.
@@ -32,7 +32,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Note:
-    """A line of text, which a terminal does not wrap; its tone says how it stands out."""
+    """A line of text, not wrapped on a terminal; ``tone`` sets its emphasis."""
 
     text: str
     tone: Literal["plain", "aside", "warning"] = "plain"
@@ -40,7 +40,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Running text, with words that lead it in."""
+    """Running text with a lead-in."""
 
     text: str
     lead: str = ""
@@ -59,9 +59,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What the whole comes to; ``good`` is that all is well, ``found`` a cause, ``open`` a
-    question.
-    """
+    """Overall verdict: ``good`` (all is well), ``found`` (a cause) or ``open`` (undecided)."""
 
     headline: str
     statement: str
@@ -100,7 +98,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks under a title; without one they follow what stands above.
+    """Blocks under a title; without a title they continue the section above.
 
     Attributes:
         title: Heading.
@@ -115,7 +113,7 @@ class Section:
 
 @dataclass(frozen=True)
 class SideBySide:
-    """Two sections side by side, where the page is wide enough."""
+    """Two sections, side by side if the page is wide enough."""
 
     left: Section
     right: Section
@@ -126,13 +124,13 @@ Block = Table | Note | Paragraph | Items | Verdict | Picture | Section | SideByS
 
 @dataclass(frozen=True)
 class Document:
-    """What a command says, in short and in full.
+    """Output of a command, as summary and in full.
 
     Attributes:
         title: Heading.
         subtitle: Line under it.
-        summary: In short, for the terminal; blank lines stand between its sections.
-        sections: In full, for the page; empty where there is none.
+        summary: Summary for the terminal; blank lines separate its sections.
+        sections: Full content for the page; empty if there is no page.
     """
 
     title: str

@@ -22,7 +22,7 @@ def entry_of(name: str) -> Entry:
     """Return one entry of the catalogue.
 
     Raises:
-        InputError: There is no such name; suggests the nearest.
+        InputError: There is no such effect; suggests the nearest name.
     """
     if name not in ENTRIES:
         raise InputError(f"{name}: no effect of the catalogue; {nearest(name, list(ENTRIES))}")
@@ -30,7 +30,7 @@ def entry_of(name: str) -> Entry:
 
 
 def overview(entries: Iterable[Entry]) -> str:
-    """Return one line per effect: where it shows and what is fitted."""
+    """Return one line per effect: its location and its fitted parameters."""
     rows = [
         (
             e.group,

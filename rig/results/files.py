@@ -1,4 +1,4 @@
-"""Writes what a command leaves behind: its result file, its page with figures, other files."""
+"""Writes the output files of a command: result file, page with figures, other files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ PAGE_FILE = "report.html"
 
 
 def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) -> None:
-    """Write a result file into its folder, which is made, and once more where asked.
+    """Write a result file into its folder, which is created, and a copy if requested.
 
     Raises:
-        InputError: A place cannot be written.
+        InputError: A path cannot be written.
     """
     with _writing(*filter(None, (file.parent, json_file))):
         file.parent.mkdir(parents=True, exist_ok=True)
@@ -28,7 +28,7 @@ def write_record(record: Mapping[str, Any], file: Path, json_file: Path | None) 
 
 
 def write_page(document: Document, file: Path) -> None:
-    """Write a document as a page, its pictures in it and as files in ``figures`` beside it.
+    """Write a document as a page, with its pictures embedded and as files in ``figures``.
 
     Raises:
         InputError: The folder cannot be written.
@@ -54,7 +54,7 @@ def write_texts(texts: Mapping[str, str], folder: Path) -> None:
 
 @contextmanager
 def _writing(*places: Path) -> Iterator[None]:
-    """Say of a failure which places it may be, and what to do."""
+    """Translate a write failure into a message with the paths concerned and the remedy."""
     try:
         yield
     except OSError as error:

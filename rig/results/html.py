@@ -8,7 +8,7 @@ from rig.results.document import Block, Document
 
 
 def page(document: Document) -> str:
-    """Fill the one template. Everything is escaped, and a name that a record lacks is an error."""
+    """Fill the template. Everything is escaped, and a missing name is an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -21,5 +21,5 @@ def page(document: Document) -> str:
 
 
 def _form(block: Block) -> str:
-    """Return what kind of block this is, for the template."""
+    """Return the kind of a block, for the template."""
     return type(block).__name__

@@ -1,5 +1,5 @@
-"""What the documents of several commands share: provenance, corrections on reading, the few
-recordings that are drawn.
+"""Sections shared by several documents: provenance, corrections on reading, choice of plotted
+recordings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def provenance_section(provenance: Provenance) -> Section:
-    """Return the section that ends every page: what made the result, when and from which files."""
+    """Return the last section of every page: program, time and input files."""
     facts = (
         (
             "versions",
@@ -33,7 +33,7 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return what was corrected or doubted on reading; of notes that differ in their numbers only,
+    """Return notes on corrections and doubts on reading; of notes that differ only in numbers,
     the first.
     """
     alike: dict[str, list[str]] = {}

@@ -1,9 +1,9 @@
-"""One time base for a drive and a joint encoder that sample by clocks of their own.
+"""Aligns drive and joint encoder, which sample with separate clocks, to one time base.
 
-Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. Samples of a
+If one SYNC latches both, only their time stamps drift, and no sample moves. Samples of a
 free-running encoder are up to a period older than the drive's, by an age that varies with the beat
-of the clocks. A delay tau turns friction's slope into inertia, tau dF/domega: half a millisecond
-near the Stribeck speed is a quarter of the whole. Pure functions of arrays.
+of the clocks. A delay tau biases the inertia by tau dF/domega, from the slope of friction: half a
+millisecond near the Stribeck speed gives a quarter of the inertia. Pure functions of arrays.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ AGREE = 0.02
 drive's.
 """
 _SHARE = 0.01
-"""Share of samples that may be older, as single late stamps are."""
+"""Share of samples that may be older, to tolerate single late stamps."""
 _BLOCKS = 500
 _LEAST = 5.0
 """Percentile of a block that counts as its least age, so that single early stamps do not count."""
@@ -29,11 +29,11 @@ _FILLED = 3
 
 
 def taken_at(reference: Array, stamps: Array) -> Array:
-    """Return when each sample of another clock was taken, in the reference's time, s, shape (n,).
+    """Return the sampling times of another clock in the reference's time, s, shape (n,).
 
-    A sample is taken before it is logged, by almost no time at some phase of the beat. So the line
-    from one clock to the other is the highest one with almost no sample in the future: the edge of
-    the lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
+    A sample is logged after it was taken, with almost no delay at some phase of the beat. So the
+    line between the clocks is the highest one with almost no sample in the future: the edge of the
+    lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
     delay is not observable.
 
     Args:
@@ -65,11 +65,11 @@ def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, 
 def aligned(
     channels: Mapping[str, Array], stamps: Array, averaged: frozenset[str], gear_ratio: float
 ) -> tuple[dict[str, Array], str]:
-    """Return the channels on one time base, and a note on the correction; unchanged where the
-    clocks agree.
+    """Return the channels on one time base, and a note on the correction; unchanged if the clocks
+    agree.
 
-    The finer encoder keeps its counts. Where that is the joint's, all other channels are
-    interpolated to its instants; channels that are means stay means, over its period.
+    The finer encoder keeps its counts. If this is the joint encoder, all other channels are
+    interpolated to its sampling times; averaged channels remain means, over its period.
 
     Args:
         channels: ``time`` by the drive's clock and ``angle`` among them.

@@ -1,4 +1,4 @@
-"""Clocks of a run against each other: drift of drive and encoder, gaps, late answers.
+"""Compares the clocks of a run: drift of drive and encoder, gaps, late answers.
 
 Pure functions of arrays.
 """
@@ -16,13 +16,14 @@ LATE_PERIODS = 1.0
 
 
 def drift_ppm(reference: Array, other: Array) -> float | None:
-    """Return how much faster the other clock runs, ppm, or None where either does not run forward.
+    """Return how much faster the other clock runs, ppm, or None if either does not run forward.
 
-    From the medians of the first and the last fifth, so that single late stamps do not count.
+    Computed from the medians of the first and last fifth, so that single late stamps have no
+    influence.
 
     Args:
-        reference: s, shape (n,).
-        other: s, stamped at the same samples, shape (n,).
+        reference: Times of the reference clock, s, shape (n,).
+        other: Times of the other clock at the same samples, s, shape (n,).
     """
     fifth = len(reference) // 5
     if fifth < 1 or not (np.all(np.diff(reference) > 0.0) and np.all(np.diff(other) > 0.0)):
@@ -37,8 +38,8 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
     """Return messages on gaps, late answers and drifting clocks; empty without any.
 
-    Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample;
-    where the encoder runs free, :mod:`rig.runs.alignment` corrects it.
+    If drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; if
+    the encoder is free-running, :mod:`rig.runs.alignment` corrects it.
 
     Args:
         time: Start of each cycle, s, shape (n,).

@@ -17,11 +17,11 @@ from rig.common.errors import InputError
 
 
 def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
-    """Return which files an export makes, and of which recordings.
+    """Return the files of an export, and the recordings in each.
 
-    A CSV file is one table with one time base, so that other tools (and a campaign file) can take
-    it as it is: where there are several recordings, each has a file of its own, ``path`` with the
-    recording's name in it.
+    A CSV file is one table with one time base, so that other tools and campaign files can use it
+    directly. Of several recordings, each gets its own file, named ``path`` plus the recording's
+    name.
     """
     if kind != "csv" or len(dataset.recordings) == 1:
         return {path: dataset}
@@ -39,7 +39,7 @@ def export(dataset: Dataset, path: Path, kind: str) -> None:
     """Write one file of :func:`files`.
 
     Raises:
-        InputError: Parquet is asked for and not installed.
+        InputError: Parquet is requested but not installed.
         OSError: The file cannot be written.
     """
     WRITERS[kind](dataset, path)

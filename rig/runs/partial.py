@@ -1,4 +1,4 @@
-"""Notes of results on recordings whose run stopped before they were finished (``--partial``)."""
+"""Warnings of results on unfinished recordings of a stopped run (``--partial``)."""
 
 from __future__ import annotations
 

@@ -19,15 +19,14 @@ def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
 
 
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
-    """Return where an input file of a run is now; it may be missing.
+    """Return the present path of an input file of a run; it may not exist.
 
-    Older run files hold the path as it was typed. Where it does not lead to the file from the
-    current folder, it is followed from the folders above the run, one of which the run was most
-    likely started in.
+    Older run files have the path as typed. If it is not valid from the current folder, it is tried
+    from the parent folders of the run, as the run was probably started in one of these.
 
     Args:
         folder: The run folder.
-        entry: Of the file in ``run.json``.
+        entry: Entry of the file in ``run.json``.
     """
     path = stored_path(entry["file"])
     if path.is_absolute():

@@ -79,8 +79,7 @@ class Recorder:
             raise _failed(error) from error
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
-        """Record something that happened, with JSON details, and hand it to the operating system at
-        once.
+        """Record an event with JSON details, and hand it to the operating system at once.
 
         Raises:
             StorageError: It cannot be written.
@@ -105,7 +104,7 @@ class Recorder:
                 self._writer.flush()
 
     def copy(self, topic: str, time_ns: int, message: bytes) -> None:
-        """Record a message just as another recording holds it.
+        """Record a message unchanged from another recording.
 
         Raises:
             StorageError: It cannot be written.

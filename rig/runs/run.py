@@ -1,6 +1,4 @@
-"""The run folder: ``run.json``, which is up to date at every moment, and the recordings for
-identification.
-"""
+"""The run folder: ``run.json``, always up to date, and the recordings for identification."""
 
 from __future__ import annotations
 
@@ -24,9 +22,9 @@ from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentReco
 AVERAGED = frozenset({"current", "voltage"})
 """Channels whose samples are means over the cycle that ends at their time."""
 PARTIAL = " (partial)"
-"""Added to the name of an excitation that was not finished."""
+"""Suffix of the name of an unfinished excitation."""
 LEAST_SAMPLES = 2
-"""Fresh samples that make an excitation that was not finished a recording."""
+"""Least number of fresh samples for a recording from an unfinished excitation."""
 
 
 class RunFolder:
@@ -184,8 +182,8 @@ def require_unused(path: Path) -> None:
 def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
-    Samples whose answer was incomplete are left out, with a note in the recording. Of a stage that
-    was done more than once, the last counts.
+    Samples whose answer was incomplete are left out, with a note in the recording. If a stage was
+    run more than once, its last run counts.
 
     Args:
         folder: The run folder.
@@ -230,7 +228,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
 def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
     """Return the error of a run that holds no recording to be used."""
-    # A recording that cannot be read at all is the better explanation.
+    # If a recording is unreadable, report that instead.
     run_samples.read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"
     if partial:
@@ -250,8 +248,8 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be
-    held twice.
+    """Return one excitation; ``samples`` is emptied meanwhile, since a long run would not fit in
+    memory twice.
     """
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None

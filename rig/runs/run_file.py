@@ -1,6 +1,4 @@
-"""Reads ``run.json`` back: of this version or an older one, checked to the last value, as people do
-edit it.
-"""
+"""Reads and fully validates ``run.json`` of this or an older version, since users may edit it."""
 
 from __future__ import annotations
 
@@ -57,7 +55,7 @@ def read_record(folder: Path) -> RunRecord:
     """Read ``run.json``.
 
     Raises:
-        InputError: It is missing, damaged, of another version, or holds what cannot be; lists every
+        InputError: It is missing, damaged, of another version or has invalid values; lists every
             error with its place.
     """
     path = folder / RUN_FILE
@@ -80,8 +78,8 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete the record of a program that knew of no hot firings, of no second recording, or of
-    no stage's end.
+    """Complete the record of an older version without hot firings, further recordings or stage
+    ends.
     """
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
@@ -111,7 +109,7 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ended(stage: Any, state: str) -> Any:
-    """Return a stage with its end, where it was left as running in a run that has ended."""
+    """Return a stage with its final state, if it is still running in a run that has ended."""
     return (
         {**stage, "state": state}
         if isinstance(stage, dict) and stage.get("state") == "running"

@@ -1,4 +1,4 @@
-"""What ``run.json`` holds."""
+"""Records in ``run.json``."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ attachment.
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""How a record is read back; it is built without being checked."""
+"""Validator for reading a record back; building a record does not validate it."""
 Load = Literal["unloaded", "loaded", "hot_fire"]
 Role = Literal["fit", "validate"]
 StageEnd = Literal["stopped", "tripped", "failed"]
@@ -31,7 +31,7 @@ STAGE_ENDS: Mapping[str, StageEnd] = {
     "failed": "failed",
     "crashed": "failed",
 }
-"""State of a run that ended before its plan did, to the state of the stage that was going on."""
+"""State of a run that ended early, to the state of its current stage."""
 
 
 @dataclass
@@ -62,15 +62,13 @@ class StageRecord:
 
     @property
     def mass_kg(self) -> float:
-        """The mass that was confirmed, or the planned one where none was yet, kg."""
+        """The confirmed mass, or the planned one if none was confirmed yet, kg."""
         return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
 
     def segment(
         self, index: int, stage_index: int, repeat: int, start: float, part: int
     ) -> SegmentRecord:
-        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it
-        begins.
-        """
+        """Return the initial record of this stage's excitation number ``repeat``, from 1."""
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
         return SegmentRecord(
             index,
@@ -214,7 +212,7 @@ class RunRecord:
     schema: str = SCHEMA
 
     def stage_ended(self, state: str) -> None:
-        """Set the state of the stage that was going on, if any; ``state`` is that of the run.
+        """Set the state of the current stage, if any; ``state`` is the state of the run.
 
         A stage that is still going on when the run is done has failed.
         """
@@ -234,7 +232,7 @@ class Ending(Enum):
 
 
 class Verdict(Enum):
-    """What a weight check found."""
+    """Verdict of a weight check."""
 
     RIGHT = "right"
     WRONG = "wrong"
@@ -250,7 +248,7 @@ class Weighing:
         confirmed_kg: What the operator says is on the lever.
         verdict: Verdict by friction.
         measured_kg: The mass that the friction fits; None where it could not be measured.
-        sigma_kg: Its standard error, without that of the reference's model.
+        sigma_kg: Its standard error, without the error of the reference's model.
         message: Text with the remedy.
     """
 

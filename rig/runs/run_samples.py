@@ -1,6 +1,4 @@
-"""The samples of a run, segment by segment: streamed where the recording is whole, read at once
-where it is not.
-"""
+"""Reads the samples of a run by segment: streamed from a complete recording, else read at once."""
 
 from __future__ import annotations
 
@@ -45,11 +43,11 @@ Samples = dict[str, Array]
 def by_segment(
     path: Path, segments: Sequence[SegmentRecord], *, whole: bool
 ) -> tuple[dict[int, Samples], str | None]:
-    """Return segment index to its samples, stale ones among them, and what is damaged in words.
+    """Return segment index to samples (stale ones included), and a message on damage.
 
     Args:
         path: The recording.
-        segments: Those that are wanted.
+        segments: The requested segments.
         whole: Whether the recording was closed in order, so that it can be streamed.
 
     Raises:
@@ -90,8 +88,8 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
 
 
 class _Growing:
-    """One field of a segment, filled in place: joining blocks at the end would hold a long run
-    twice.
+    """One field of a segment, filled in place: joining blocks at the end would need memory for a
+    long run twice.
     """
 
     def __init__(self, expected: int) -> None:
@@ -99,7 +97,7 @@ class _Growing:
         self._count = 0
 
     def extend(self, values: Array) -> None:
-        """Add values; beyond what was expected by a copy."""
+        """Add values; beyond the expected number by copying."""
         stop = self._count + len(values)
         if stop > len(self._values):
             self._values = np.concatenate(
@@ -109,7 +107,7 @@ class _Growing:
         self._count = stop
 
     def done(self) -> Array:
-        """Return what was added."""
+        """Return the added values."""
         return self._values[: self._count]
 
 

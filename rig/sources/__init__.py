@@ -1,4 +1,6 @@
-"""Recordings made elsewhere: one reader per file format, and what turns columns into recordings."""
+"""Recordings made elsewhere: one reader per file format, and conversion of columns to
+recordings.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ _DAMAGED = (
     MemoryError,
     NotImplementedError,
 )
-"""What scipy, numpy and zipfile raise on damaged bytes."""
+"""Exceptions of scipy, numpy and zipfile on damaged data."""
 
 
 class _Column(NamedTuple):

@@ -1,4 +1,4 @@
-"""One file and its entry in the campaign to recordings in SI units."""
+"""Builds recordings in SI units from one file and its entry in the campaign."""
 
 from __future__ import annotations
 
@@ -20,9 +20,7 @@ from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_m
 from rig.sources.table import Table
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
-"""Channels often logged less often than the rest: their missing samples are interpolated without a
-limit.
-"""
+"""Channels often logged at a lower rate: their missing samples are interpolated without limit."""
 
 
 def build(

@@ -1,8 +1,7 @@
-"""Delimited text: csv and its many relatives, plain or gzipped.
+"""Reader of delimited text (CSV and similar), plain or gzipped.
 
-The fast path is numpy's compiled reader on the needed columns. Only when that refuses a line is the
-file read again with tolerance for what vendors write: empty cells, rows quoted as a whole, stray
-trailing commas.
+The fast path is numpy's compiled reader on the needed columns. If that refuses a line, the file is
+read again with tolerance for empty cells, rows quoted as a whole and trailing commas.
 """
 
 from __future__ import annotations
@@ -107,7 +106,7 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the needed cells row by row.
+        """Yield the required cells row by row.
 
         Raises:
             InputError: A cell is not a number, or a row is too short.

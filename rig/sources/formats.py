@@ -1,4 +1,4 @@
-"""Which reader opens which file."""
+"""Selects the reader of a file by its extension."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a source the user names to the dataset the numerics work on."""
+"""Loads a source named by the user (run folder or campaign file) into a dataset."""
 
 from __future__ import annotations
 
@@ -25,12 +25,11 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
     """Load a run folder or a campaign file.
 
     Args:
-        path: Where it is.
+        path: Path of the run folder or campaign file.
         partial: Whether to take a run's unfinished excitations as well.
 
     Raises:
-        InputError: It is neither, or something in it or its recordings cannot be used; lists
-            everything found.
+        InputError: It is neither, or a part of it cannot be used; lists all problems.
     """
     _require_visible(path)
     if is_file(path / "run.json"):
@@ -58,7 +57,7 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
 
 def _require_visible(path: Path) -> None:
-    """Refuse a source that cannot be read: a folder without permission is not one without a run.
+    """Refuse a source that cannot be read, e.g. a folder without permission.
 
     Raises:
         InputError: With the reason.
@@ -90,9 +89,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _expand(
     document: Document[Campaign], problems: list[str]
 ) -> list[tuple[Path, int, RecordingSection]]:
-    """Turn file names and globs into files, noting what is missing, of unknown format, or there
-    twice.
-    """
+    """Expand file names and globs, and report missing files, unknown formats and duplicates."""
     files: list[tuple[Path, int, RecordingSection]] = []
     fitted: dict[tuple[str, str], str] = {}
     for index, section in enumerate(document.value.recordings):
@@ -121,7 +118,7 @@ def _files(
         if not isinstance(section.file, str):
             loc = (*loc, position)
         exact = folder / stored_path(pattern)
-        # A name that exists is taken literally: file names may contain brackets.
+        # An existing name is used literally, since file names may contain brackets.
         matches = (
             [exact]
             if os.path.exists(exact)
@@ -148,9 +145,7 @@ def _files(
 
 
 def _distinct_names(recordings: list[Recording]) -> Iterator[Recording]:
-    """Prefix names that occur more than once with their folder, then number what is still the
-    same.
-    """
+    """Prefix duplicate names with their folder, then number those still equal."""
     count = Counter(recording.name for recording in recordings)
     used: Counter[str] = Counter()
     for recording in recordings:

@@ -17,7 +17,7 @@ from rig.common.errors import InputError
 from rig.sources.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
-# lz4 raises RuntimeError; a damaged length field asks for more memory than there is.
+# lz4 raises RuntimeError; a damaged length field may request more memory than available.
 _DAMAGED = (
     McapError,
     ZstdError,

@@ -34,7 +34,7 @@ STILL_LEVELS = 8
 order it is the same recording.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
-"""Peaks above which a note suggests that the channel is in thousandths."""
+"""Peaks above which a note suggests that the unit is a thousandth."""
 RATIO_TOLERANCE = 0.05
 """Deviation of the measured from the declared gear ratio that is noted."""
 

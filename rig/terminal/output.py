@@ -1,8 +1,8 @@
-"""The standard streams of the command line: writing to them never raises, and never ends the work.
+"""Safe standard streams of the command line: writing never raises and never ends the work.
 
-A reader that went away (``| head -1``, a terminal that was closed) takes no more output, which is
-its right: the command goes on and its exit status is its own. A stream that cannot hold what is
-written (a full disk) is a failure of storage, which is said and gives a status of its own.
+If a reader closes the stream (``| head -1``, a closed terminal), the command continues and its exit
+status is unchanged. If the output cannot be stored (a full disk), this is reported as a storage
+error with its own exit status.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import sys
 from typing import Any, Final
 
 SHOWN: Final = "rig.shown"
-"""Error handler of the encoder: undecoded bytes go out as they came, other characters as
+"""Error handler of the encoder: undecoded bytes are written unchanged, other characters as
 escapes.
 """
 _GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
@@ -25,14 +25,13 @@ _GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
 class Outlet(io.FileIO):
     """The raw end of an output stream.
 
-    After the first failure it takes everything and keeps nothing.
+    After the first failure all further output is discarded.
 
     Args:
         descriptor: Open file descriptor; it stays open.
 
     Attributes:
-        failure: Why nothing more can be written; None while it can, or where only the reader went
-            away.
+        failure: Reason why output cannot be stored; None if it can, or if only the reader closed.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -42,8 +41,8 @@ class Outlet(io.FileIO):
         self._terminal = self.isatty()
 
     def write(self, data: Any, /) -> int:
-        """Write, and return how much was taken; waits where the descriptor is in non-blocking
-        mode.
+        """Write, and return the number of bytes written; waits even if the descriptor is
+        non-blocking.
         """
         size = memoryview(data).nbytes
         while not self._ended:
@@ -64,18 +63,18 @@ class Outlet(io.FileIO):
 
 
 def reader_gone(error: OSError, *, terminal: bool) -> bool:
-    """Return whether nobody reads any more, rather than that what is written cannot be kept.
+    """Return whether the reader closed the stream (otherwise the output could not be stored).
 
     Args:
-        error: Of a write.
-        terminal: Whether it was to a terminal, which says "input/output error" when it is gone, as
-            a broken disk does.
+        error: Error of a write.
+        terminal: Whether it was to a terminal; a closed terminal gives "input/output error", like a
+            broken disk.
     """
     return error.errno in _GONE or (terminal and error.errno == errno.EIO)
 
 
 class Inlet(io.FileIO):
-    """The raw end of the input; where it cannot be read (its terminal is gone) it is at its end.
+    """The raw end of the input; an unreadable input (closed terminal) counts as end of file.
 
     Args:
         descriptor: Open file descriptor; it stays open.
@@ -99,8 +98,8 @@ class Inlet(io.FileIO):
 
 
 class Streams:
-    """The standard streams of this process, made safe; :meth:`finish` says at the end how that
-    went.
+    """The standard streams of this process, made safe; :meth:`finish` returns the final error,
+    if any.
     """
 
     def __init__(self) -> None:
@@ -117,9 +116,7 @@ class Streams:
             sys.stderr = _writer(Outlet(2), sys.stderr, line_buffering=True)
 
     def finish(self) -> str | None:
-        """Write what is buffered; return why the output could not be written, or None where it
-        was.
-        """
+        """Flush the buffers; return why output could not be written, or None."""
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         failure = self._output.failure
@@ -127,9 +124,7 @@ class Streams:
 
 
 def complain(words: str) -> None:
-    """Print to stderr, wherever that is, or nowhere: what is said there must not hide what is said
-    next.
-    """
+    """Print to stderr; errors are ignored, so that later messages are not lost."""
     if sys.stderr is None:
         return
     try:
@@ -138,15 +133,15 @@ def complain(words: str) -> None:
     except UnicodeEncodeError:
         sys.stderr.write(words.encode("ascii", "backslashreplace").decode("ascii") + "\n")
     except (OSError, ValueError):
-        # The terminal is gone, or the stream is closed: there is nobody to tell.
+        # The terminal or stream is closed: nobody can read the message.
         return
 
 
 def _occupy_standard_descriptors() -> None:
     """Open the null device wherever a standard descriptor is closed.
 
-    The next file that is opened would get its number, and everything that is written to stderr
-    would go into it: into the recording, or to the drive.
+    Otherwise the next opened file (recording or port) would get its number and receive everything
+    written to stderr.
     """
     for descriptor in (0, 1, 2):
         try:
@@ -157,9 +152,7 @@ def _occupy_standard_descriptors() -> None:
 
 
 def _is_standard(stream: object, descriptor: int) -> bool:
-    """Return whether a stream is the one that Python opened, or missing; what a caller put in its
-    place stays.
-    """
+    """Return whether a stream is missing or opened by Python; replacements by a caller are kept."""
     if stream is None:
         return True
     try:
@@ -180,14 +173,14 @@ def _writer(raw: Outlet, replaced: object, *, line_buffering: bool) -> io.TextIO
 
 
 def _encoding(stream: object) -> str:
-    """Return the encoding of a stream; click too takes ASCII for a locale that nobody has set."""
+    """Return the encoding of a stream; like click, treats ASCII as an unset locale."""
     if not isinstance(stream, io.TextIOWrapper) or codecs.lookup(stream.encoding).name == "ascii":
         return "utf-8"
     return stream.encoding
 
 
 def _shown(error: UnicodeError) -> tuple[bytes, int]:
-    """Encode what a stream's encoding lacks."""
+    """Encode characters that a stream's encoding lacks."""
     if not isinstance(error, UnicodeEncodeError):
         raise error
     found = bytearray()

@@ -1,9 +1,8 @@
-"""Questions to the operator, read so that nothing typed before a question answers it.
+"""Prompts to the operator; input typed before a prompt is never used as its answer.
 
-An answer is one line. At a terminal everything that was typed before the question is dropped. Lines
-from a pipe can't be told from answers and are taken in order; a bench that isn't simulated refuses
-weight prompts without a terminal for that reason
-(:func:`rig.control.attendance.require_attendance`).
+An answer is one line. At a terminal everything typed before the question is dropped. Lines from a
+pipe cannot be distinguished from answers and are used in order; for this reason a real bench
+refuses weight prompts without a terminal (:func:`rig.control.attendance.require_attendance`).
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ _CHUNK = 4096
 
 
 class InputEndedError(Exception):
-    """There is no more input: it was closed, or the terminal is gone."""
+    """The input has ended: it was closed, or the terminal is gone."""
 
 
 class Asker(Protocol):
@@ -33,14 +32,14 @@ class Asker(Protocol):
 
         Raises:
             InputEndedError: There is no input any more.
-            OperatorStopError: Nobody answered in time.
+            OperatorStopError: There was no answer in time.
             KeyboardInterrupt: The operator asked to stop.
         """
         ...
 
 
 def unanswered(patience_s: float) -> OperatorStopError:
-    """Return the end of a run whose prompt nobody answered in time."""
+    """Return the error for a prompt without an answer in time."""
     return OperatorStopError(
         f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise "
         f"prompt_timeout_s"
@@ -60,9 +59,9 @@ class Prompt:
 
     Args:
         screen: Shows the question.
-        stream: ``sys.stdin`` unless given; None where the program was started without.
-        patience_s: How long an answer is waited for; None for ever.
-        clock: Measures that.
+        stream: Input stream, by default ``sys.stdin``; None if the program has none.
+        patience_s: Time to wait for an answer, s; None for ever.
+        clock: Clock for this time.
     """
 
     def __init__(
@@ -107,7 +106,7 @@ class Prompt:
             raise InputEndedError("the terminal is gone") from error
 
     def _from_stream(self) -> str:
-        """Read a line of a stream without descriptor, which can't wait."""
+        """Read a line of a stream without descriptor, without a time-out."""
         line = "" if self._stream is None else self._stream.readline()
         if not line:
             raise InputEndedError("the input has ended")
@@ -132,7 +131,7 @@ class Prompt:
         return line.decode(errors="replace").strip()
 
     def _wait(self, descriptor: int, began_ns: int) -> None:
-        """Wait for input, and show meanwhile what a stalled terminal did not take."""
+        """Wait for input; meanwhile write the queued output of a stalled terminal."""
         while True:
             wait_s = _LONGEST_WAIT_S
             if self._patience_s is not None:

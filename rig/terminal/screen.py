@@ -1,9 +1,9 @@
-"""What an operator sees: messages and one status line, written so that no terminal can hold the
-control loop.
+"""Operator's screen: messages and a status line, written so that no terminal can block the control
+loop.
 
-A terminal that was stopped (Ctrl-S), a pipe that nobody reads or an ssh that hangs takes no more
-bytes. What is to be shown is queued then, and written when there is room; the status line is left
-out meanwhile. Nothing here waits, but :meth:`Screen.drain`, which is for moments without power.
+A stopped terminal (Ctrl-S), an unread pipe or a hanging ssh accepts no more bytes. Output is then
+queued and written when there is room; the status line is omitted meanwhile. Only
+:meth:`Screen.drain` waits; it is used only while the drive is off.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from typing import Final, TextIO
 from drivers.clock import NS, Clock, RealClock
 
 QUEUE_BYTES: Final = 1 << 20
-"""What is queued at most for a reader that takes nothing; more is dropped."""
+"""Largest queue for a blocked reader, bytes; more is dropped."""
 DRAIN_S: Final = 5.0
-"""How long a stalled terminal is waited for once the drive is off."""
+"""Time to wait for a stalled terminal once the drive is off."""
 STATUS_NS: Final = NS // 4
 """Time between two status lines: 80 columns four times a second fit 9600 baud."""
 _CHUNK: Final = 512
-"""Bytes that a pipe takes whole where it is ready at all (POSIX: PIPE_BUF is at least that)."""
+"""Bytes that a ready pipe accepts at once (POSIX: PIPE_BUF is at least this)."""
 _LOOK_S: Final = 0.05
 _COLUMNS: Final = 80
 
@@ -33,15 +33,15 @@ _COLUMNS: Final = 80
 class Outlet:
     """One output stream of this program, written without blocking.
 
-    A terminal is opened again for this, as the mode belongs to the open file, which other programs
-    share. A stream that has no descriptor (in tests) is written as it is.
+    A terminal is opened again for this, since the non-blocking mode belongs to the open file, which
+    other programs share. A stream without descriptor (in tests) is written directly.
 
     Args:
-        stream: ``sys.stdout`` or ``sys.stderr``; None where the program was started without.
+        stream: ``sys.stdout`` or ``sys.stderr``; None if the program has none.
 
     Attributes:
-        trouble: Why it can't be written any more; None while it can.
-        terminal: Whether it is one.
+        trouble: Reason why it cannot be written any more; None if it can.
+        terminal: Whether it is a terminal.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -81,7 +81,7 @@ class Outlet:
 
     @property
     def pending(self) -> bool:
-        """Whether something waits to be written."""
+        """Whether output is queued."""
         return bool(self._pending)
 
     def put(self, text: str) -> None:
@@ -114,9 +114,9 @@ class Outlet:
             del self._pending[:written]
 
     def echo(self, shown: bool) -> None:
-        """Have a terminal show the keys that are pressed, or not.
+        """Switch the echo of typed keys on or off.
 
-        Does nothing where it is no terminal, is gone, or belongs to another job.
+        Does nothing if it is no terminal, is gone, or belongs to another job.
         """
         if not self.terminal or self._descriptor is None:
             return
@@ -142,9 +142,7 @@ class Outlet:
 
 
 def _wrapped(words: str, columns: int) -> str:
-    """Break lines that are too long between words; the rows of a table, which double spaces tell,
-    stay as they are.
-    """
+    """Wrap long lines between words; table rows, recognised by double spaces, are unchanged."""
     return "\n".join(
         textwrap.fill(line, columns, break_long_words=False, break_on_hyphens=False)
         if len(line) > columns and "  " not in line
@@ -182,7 +180,7 @@ class Screen:
 
     @property
     def trouble(self) -> OSError | None:
-        """Why results can't be shown any more; None while they can."""
+        """Reason why results cannot be shown any more; None if they can."""
         return self._out.trouble
 
     @property
@@ -202,10 +200,10 @@ class Screen:
         outlet.put(f"{_wrapped(words, outlet.columns) if outlet.terminal else words}\n")
 
     def silence(self) -> None:
-        """Keep the terminal from showing keys, but those of an answer, until :meth:`close`.
+        """Switch off the echo of typed keys, except in answers, until :meth:`close`.
 
-        What is typed while a run goes on would stand in the middle of its messages: a ``^C`` before
-        the verdict.
+        Keys typed during a run would otherwise appear within its messages, e.g. ``^C`` before the
+        verdict.
         """
         self._silent = True
         self._err.echo(False)
@@ -219,7 +217,7 @@ class Screen:
         self._line_open = True
 
     def listened(self) -> None:
-        """Note that a prompt takes no more keys, whether or not it was answered."""
+        """Note that a prompt has ended, answered or not."""
         if self._silent:
             self._err.echo(False)
 
@@ -228,7 +226,7 @@ class Screen:
         self._line_open = False
 
     def status(self, text: str) -> None:
-        """Replace the status line; left out where the terminal takes nothing, and where it was just
+        """Replace the status line; omitted if the terminal is blocked or the line was just
         drawn.
         """
         self.pump()
@@ -262,14 +260,14 @@ class Screen:
         return f"\r{up}\x1b[J" if self._shown else "\r"
 
     def pump(self) -> None:
-        """Write what waits, as far as that takes no time."""
+        """Write queued output, as far as possible without waiting."""
         self._err.pump()
         self._out.pump()
 
     def drain(self, patience_s: float = DRAIN_S) -> bool:
-        """Wait until everything is shown, for so long at the most.
+        """Wait until everything is shown or the time is over.
 
-        Only where the drive has no power.
+        To be used only while the drive is off.
 
         Returns:
             Whether everything was shown.
@@ -285,7 +283,7 @@ class Screen:
         return True
 
     def close(self) -> None:
-        """Take the status line away, have keys shown again, and close what was opened."""
+        """Erase the status line, switch the echo of keys on, and close the terminal."""
         self._begin_line()
         self.drain(0.0)
         if self._silent:

@@ -31,12 +31,12 @@ STOP_SIGNALS = {
     "SIGTSTP": "Ctrl-Z: a run can't be suspended under power",
     "SIGQUIT": "SIGQUIT",
 }
-"""What ends a run, and what the record says of it; a system lacks some of these."""
+"""Signals that end a run, with their text for the record; some systems lack some of these."""
 HURRY_SIGNALS = frozenset({"SIGQUIT"})
 IGNORED_SIGNALS = ("SIGTTOU",)
 KEPT_IF_IGNORED = frozenset({"SIGHUP"})
 PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
-"""Asks for a pause, and ends it; None on a system that has no such signal."""
+"""Signal that requests or ends a pause; None on systems without it."""
 PAUSE_ASKED = (
     "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back"
 )
@@ -48,19 +48,19 @@ class OperatorStopError(Exception):
 
 
 class StopButton:
-    """Turns signals into flags that the control loop looks at every cycle.
+    """Converts signals to flags that the control loop reads every cycle.
 
     A context manager; outside the main thread, where signals cannot be caught, only the methods set
     the flags.
 
     Args:
-        tell: Shows words to the operator without blocking; called from a signal handler.
+        tell: Shows a message to the operator without blocking; called from a signal handler.
 
     Attributes:
-        pressed: Whether a stop was asked for.
-        presses: How often.
-        cause: What asked first, in words.
-        pausing: Whether a pause at the next stage boundary was asked for.
+        pressed: Whether a stop was requested.
+        presses: Number of stop requests.
+        cause: Source of the first request, as text.
+        pausing: Whether a pause at the next stage boundary was requested.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda words: None) -> None:
@@ -108,13 +108,13 @@ class StopButton:
 
     @property
     def words(self) -> str:
-        """Who stopped the run, and how."""
+        """Message on who stopped the run, and how."""
         return (
             f"stopped by the operator ({self.cause})" if self.cause else "stopped by the operator"
         )
 
     def check(self) -> None:
-        """Stop if it was asked for.
+        """Raise if a stop was requested.
 
         Raises:
             OperatorStopError: The button was pressed.
@@ -124,9 +124,7 @@ class StopButton:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a stop raise KeyboardInterrupt at once: for what may wait for long while the drive
-        has no power.
-        """
+        """Let a stop raise KeyboardInterrupt at once; for long waits while the drive is off."""
         self._raise_at_once = True
         try:
             self.check()
@@ -140,7 +138,7 @@ class StopButton:
         if name in HURRY_SIGNALS:
             self.presses += 1
         if self._raise_at_once:
-            # Once only: what cleans up after it must not be interrupted.
+            # Only once: the clean-up after it must not be interrupted.
             self._raise_at_once = False
             raise KeyboardInterrupt
 
@@ -152,8 +150,8 @@ class StopButton:
 def ignore_stops() -> None:
     """Ignore every stop signal from now on.
 
-    For a program that was stopped, has said so, and ends: a signal that comes then, as Ctrl-C is
-    pressed more often than needed, would replace its exit status.
+    Used when a stopped program ends: a further signal (Ctrl-C pressed once too often) would replace
+    its exit status.
     """
     for name in STOP_SIGNALS:
         number = getattr(signal, name, None)

@@ -1,1 +1,1 @@
-"""Is the weight on the lever what its label says: Coulomb level against mass."""
+"""Checks the mass on the lever against its label, from the friction level."""

@@ -1,7 +1,7 @@
 """Friction of a motion by speed: work over distance.
 
-Work is used instead of torque at an instant: current noise averages out, no acceleration has to be
-computed, and the inertia returns while the joint slows down what it took while it sped up.
+Work is used instead of instantaneous torque: current noise averages out, no acceleration is needed,
+and the inertia's work in acceleration and deceleration cancels.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ EDGES = np.geomspace(2e-3, 4.0, 67)
 bin.
 """
 SPEED_WINDOW_S = 0.006
-"""Time over which the speed is taken, s: shorter than the slips of a loaded joint (about 20 ms).
+"""Time over which the speed is computed, s: shorter than the slips of a loaded joint (about 20
+ms).
 """
 SLOWEST_SHARE = 0.2
 """Least speed used, as a share of the greatest: at lower ones friction is steep and encoder
@@ -28,10 +29,10 @@ FEWEST_SAMPLES = 100
 
 @dataclass(frozen=True)
 class FrictionLevel:
-    """Friction against speed, measured.
+    """Measured friction against speed.
 
     Attributes:
-        speed: Mean speed in each bin, rad/s, shape (66,); 0 where nothing was measured.
+        speed: Mean speed in each bin, rad/s, shape (66,); 0 in empty bins.
         torque: Mean friction torque there, N m, shape (66,).
         path: Distance moved there, rad, shape (66,); the weight of the bin.
     """
@@ -47,10 +48,10 @@ def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLeve
     Args:
         angle: Joint angle at evenly spaced instants, rad, shape (n,).
         torque: Mean torque at the joint over the period that ends at each instant, N m, shape (n,).
-        period_s: s.
+        period_s: Sampling period, s.
 
     Returns:
-        The level, or None where there is too little motion.
+        The level, or None if there is too little motion.
     """
     half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
     if len(angle) < 2 * half + FEWEST_SAMPLES:

@@ -1,4 +1,4 @@
-"""After a run: is every stage's mass the one on its label?"""
+"""Checks after a run that every stage's mass is the mass on its label."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from rig.weighing.weight_check import LoadedLevel, suspects
 
 
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
-    """Find the recordings of a run or campaign whose mass is not their label.
+    """Find the recordings of a run or campaign whose mass differs from their label.
 
-    Without a reference it takes stages of two different masses besides the one that is judged.
+    Without a reference this requires stages of two different masses in addition to the one judged.
 
     Returns:
-        Those that are, or may be, wrong; empty also where nothing can be compared.
+        The recordings that are or may be wrong; empty also if nothing can be compared.
     """
     return suspects(_levels(dataset.recordings), reference)
 

@@ -1,4 +1,4 @@
-"""Weighs the stages of a run as they come: from control cycles to the verdict on a weight."""
+"""Checks the weight of each stage of a run from its control cycles."""
 
 from __future__ import annotations
 

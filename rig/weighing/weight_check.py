@@ -19,19 +19,19 @@ from rig.runs.run_record import Verdict, Weighing
 from rig.weighing.friction_level import FrictionLevel
 
 TOLERANCE = 0.075
-"""Share of the confirmed mass by which the measured one may differ: half of the least wrong mass to
-be found, 15 %.
+"""Tolerance of the measured mass as a share of the confirmed one: half of the smallest error to
+be detected, 15 %.
 """
 EMPTY_TOLERANCE_KG = 1.0
 """Mass that an empty lever may seem to carry."""
 UNCERTAINTY_SHARE = 0.4
-"""Share of the tolerance that one standard error may be; beyond that the check cannot decide."""
+"""Largest standard error, as a share of the tolerance, for which the check can decide."""
 
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Standard errors beyond the tolerance at which a finished stage contradicts the others; a false
-alarm costs a whole run.
+"""Number of standard errors beyond the tolerance at which a finished stage contradicts the
+others; a false alarm costs a whole run.
 """
 
 
@@ -45,7 +45,7 @@ class LoadedLevel:
 
 
 def tolerance_kg(weight_kg: float) -> float:
-    """Return by how much a measured mass may differ from the confirmed one, kg."""
+    """Return the tolerance of the measured mass against the confirmed one, kg."""
     return TOLERANCE * weight_kg if weight_kg else EMPTY_TOLERANCE_KG
 
 
@@ -75,14 +75,14 @@ def weigh(
 
 
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
-    """Find the stages of a finished run whose mass is not their label.
+    """Find the stages of a finished run whose mass differs from their label.
 
-    With a reference each stage is judged by itself. Without one, a stage is reported if the others
-    agree among themselves without it; where that holds for several, the data do not decide between
+    With a reference each stage is judged by itself. Without one, a stage is reported if the other
+    stages are mutually consistent; if this holds for several stages, the data do not decide between
     them, and all are reported.
 
     Returns:
-        Those that are, or may be, wrong.
+        The stages that are or may be wrong.
     """
     if reference is not None:
         return [
@@ -124,8 +124,7 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the line through the others; true where there is no
-    line.
+    """Whether every loaded stage agrees with the line through the others; true if there is no line.
 
     A stage with too large a standard error agrees with any line.
     """
@@ -149,7 +148,7 @@ def _against_reference(item: LoadedLevel, reference: Reference) -> Weighing:
 
 
 def _mass(level: FrictionLevel, reference: Reference) -> float:
-    """Return the mass whose friction gives the measured work."""
+    """Return the mass for which the reference friction gives the measured work."""
     seen = level.path > 0.0
     speed, path = level.speed[seen], level.path[seen]
     excess = float(np.sum(path * (level.torque[seen] - reference.unloaded(speed))))
@@ -181,8 +180,8 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
     """Return the mass at which the straight lines through other stages' levels give the measured
     work, and its standard error.
 
-    None where there are no such lines. The standard error is by the scatter over speeds, which
-    contains the inertia's exchange of work between speeds and the steepness of friction.
+    None if there are no such lines. The standard error follows from the scatter over speeds, which
+    includes the inertia's exchange of work between speeds and the slope of friction.
 
     There is one line a speed bin, by least squares over the stages with that bin. The weight of a
     bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the stage

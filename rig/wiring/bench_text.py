@@ -1,5 +1,5 @@
-"""What an operator must know of a bench first: which it is, whether it is real, and who stops
-it.
+"""Text that identifies a bench to the operator: name, real or simulated, and what stops the
+drive.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ def bench_line(document: Document[Bench]) -> str:
 
 @dataclass(frozen=True)
 class Watcher:
-    """Who takes the power off when this program stops commanding the drive.
+    """What takes the power off when this program stops commanding the drive.
 
     Attributes:
         kind: ``drive``, ``guardian`` or ``nobody``.
@@ -35,7 +35,7 @@ class Watcher:
 
     @property
     def words(self) -> str:
-        """In words."""
+        """Description for the operator."""
         if self.kind == "drive" and self.after_s is not None:
             wait = f"{self.after_s * 1e3:g} ms"
             return f"the drive itself: it stops when it hears nothing of this program for {wait}"
@@ -49,7 +49,7 @@ class Watcher:
 
 
 def watcher_of(bench: Bench) -> Watcher:
-    """Return who will watch a bench, by its file."""
+    """Return what will watch a bench, according to its file."""
     if isinstance(bench.bus, SerialBus):
         return Watcher("nobody") if bench.simulated else Watcher("guardian", SILENCE_S)
     if isinstance(bench.servo, DbcServoSection):
@@ -59,7 +59,7 @@ def watcher_of(bench: Bench) -> Watcher:
 
 
 def watcher(devices: Devices) -> Watcher:
-    """Return who will watch a bench that is connected."""
+    """Return what watches a connected bench."""
     if devices.link.has_watchdog and devices.servo.watch_s is not None:
         return Watcher("drive", devices.servo.watch_s)
     return Watcher("nobody") if devices.guard is None else Watcher("guardian", SILENCE_S)

@@ -1,6 +1,4 @@
-"""From a bench file to devices on an open bus: the only place where drivers are chosen and wired
-together.
-"""
+"""Opens the devices of a bench file on their bus; the only place where drivers are chosen."""
 
 from __future__ import annotations
 
@@ -44,19 +42,17 @@ TRANSMITTER_EDS = _EDS / "transmitter.eds"
 _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
-"""Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive
-has not taken.
+"""Node of the simulated CAN encoder on a bench that does not use it: the first one that the drive
+does not occupy.
 """
 NO_BUS = (
     "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, "
     "or add a bus"
 )
 Hang = Callable[[float], None]
-"""Hangs a mass in kg on the lever of a simulated machine."""
+"""Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
-"""Called with a simulated bench before its bus is opened; returns the clock that the host is to
-see.
-"""
+"""Called with a simulated bench before its bus is opened; returns the clock for the host."""
 
 
 @contextmanager
@@ -74,17 +70,17 @@ def connect(
 
     Args:
         document: The bench.
-        seed: Of the simulated bench's noise.
-        realtime: Hold the simulated bench to real time.
-        attach: Tampers with a simulated bench.
+        seed: Seed of the simulated bench's noise.
+        realtime: Run the simulated bench in real time.
+        attach: Injects faults into a simulated bench.
         torque_offset: Map the torque offset of a CANopen drive (60B2h); see
             :func:`rig.planning.feedforward.require_torque_offset`.
         purpose: The command that connects, as shown to whoever finds the bench in use.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
-        InUseError: Another program uses it, or a part of it.
-        StorageError: It cannot be locked.
+        InUseError: Another program uses the bench or a part of it.
+        StorageError: The bench cannot be locked.
         DeviceError: The bus cannot be opened, or the bench file contradicts itself on the wire.
     """
     bench = document.value
@@ -126,7 +122,7 @@ class _Wired:
         pressure: The pressure transmitter, where there is one.
         hang: Hangs a weight on a simulated lever.
         ignite: Lights a simulated gas generator.
-        guard: Stops a real drive that has no watchdog of its own.
+        guard: Process that stops a real drive without a watchdog.
     """
 
     link: Link
@@ -145,7 +141,7 @@ def _wire(
     attach: Attach | None,
     torque_offset: bool,
 ) -> _Wired:
-    """Choose the drivers of a bench and put them on their link, which stays closed."""
+    """Choose the drivers of a bench and create its link, which stays closed."""
     bench = document.value
     simulated: SimulatedBench | None = None
     hang: Hang | None
@@ -182,9 +178,7 @@ def _wire(
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
-    """Return the link of a drive on a serial line, the drive, the bench where they are simulated,
-    else the guard.
-    """
+    """Return link and drive on a serial line, the simulated bench if simulated, else the guard."""
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     simulated, clock = _simulated_bench(bench, bench.servo, 1_000_000, seed, attach)
@@ -217,7 +211,7 @@ def _simulated_bench(
 def _link(
     bench: Bench, servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[CanopenLink, SimulatedBench | None]:
-    """Return the link, and the bench behind it where that is simulated."""
+    """Return the link, and the simulated bench behind it if there is one."""
     simulated, clock = _simulated_bench(bench, servo, bus.bitrate, seed, attach)
     if simulated is not None:
         return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
@@ -227,9 +221,7 @@ def _link(
 def _dbc_servo(
     document: Document[Bench], servo: DbcServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[DbcLink, DbcServo, Hang | None]:
-    """Return the link with a drive of its own frames on it, and what hangs a weight on a simulated
-    lever.
-    """
+    """Return link and DBC drive, and the function that hangs a weight on a simulated lever."""
     bench = document.value
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
@@ -245,10 +237,10 @@ def _dbc_servo(
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the files that say what the devices' objects or signals are: name to path.
+    """Return the files that describe the devices' objects or signals (EDS, DBC): name to path.
 
     Raises:
-        InputError: A real device has none.
+        InputError: A real device has no such file.
     """
     bench = document.value
     found = {}
@@ -267,7 +259,7 @@ def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pr
     """Return a device's EDS file: packaged for a simulated device, else as the bench file names it.
 
     Raises:
-        InputError: A real device has none.
+        InputError: A real device has no such file.
     """
     bench = document.value
     named: str | None = getattr(bench, section).eds

@@ -1,4 +1,4 @@
-"""Node identifiers and device files of a bench, checked on a link that is never opened."""
+"""Checks node identifiers and device files of a bench on a link that is never opened."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ _WORDS: dict[Role, str] = {
 
 
 class _Described(Protocol):
-    """A device profile that can hold the device's description against what it needs."""
+    """A device profile that can check the device's description for the objects it needs."""
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield what the description lacks."""
+        """Yield the objects that the description lacks."""
         ...
 
 
 def device_file_findings(document: Document[Bench]) -> list[Finding]:
-    """Return what is wrong with node identifiers, CAN identifiers and EDS files of a bench.
+    """Return the faults in node identifiers, CAN identifiers and EDS files of a bench.
 
-    None of these benches can be connected to. A DBC file has been read with the bench file.
+    A bench with such a fault cannot be connected to. DBC files are checked with the bench file.
     """
     return list(_conflicts(document)) or list(_declared(document))
 
@@ -73,9 +73,7 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device as :func:`rig.wiring.connect.connect` does, and yield what is
-    refused.
-    """
+    """Declare every device as :func:`rig.wiring.connect.connect` does; yield each refusal."""
     bench = document.value
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):

@@ -1,4 +1,4 @@
-"""What a run moves: link, servo, encoder and what stands beside them."""
+"""The devices of a run: link, servo, encoder and optional others."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from rig.wiring.guard import Guard
 
 @dataclass(frozen=True)
 class Devices:
-    """What a run moves.
+    """The devices of a run.
 
     Attributes:
         link: The opened bus.
         servo: The drive.
         encoder: The joint encoder.
-        hang: Puts a mass in kg on a simulated lever; None where a person does.
-        pacer: Real clock that holds simulated time back to real time; None to run on the link's
-        clock alone.
-        observer: Told the stage's name and every phase as it begins.
+        hang: Function that puts a mass in kg on a simulated lever; None where a person does.
+        pacer: Real clock that slows simulated time to real time; None to run on the link's clock
+        alone.
+        observer: Called with stage name and phase at the start of every phase.
         pressure: The transmitter on the gas generator's chamber; None where there is none.
-        ignite: Lights a simulated gas generator; None where a person does.
+        ignite: Function that ignites a simulated gas generator; None where a person does.
         guard: Process that stops a drive without a watchdog when this program dies; None where
         there is none.
-        lock: What keeps other programs from the bench; None where nobody has to be kept from it.
+        lock: Lock that keeps other programs off the bench; None for a simulated bench.
     """
 
     link: Link
@@ -43,7 +43,7 @@ class Devices:
     lock: Lock | None = None
 
     def prepare(self, cycle_s: float) -> None:
-        """Check every device against the bench file and map its process data. No power.
+        """Check every device against the bench file and map its process data; nothing is energised.
 
         Raises:
             DeviceError: A device is not what the bench file says, or does not answer.

@@ -1,6 +1,4 @@
-"""The limits of the bench beside those that the drive itself holds, before and after they are
-written.
-"""
+"""Compares the bench's limits with the limits held in the drive, before and after writing them."""
 
 from __future__ import annotations
 
@@ -11,12 +9,10 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import LimitSteps, ServoLimits
 
 ROUNDING = 1e-3
-"""Share of a limit by which two may differ and be the same: bench files state limits to three or
-four digits.
-"""
+"""Relative difference below which two limits are equal: bench files state three or four digits."""
 _WHOLE_STEP = 1.0 + 1e-6
-"""Steps by which two limits may differ and be the same: one, with a margin for rounding of
-floating-point numbers.
+"""Difference in steps of the drive below which two limits are equal: one, with a margin for
+floating-point rounding.
 """
 _STAYING = frozenset({5, 6, 7, 8})
 """Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
@@ -24,16 +20,16 @@ _STAYING = frozenset({5, 6, 7, 8})
 
 @dataclass(frozen=True)
 class Row:
-    """One limit of the two, in SI units.
+    """Comparison of one limit, in SI units.
 
     Attributes:
-        name: In words.
-        objects: Where the drive holds it.
-        field: Of :class:`~drivers.interfaces.ServoLimits`.
-        unit: Of both values.
-        first: What is being tested for being looser; None is no limit.
-        second: What it must not be looser than.
-        looser: Whether it is.
+        name: Name for the operator.
+        objects: Objects in which the drive holds it.
+        field: Field of :class:`~drivers.interfaces.ServoLimits`.
+        unit: Unit of both values.
+        first: The limit under test; None for no limit.
+        second: The limit that ``first`` must not exceed.
+        looser: Whether ``first`` is looser than ``second``.
     """
 
     name: str
@@ -68,14 +64,14 @@ _REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
 
 
 def compare(first: ServoLimits, second: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
-    """Return every limit of ``first`` beside that of ``second``, and whether it is looser.
+    """Compare every limit of ``first`` with the same limit of ``second``.
 
     Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them,
     whichever is more.
 
     Args:
-        first: What is tested.
-        second: What it must not be looser than.
+        first: The limits under test.
+        second: The limit that ``first`` must not exceed.
         steps: Resolution of the drive that holds one of them; None where it is not known.
     """
     return [
@@ -105,13 +101,13 @@ def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = N
 def require_within_own(
     wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None
 ) -> None:
-    """Refuse to loosen what the drive was commissioned with.
+    """Refuse to loosen the limits that the drive was commissioned with.
 
     Args:
-        wanted: What is about to be written.
-        own: What the drive held when the bus was opened. Its quick stop option is compared as far
-            as a drive that takes the power off after the ramp must not be ordered to keep it; its
-            deceleration is a setting, not a limit.
+        wanted: The limits to be written.
+        own: The limits that the drive held when the bus was opened. The quick stop option is
+            refused only if the drive takes the power off after the ramp and would be ordered to
+            keep it on; the quick stop deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
 
     Raises:
@@ -129,11 +125,11 @@ def require_within_own(
 
 
 def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | None = None) -> None:
-    """Refuse to go on with a drive that holds something looser than what was written into it.
+    """Refuse a drive that holds a looser limit than the one written into it.
 
     Args:
-        held: What the drive says it holds.
-        wanted: What was written.
+        held: The limits read back from the drive.
+        wanted: The limits that were written.
         steps: As for :func:`compare`.
 
     Raises:
@@ -157,7 +153,7 @@ def _list(rows: list[Row], first: str, second: str) -> str:
 
 
 def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
-    """Written as "not tighter", so that a value that is not a number is looser."""
+    """Written as "not tighter", so that NaN counts as looser."""
     if second is None:
         return False
     if first is None:
@@ -173,7 +169,7 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
 def show(field: str, value: float | None) -> str:
     """Return a limit as the bench file states it: degrees for angles, with its unit.
 
-    Four digits tell any two limits apart that are not the same.
+    Four digits suffice to distinguish any two limits that differ.
     """
     if value is None:
         return "off"

@@ -1,6 +1,6 @@
 """The guarded side of :mod:`rig.wiring.guardian`.
 
-Starts the guardian with the port, arms it, feeds it, and hears when it takes over.
+Starts the guardian with the port, arms and feeds it, and receives its takeover report.
 """
 
 from __future__ import annotations
@@ -26,23 +26,23 @@ _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
 _TAKEOVER_S: Final = 3.0
-"""How long the guardian's report is waited for once it has taken over: braking and reading back
-take less.
+"""Time to wait for the guardian's report after a takeover, s; braking and reading back take less.
 """
 _CHUNK: Final = 4096
 
 
 class Guard:
-    """Opens a drive's port, and has a process of its own stand by while the drive is under power.
+    """Opens a drive's port and runs a guardian process while the drive is under power.
 
-    The two never speak to the drive at once: while the guardian has the drive, :meth:`feed` raises.
+    Program and guardian never use the port at the same time: while the guardian has it,
+    :meth:`feed` raises.
 
     Args:
         port: Device of this computer.
         baud: Bit/s.
         node: Node identifier of the drive.
-        eds: Its EDS file.
-        scales: Its units.
+        eds: EDS file of the drive.
+        scales: Units of the drive.
     """
 
     def __init__(
@@ -74,27 +74,25 @@ class Guard:
 
         Raises:
             OSError: It cannot be opened.
-            ValueError: It does not take this rate.
+            ValueError: It does not support this rate.
         """
         self._port = PySerialPort(self._path, self._baud)
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Have the guardian hold the bench's lock, given as file descriptors, for as long as it
-        lives.
-        """
+        """Let the guardian hold the bench's lock, given as file descriptors, as long as it runs."""
         self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
-        """Have what the guardian does written into this folder."""
+        """Set the folder into which the guardian writes its report."""
         self._folder = folder.resolve()
 
     def arm(self, limit_s: float) -> None:
-        """Have the drive stopped if this program dies from now on, or does not feed for this long,
-        s.
+        """Arm the guardian: it stops the drive if this program dies or does not feed it for this
+        time, s.
 
         Raises:
-            LinkError: There is no guardian, so that the drive must not be enabled.
+            LinkError: There is no guardian; the drive must not be enabled.
         """
         if self._process is None:
             self._process = self._start()
@@ -104,12 +102,12 @@ class Guard:
         self._fed_ns = time.monotonic_ns()
 
     def feed(self) -> None:
-        """Show the guardian that the control loop is alive; nothing unless armed.
+        """Send the guardian a sign of life of the control loop; does nothing unless armed.
 
         Raises:
-            LinkError: The guardian has taken over, or is gone. It is raised once where the guardian
-                has left the drive, so that the drive can be read back, and every time as long as it
-                has not.
+            LinkError: The guardian has taken over, or is gone. While the guardian has the drive,
+                every call raises; once it has released the drive, only one call does, so that the
+                drive can be read back.
         """
         if self._taken:
             self._await_report(0.0)
@@ -130,7 +128,7 @@ class Guard:
         self._write(b"\n")
 
     def release(self) -> None:
-        """The drive is verified off: there is nothing to guard until the next :meth:`arm`.
+        """Disarm the guardian after the drive was verified off, until the next :meth:`arm`.
 
         Raises:
             LinkError: The guardian is gone.
@@ -140,8 +138,8 @@ class Guard:
             self._tell({"armed": False})
 
     def close(self) -> None:
-        """Let the guardian go; one that has not been released stops the drive now, and goes on
-        trying by itself.
+        """End the guardian; if it was not released, it stops the drive now and keeps trying by
+        itself.
         """
         process, self._process = self._process, None
         if process is None:
@@ -152,7 +150,7 @@ class Guard:
         try:
             process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            # It is still trying to reach the drive, and must not be kept from that.
+            # It is still trying to reach the drive and must not be interrupted.
             process.returncode = 0
 
     def _start(self) -> subprocess.Popen[bytes]:
@@ -179,10 +177,10 @@ class Guard:
         return process
 
     def _await_report(self, patience_s: float) -> str:
-        """Return what the guardian did, once it has left the drive.
+        """Return the guardian's report once it has released the drive.
 
         Raises:
-            LinkError: It still has it.
+            LinkError: It still has the drive.
         """
         line = self._says(b"\n", patience_s)
         if line is None:
@@ -195,8 +193,7 @@ class Guard:
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return what the guardian says up to and with these words; None where it does not say them
-        in time.
+        """Return the guardian's output up to and including this text; None after a time-out.
 
         Raises:
             LinkError: The guardian is gone.

@@ -1,17 +1,17 @@
-"""The guardian: a process that takes the power off a drive without a watchdog when its program dies
-or hangs.
+"""The guardian: a process that de-energises a drive without a watchdog if its program dies or
+hangs.
 
-It is started with the open port before the drive is enabled, and hears on its standard input, line
-by line in JSON, how to reach the drive, where to write, and whether the drive is under power
-(``armed``). While that is so, each line, an empty one too, shows that the control loop is alive.
-Two things make it act:
+It is started with the open port before the drive is enabled. JSON lines on its standard input state
+how to reach the drive, where to write its report, and whether the drive is under power (``armed``).
+While armed, every line, even an empty one, is a sign of life of the control loop. It acts in two
+cases:
 
 - the input ends while the drive is armed: the other program is gone;
-- no line comes for ``limit_s``: the other program hangs, or was suspended. ``took over`` goes to
-  the standard output first, so that the other one, should it wake, keeps off the line; what was
-  done follows as a line of words.
+- no line comes for ``limit_s``: the other program hangs, or was suspended. It first writes ``took
+  over`` to the standard output, so that the other program, should it wake, does not use the port;
+  then a line that reports what was done.
 
-It brakes the drive, takes the power off, reads 6041h back, and writes what it did beside the
+It brakes the drive, takes the power off, reads 6041h back, and writes its report next to the
 recording. Its own output never blocks it.
 """
 
@@ -45,17 +45,17 @@ REPORT_FILE: Final = "guardian.json"
 READY: Final = b"ready\n"
 TOOK_OVER: Final = b"took over\n"
 SILENCE_S: Final = 0.2
-"""Time without a sign of life after which it acts, unless it receives another one."""
+"""Default time without a sign of life after which it acts, s."""
 _PATIENCE_S: Final = 60.0
 _PAUSE_NS: Final = NS // 5
-"""Between two attempts: a line that is gone answers at once, and a busy loop would help nobody."""
+"""Pause between two attempts: a lost port fails at once, so a busy loop would result."""
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
 _SHOW_S: Final = 1.0
 
 
 class Cause(Enum):
-    """Why the guardian acts, or does not."""
+    """Reason why the guardian acts, or does not."""
 
     RELEASED = "released"
     GONE = "gone"
@@ -64,13 +64,13 @@ class Cause(Enum):
 
 @dataclass
 class Ward:
-    """What the guardian has received so far.
+    """State received by the guardian so far.
 
     Attributes:
         drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.
-        folder: Where to write what was done; None for nowhere.
+        folder: Folder for the report; None for no report.
         armed: Whether the drive may be under power.
-        limit_s: How long the other program may be silent while it is.
+        limit_s: Longest silence of the other program while armed, s.
     """
 
     drive: Mapping[str, Any] = field(default_factory=dict)
@@ -80,8 +80,8 @@ class Ward:
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:
-        """Take what came in; half a line, as a dying program may leave it, and unknown words change
-        nothing.
+        """Process received bytes; an incomplete line, as a dying program may leave, and unknown
+        keys change nothing.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -101,9 +101,7 @@ class Ward:
 
 @dataclass(frozen=True)
 class Deed:
-    """What the guardian did: how the drive was left, how often it was tried, and how long that
-    took.
-    """
+    """Result of the guardian: final state of the drive, number of attempts and time taken."""
 
     safe: SafeState
     attempts: int
@@ -116,14 +114,13 @@ def stop(
     patience_s: float = _PATIENCE_S,
     failed: Callable[[SafeState], None] = lambda safe: None,
 ) -> Deed:
-    """Brake, take the power off and read the state back, again and again until that is verified or
-    patience ends.
+    """Brake, take the power off and read the state back; repeat until verified or timed out.
 
     Args:
         servo: The drive.
-        clock: Of its link.
-        patience_s: How long it is tried.
-        failed: Called after the first attempt that failed.
+        clock: Clock of its link.
+        patience_s: Time for all attempts, s.
+        failed: Called after the first failed attempt.
     """
     began = clock.now_ns()
     attempts = 0
@@ -146,14 +143,13 @@ def stop(
 
 
 def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]) -> Cause:
-    """Listen until the drive must be stopped, or the other program has closed the pipe with the
-    drive off.
+    """Listen until the drive must be stopped, or the pipe was closed with the drive off.
 
     Args:
         descriptor: The pipe.
-        ward: Takes what is heard.
-        wait: Waits for input on a descriptor for so many seconds, None for ever; returns whether
-            there is any.
+        ward: Receives the input.
+        wait: Waits for input on a descriptor for a number of seconds, None for ever; returns
+            whether there is any.
     """
     while True:
         if not wait(descriptor, ward.limit_s if ward.armed else None):
@@ -169,7 +165,7 @@ def _wait(descriptor: int, seconds: float | None) -> bool:
 
 
 def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Return what was done in a sentence."""
+    """Return a sentence that reports what was done."""
     why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
     return (
         f"guardian: the program that drove {ward.drive['name']} {why}; after "
@@ -178,9 +174,7 @@ def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
 
 
 def report(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Write what was done beside the recording, and return it in words; a full disk is no reason to
-    be silent.
-    """
+    """Write the report next to the recording and return it as text, also if writing fails."""
     words = words_of(deed, ward, cause)
     if ward.folder is not None:
         record = {
@@ -214,7 +208,7 @@ def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
 
 
 def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) -> Deed:
-    """Stop the drive, and say and write what came of it."""
+    """Stop the drive, and print and store the report."""
     name = ward.drive["name"]
     deed = stop(
         servo,
@@ -226,11 +220,9 @@ def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) ->
 
 
 def main() -> int:
-    """Be the guardian of the port whose file descriptor is given first; those after it are the
-    bench's lock.
-    """
+    """Run the guardian; first argument: descriptor of the port, further ones: the bench's lock."""
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
-        # The end of the input is what ends it.
+        # Only the end of the input ends it.
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     ward, screen = Ward(), Screen()
     listening, speaking = sys.stdin.fileno(), sys.stdout.fileno()
@@ -264,10 +256,8 @@ def main() -> int:
 
 
 def _speak(descriptor: int, words: bytes) -> None:
-    """Say something to the other program; its pipe is empty but for a few words, and so takes
-    them.
-    """
-    # Where it is gone, the end of the input will say so.
+    """Write to the other program; its pipe is nearly empty, so this does not block."""
+    # If it is gone, the end of the input shows it.
     with suppress(OSError):
         os.write(descriptor, words)
 

@@ -1,4 +1,4 @@
-"""Locks in commands: kept until the command ends, and what was taken over is said."""
+"""Locks held until a command ends; reports locks taken over from a dead program."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rig.terminal.screen import Screen
 
 
 def until_the_end(lock: Lock) -> Lock:
-    """Release a lock when the command that is being carried out has ended, however it ends."""
+    """Release a lock when the current command ends, however it ends."""
     click.get_current_context().with_resource(lock)
     say_taken_over(lock)
     return lock
 
 
 def say_taken_over(lock: Lock | None, screen: Screen | None = None) -> None:
-    """Tell the operator where the last program that held a lock ended without releasing it."""
+    """Inform the operator if the previous holder of a lock ended without releasing it."""
     if lock is None or lock.taken_over is None:
         return
     if screen is None:

@@ -1,6 +1,6 @@
-"""Are the constants of a bench file physically plausible?
+"""Checks whether the constants of a bench file are physically plausible.
 
-A moment arm of 95 m was given in millimetres.
+Example: a moment arm of 95 m was entered in millimetres.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from rig.config.configuration import Document, Loc
 
 @dataclass(frozen=True)
 class Range:
-    """Where a quantity lies.
+    """Plausible range of a quantity.
 
     Attributes:
-        usual: Ends of the range in which benches of this kind have it; outside there is a warning.
-        possible: Ends of the range in which any can have it; outside a run refuses.
-        unit: Of all of them; empty for a ratio.
-        hint: What to look at.
+        usual: Range for benches of this kind; a value outside gives a warning.
+        possible: Range for any bench; a run refuses a value outside.
+        unit: Unit of both ranges; empty for a ratio.
+        hint: What the user should check.
     """
 
     usual: tuple[float, float]
@@ -60,7 +60,7 @@ _MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and ge
 
 
 def implausible(document: Document[Bench]) -> list[Finding]:
-    """Return which constants of a bench no bench has, and which few have."""
+    """Return the constants of a bench that are impossible, and those that are unusual."""
     return [
         Finding(Cause.CONSTANTS, document.problem(place, text), refused)
         for place, text, refused in _unlikely(document.value)

@@ -1,7 +1,8 @@
-"""The checks before a run, in one list: those of the bench file, and those of the devices.
+"""All checks before a run, of the bench file and of the devices.
 
-``rig run``, ``resume`` and ``jog`` refuse what these find; ``rig check`` and ``rig run --dry-run``
-report it in the same words. A check that needs a write into a device is left to the run.
+``rig run``, ``resume`` and ``jog`` refuse to start on these findings; ``rig check`` and ``rig run
+--dry-run`` report them with the same messages. Checks that need a write to a device are left to the
+run.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ RESET_HINT = "; once its cause is removed, --reset-fault clears it"
 
 
 def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
-    """Return what is wrong with a bench as far as its file and the files it names tell.
+    """Return the faults of a bench found in its file and the files it names.
 
     Args:
         document: The bench.
-        today: For the calibrations.
+        today: Date for the calibration check.
     """
     bench = document.value
     if bench.bus is None:
@@ -51,12 +52,12 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
 def require_startable(
     document: Document[Bench], today: date, warn: Callable[[str], object]
 ) -> None:
-    """Refuse a bench whose file, or a file it names, is wrong; before anything is connected to.
+    """Refuse a bench with a faulty file, before connecting to any device.
 
     Args:
         document: The bench.
-        today: For the calibrations.
-        warn: Told what is unusual but no reason to refuse.
+        today: Date for the calibration check.
+        warn: Receives warnings, which are no reason to refuse.
 
     Raises:
         InputError: Lists every reason, with its place in the bench file.
@@ -71,7 +72,7 @@ def require_startable(
 def device_findings(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> Iterator[Finding]:
-    """Yield what a run with these limits would refuse of the devices. Reads, and writes nothing.
+    """Yield the reasons why a run with these limits would refuse the devices. Writes nothing.
 
     Args:
         devices: On an opened link; not prepared.
@@ -94,7 +95,7 @@ def device_findings(
     if devices.pressure is not None:
         yield from _refused(Cause.PRESSURE, devices.pressure.refusals(cycle_s))
     if settings:
-        return  # limits in units that are not the drive's say nothing
+        return  # limits in other units than the drive's cannot be compared
     try:
         require_within_own(wanted, servo.read_limits(), servo.limit_steps())
     except ConfigurationError as refused:
@@ -105,7 +106,7 @@ def device_findings(
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> None:
-    """Refuse devices that a run would refuse later, when the operator has hung a weight.
+    """Refuse devices now that a run would refuse after the operator has hung a weight.
 
     Args:
         devices: As for :func:`device_findings`.
@@ -122,7 +123,7 @@ def require_ready(
 
 
 def energised(state: ServoState) -> StateError | None:
-    """Return why no weight may be asked for in this state of the drive; None if it is off."""
+    """Return why the drive's state forbids the weight prompt; None if the drive is off."""
     if not state.energised:
         return None
     return StateError(

@@ -1,4 +1,4 @@
-"""What of a bench one program at a time may use: its ports, adapters and channels."""
+"""The resources of a bench that only one program may use: ports, adapters and channels."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from rig.config.canopen import Bus
 from rig.config.serial_bus import Amt21Section, SerialBus
 
 _IN_PROCESS: Final = "virtual"
-"""Of python-can: a bus that no other process can reach."""
+"""Interface of python-can for a bus that no other process can reach."""
 _ON_SERIAL_PORTS: Final = frozenset({"slcan", "robotell", "seeedstudio", "serial"})
 """Interfaces of python-can whose channel is a serial port, by path or as a URL of pyserial."""
 _WITH_RATE: Final = frozenset({"slcan", "robotell"})
-"""Those where ``@`` and the port's bit rate may follow."""
+"""Those whose channel may end in ``@`` and the port's bit rate."""
 
 
 def resources(bench: Bench) -> tuple[Resource, ...]:
-    """Return what a program that uses this bench must hold; nothing where the bench is simulated.
+    """Return the resources that a program must lock to use this bench; none if it is simulated.
 
-    A device is the same under each of its names, as links are followed; an interface with a
-    channel is the same in every bench file that names both.
+    Links are followed, so a device is the same under each of its names. An interface with a channel
+    is the same in every bench file.
     """
     bus = bench.bus
     if bus is None or bench.simulated:
@@ -34,7 +34,7 @@ def resources(bench: Bench) -> tuple[Resource, ...]:
 
 
 def _channel(bus: Bus) -> list[Resource]:
-    """Return the channel of a CAN interface, or the serial port that it is."""
+    """Return the channel of a CAN interface, or its serial port."""
     channel = bus.channel or ""
     if bus.interface == _IN_PROCESS:
         return []
@@ -48,10 +48,10 @@ def _channel(bus: Bus) -> list[Resource]:
 
 
 def _port(path: str) -> Resource:
-    """Return a device of this computer."""
+    """Return the resource of a device file."""
     try:
         real = os.path.realpath(path)
     except ValueError:
-        # No path at all: it holds a null character.
+        # Not a path: it contains a null character.
         real = path
     return Resource(real, f"port {path}")

@@ -22,8 +22,8 @@ from rig.wiring.guard import Guard
 def epos_link(
     bus: SerialBus, simulated: SimulatedBench | None, clock: Clock, guard: Guard | None
 ) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port with its guard, or that of the
-    simulated bench in simulated time.
+    """Return the link of a drive on a serial line: a real port with its guard, or the simulated
+    bench's link in simulated time.
     """
     if simulated is None:
         assert guard is not None

@@ -1,4 +1,4 @@
-"""Takes the power off, whatever happened before, and says honestly whether that was verified."""
+"""Takes the power off whatever happened before, and reports whether this was verified."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class SafeState:
 
     Attributes:
         verified: Whether 6041h was read and shows a de-energised state.
-        state: That state in words, or ``unknown``.
-        problems: What went wrong on the way.
-        watched: Whether the drive takes its power off by itself once nobody commands it.
+        state: Name of that state, or ``unknown``.
+        problems: Errors during the teardown.
+        watched: Whether the drive de-energises itself once it is no longer commanded.
         unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C:
             defects of this program, to be raised again once the operator knows how the drive was
             left.
@@ -54,7 +54,7 @@ class SafeState:
         )
 
     def record(self) -> dict[str, Any]:
-        """Return what a result file keeps."""
+        """Return the record for a result file."""
         return {
             "verified": self.verified,
             "state": self.state,
@@ -64,7 +64,7 @@ class SafeState:
 
 
 def words_of(error: BaseException) -> str:
-    """Return an exception's class and words, also where its ``__str__`` is broken."""
+    """Return an exception's class and message, even if its ``__str__`` fails."""
     try:
         return f"{type(error).__name__}: {error}"
     except Exception:  # noqa: BLE001 whatever it raises, the class says enough
@@ -72,7 +72,7 @@ def words_of(error: BaseException) -> str:
 
 
 class _Steps:
-    """Runs the steps of a teardown one by one; whatever one raises, the next is still run."""
+    """Runs the steps of a teardown in turn; an exception in one does not prevent the next."""
 
     def __init__(self) -> None:
         self.problems: list[str] = []
@@ -106,10 +106,10 @@ def make_safe(
     hurry: Callable[[], bool],
     watched: bool = True,
 ) -> SafeState:
-    """Brake if asked to, take the power off and read the state back. Never raises.
+    """Brake if ``brake``, take the power off and read the state back. Never raises.
 
-    Each step has a time-out of its own, and is tried whatever the steps before it raised. Where the
-    state cannot be read, or shows power, taking the power off is tried once more.
+    Each step has its own time-out and runs whatever earlier steps raised. If the state cannot be
+    read or shows power, taking the power off is tried once more.
 
     Args:
         servo: The drive.
@@ -117,12 +117,12 @@ def make_safe(
             does not cut the ramp short, and so that the recording shows the shaft stopping.
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
-        hurry: Whether the operator asks again: then the power goes off without waiting for the end
-        of the ramp.
-        watched: Whether the drive takes its power off by itself once nobody commands it.
+        hurry: Whether the operator has asked again: then the power goes off without waiting for the
+        end of the ramp.
+        watched: Whether the drive de-energises itself once it is no longer commanded.
 
     Returns:
-        How the drive was left; exceptions that nobody foresaw are in ``unforeseen``.
+        The final state of the drive; unexpected exceptions are in ``unforeseen``.
     """
     steps = _Steps()
     if brake:
@@ -145,7 +145,7 @@ def make_safe(
 
 
 def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
-    """Run every step, whatever those before it raised; returns what nobody foresaw."""
+    """Run every step whatever earlier ones raise; returns the unexpected exceptions."""
     taken = _Steps()
     for step in steps:
         taken.attempt(step)
@@ -155,8 +155,8 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 def _wait_for_standstill(
     servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
 ) -> None:
-    """Keep the bus alive until the drive has braked, or for the time-out, or until the operator
-    cannot wait.
+    """Keep the bus alive until the drive has stopped, the time-out ends or the operator asks
+    again.
     """
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
@@ -167,13 +167,12 @@ def _wait_for_standstill(
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:
-    """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way
-    of the next.
+    """Write the drive's own limits back, so that a run's tighter limits do not restrict the next.
 
-    Only into a drive that is verified off. A drive that does not take them keeps the tighter ones,
+    Only done if the drive is verified off. A drive that rejects them keeps the tighter limits,
     which is safe.
 
     Returns:
-        What nobody foresaw, as in :attr:`SafeState.unforeseen`.
+        Unexpected exceptions, as in :attr:`SafeState.unforeseen`.
     """
     return attempt_all(lambda: servo.write_limits(own)) if safe.verified else ()

@@ -278,7 +278,7 @@ def test_refined_values_take_the_place_of_the_search_s(
     assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
     assert record["warnings"][-2:] == [
         "refined: hm",
-        "mu_s is not pinned by these recordings; the corrected model has it equal to mu_c",
+        "mu_s is not determined by these recordings; the corrected model has it equal to mu_c",
     ]
 
 
@@ -305,7 +305,7 @@ def test_static_friction_that_nothing_pins_is_not_exported(
     assert status(arguments) == 0
     record = json.loads(file.read_text())
     assert (record["parameters"]["mu_s"], record["parameters"]["Ms"]) == (0.052, 12.0)
-    assert any(w.startswith("mu_s is not pinned") for w in record["warnings"])
+    assert any(w.startswith("mu_s is not determined") for w in record["warnings"])
 
 
 @pytest.mark.parametrize(("option", "refined"), [([], False), (["--refine"], True)])

@@ -55,7 +55,7 @@ def test_the_proposal_runs(
     out = tmp_path / "planned"
     assert status(["identify", "--plan", str(sequence), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
-    assert "the catalogue's nominal values" in printed
+    assert "the paper's friction and the practical bench's inertia" in printed
     assert "times tighter" in printed
     record = json.loads((out / "plan.json").read_text())
     assert record["schema"] == "loadrig.plan/1"

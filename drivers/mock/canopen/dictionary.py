@@ -1,5 +1,5 @@
-"""A device's object dictionary as it lives in the device: values, types, access rights and ranges
-from an EDS file.
+"""Object dictionary inside a simulated device: values, types, access rights and ranges from an
+EDS.
 """
 
 from __future__ import annotations
@@ -71,31 +71,27 @@ def key(index: int, subindex: int = 0) -> int:
 
 
 def held(code: str, value: int) -> int:
-    """Return what an object of a struct code holds of a value: its nearest end where the value does
-    not fit.
-    """
+    """Return a value clamped to the range of a struct code."""
     low, high = _ENDS[code]
     return min(max(value, low), high)
 
 
 def clamp_i16(value: int) -> int:
-    """Return what a device shows of a value in an INTEGER16 object: its nearest end where it does
-    not fit.
-    """
+    """Return a value clamped to the range of an INTEGER16 object."""
     if -32768 <= value <= 32767:
         return value
     return 32767 if value > 0 else -32768
 
 
 class DeviceDictionary:
-    """Values of one device, checked the way a device checks them.
+    """Values of one device, checked as a real device checks them.
 
     ``check`` hooks run before a value is stored and may raise :class:`SdoAbortError`; ``written``
     hooks run after.
 
     Attributes:
         values: Key (``index << 8 | subindex``) to value, of the integer objects.
-        texts: The same, of the strings.
+        texts: Key to text, of the string objects.
         checks: Index to a hook ``(subindex, value)``.
         written: Index to a hook ``(subindex, value)``.
     """
@@ -110,7 +106,7 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
-        """Put the objects of indices ``first`` to ``last`` back to their defaults, without running
+        """Reset the objects of indices ``first`` to ``last`` to their defaults, without running
         hooks.
         """
         for number, entry in self.entries.items():
@@ -136,7 +132,7 @@ class DeviceDictionary:
         return entry
 
     def read(self, index: int, subindex: int) -> bytes:
-        """Return the value as it goes over the wire: the nearest that the object can hold.
+        """Return the encoded value, clamped to the range of the object.
 
         Raises:
             SdoAbortError: There is no such object, or it cannot be read.
@@ -149,7 +145,7 @@ class DeviceDictionary:
         return struct.pack(f"<{entry.code}", held(entry.code, self.values[key(index, subindex)]))
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
-        """Store a value as it came over the wire.
+        """Store an encoded value received by SDO.
 
         Raises:
             SdoAbortError: There is no such object, it cannot be written, or the value has the wrong
@@ -174,8 +170,8 @@ class DeviceDictionary:
 
 @lru_cache(maxsize=8)
 def _load(eds: Path, node_id: int) -> Mapping[int, Entry]:
-    # Reading an EDS takes some 20 ms, and a campaign of simulated benches reads the same two again
-    # and again.
+    # Reading an EDS takes some 20 ms, and a campaign of simulated benches reads the same two
+    # repeatedly.
     variables = _variables(canopen.import_od(str(eds), node_id))
     return {key(variable.index, variable.subindex): _entry(variable) for variable in variables}
 

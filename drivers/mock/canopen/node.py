@@ -1,6 +1,4 @@
-"""What every simulated CANopen device does: NMT, heartbeat both ways, EMCY, SDO server, SYNC and
-process data.
-"""
+"""Base of all simulated CANopen devices: NMT, heartbeat, EMCY, SDO server, SYNC, process data."""
 
 from __future__ import annotations
 
@@ -43,11 +41,11 @@ class SimulatedNode:
     """Base of the simulated devices; a subclass fills the hooks at the end.
 
     Args:
-        bus: Where it is attached.
+        bus: Bus to which it is attached.
         clock: Simulated time.
         node_id: 1 to 127.
-        eds: Its object dictionary.
-        clock_offset_us: What the device's own microsecond clock shows when simulated time is 0.
+        eds: EDS file of its object dictionary.
+        clock_offset_us: Reading of the device's microsecond clock at simulated time 0.
     """
 
     def __init__(
@@ -82,14 +80,14 @@ class SimulatedNode:
         self._port.listen(0x080, self._on_sync)
 
     def boot(self) -> None:
-        """Announce itself and enter PRE-OPERATIONAL, as after power-on."""
+        """Send the boot-up frame and enter PRE-OPERATIONAL, as after power-on."""
         self._port.listen(0x600 + self.node_id, self._on_sdo)
         self._port.send(0x700 + self.node_id, bytes([Nmt.INITIALISING]))
         self._set_state(Nmt.PRE_OPERATIONAL)
         self._start_producer()
 
     def emergency(self, code: int, register: int, info: bytes = b"") -> None:
-        """Send an EMCY frame, set 1001h and lengthen the history 1003h."""
+        """Send an EMCY frame, set 1001h and extend the history 1003h."""
         values = self._values
         bits = self.objects.integer(0x1001) | register | GENERIC
         values[key(0x1001)] = bits
@@ -195,7 +193,8 @@ class SimulatedNode:
             self._port.listen(0x700 + self._watched, self._on_heartbeat)
 
     def _on_heartbeat(self, _data: bytes) -> None:
-        # CiA 301: the watch starts with the first heartbeat, not with the configuration.
+        # CiA 301: the heartbeat time-out starts with the first heartbeat, not with the
+        # configuration.
         first = self._heard_ns < 0
         self._heard_ns = self._clock.now_ns()
         if first:
@@ -239,6 +238,4 @@ class SimulatedNode:
         """Make safe at once, before a restart."""
 
     def restore(self) -> None:
-        """Put the device's own state back to that after power-on; the dictionary holds its
-        defaults.
-        """
+        """Reset the device's own state to power-on; the dictionary holds its defaults."""

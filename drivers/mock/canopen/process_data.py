@@ -1,5 +1,5 @@
-"""Process data of a simulated device: PDO communication and mapping objects (1400h-1BFFh) put to
-work.
+"""Process data of a simulated device, from its PDO communication and mapping objects
+(1400h-1BFFh).
 """
 
 from __future__ import annotations
@@ -48,9 +48,7 @@ class Transmit:
     sent: bytes = field(default=b"")
 
     def content(self, values: dict[int, int]) -> bytes:
-        """Return what goes over the wire; of a value that its object cannot hold, the nearest that
-        it can.
-        """
+        """Return the PDO's data; values are clamped to the range of their object."""
         picked = self.pick(values)
         try:
             return self.layout.pack(*picked)
@@ -65,9 +63,9 @@ class ProcessData:
     """All PDOs of one device.
 
     Args:
-        dictionary: Its objects; the PDO objects in it are guarded and obeyed from here on.
-        port: Its controller.
-        clock: For event timers.
+        dictionary: Objects of the device; its PDO objects are checked and applied by this class.
+        port: CAN controller of the device.
+        clock: Clock for event timers.
         outputs: Called when an event-driven RPDO has changed values.
         too_short: Called with the length of an RPDO that is shorter than its mapping.
     """
@@ -104,7 +102,7 @@ class ProcessData:
             self._rebuild()
 
     def apply(self) -> None:
-        """Put what synchronous RPDOs brought since the last SYNC into the dictionary."""
+        """Store the values of synchronous RPDOs received since the last SYNC in the dictionary."""
         for pdo in self._receive:
             if pdo.staged is not None:
                 self._store(pdo, pdo.staged)

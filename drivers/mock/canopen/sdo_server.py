@@ -42,11 +42,11 @@ class SdoServer:
         self._transfer: _Transfer | None = None
 
     def reset(self) -> None:
-        """Forget a transfer that was under way."""
+        """Cancel a transfer in progress."""
         self._transfer = None
 
     def answer(self, request: bytes) -> bytes | None:
-        """Return the response to one request frame of 8 bytes; None where there is none to give."""
+        """Return the response to one request frame of 8 bytes; None if no response is due."""
         if len(request) != 8:
             return None
         command, index, subindex = _HEAD.unpack_from(request)

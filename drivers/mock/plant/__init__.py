@@ -1,1 +1,1 @@
-"""The true machine behind the simulated bus, written apart from the model that is fitted to it."""
+"""The true machine behind the simulated bus; independent of the model fitted to it."""

@@ -1,8 +1,8 @@
-"""The machine under whatever loads it: nominal or hiding, under a weight or under a burning gas
-generator (Fig. 5, 11).
+"""Integrates the machine, with or without injected effects, loaded by a weight or a gas generator
+(Fig. 5, 11).
 
-While it burns, valve angle and pressure make the contact force of eq. 10, that makes the friction
-the valve moves against, and where the valve goes the pressure follows.
+While it burns, valve angle and pressure determine the contact force (eq. 10) and so the friction at
+the valve; the valve angle in turn determines the pressure.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from drivers.mock.plant.parts.friction import MOMENT
 from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
 
 REFERENCE_FORCE_N = 3000.0
-"""Contact force at which ``load_exponent`` changes nothing."""
+"""Contact force at which ``load_exponent`` has no effect."""
 
 
 @compiled
 def felt_force(force: float, e: Vector) -> float:
-    """Return the force that makes friction, N, where that is not proportional to the load."""
+    """Return the effective force for friction, N, if friction is not proportional to the load."""
     if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
         return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
     return force
@@ -45,9 +45,9 @@ def advance_loaded(
     """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the
     gas generator.
 
-    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100
-    microseconds. Steps are counted from ignition, so that it does not matter in what pieces time
-    passes.
+    The force is taken at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100
+    microseconds. Steps are counted from ignition, so that the result does not depend on how time is
+    split into calls.
     """
     burns = y[MASS] > 0.0
     done = 0

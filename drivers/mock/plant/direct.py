@@ -1,6 +1,4 @@
-"""The machine run straight, without a bus: exact channels for the literal bench, and fast
-figures.
-"""
+"""Simulates the machine without a bus: exact channels for the literal bench, and fast figures."""
 
 from __future__ import annotations
 
@@ -78,7 +76,7 @@ def simulate(
 def _load(
     plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
 ) -> None:
-    """Press on the valve: with a burning gas generator, else a contact force, else a weight."""
+    """Load the valve: with a burning gas generator, else a contact force, else a weight."""
     if burning:
         plant.ignite()
     elif contact_force_N is None:

@@ -2,11 +2,10 @@
 
     dm/dt = rho_b A_b r - p A_t / C_r,    dV/dt = A_b r,    p = m R_g T_g / V,    r = a p^n
 
-is eq. 7 with the gas density in it. Eq. 8 leaves that out, which amounts to gas that comes from
-nowhere at the rate rho_g A_b r; the same step does both. SDIRK of second order (Alexander),
-L-stable: a small free volume or an open throat make the pressure as fast as they like, and a step
-can then be longer than it takes. Stages and sums are linear in m, V, burnt and outflow, so that the
-books balance to rounding whatever the step.
+is eq. 7, which includes the gas density. Eq. 8 neglects it, equivalent to a gas source of rho_g A_b
+r; the same step solves both. SDIRK of second order (Alexander), L-stable: with a small free volume
+or an open throat the pressure may settle within one step. Stages and sums are linear in m, V, burnt
+and outflow, so that the mass balance closes to rounding for any step.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ from drivers.mock.plant.parts.valve import throat_area
     THROAT,  # A_t of the valve, m^2
     FORCE,  # F_P, eq. 10, N
     PENDING,  # loops of the drive since the last step
-    MEMORY,  # from here on: what hidden effects remember
+    MEMORY,  # from here on: state of injected effects
 ) = range(10)
 GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
 
-# Constants, and what acts on them: shares of 1 and no leak where nothing does.
+# Constants, and the factors on them: shares of 1 and no leak without effects.
 (
     DENSITY,  # rho_b, kg/m^3
     BURNING_AREA,  # A_b, m^2
@@ -53,8 +52,8 @@ GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
     RATE_SHARE,  # of r
     HEAT_SHARE,  # of the gas temperature; C_r goes with its root
     LEAK_AREA,  # m^2, beside the throat
-    HIDING,  # 1: something is hidden
-    HIDDEN,  # from here on: what it is
+    HIDING,  # 1: an effect is injected
+    HIDDEN,  # from here on: parameters of the effects
 ) = range(21)
 PARAMETER_SIZE = HIDDEN + hidden.HIDDEN_SIZE
 
@@ -63,7 +62,7 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return what holds over the coming step: shares of throat, burning area, burning rate and
+    """Return the conditions of the coming step: shares of throat, burning area, burning rate and
     heat, and leak, m^2.
     """
     throat, burning, rate, heat, leak = (
@@ -91,8 +90,8 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
 
 @inlined
 def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
-    """Note what a step of ``h`` s that burnt ``grown`` m^3 over ``burning_area`` m^2 leaves for the
-    next.
+    """Update the effect states after a step of ``h`` s that burnt ``grown`` m^3 over
+    ``burning_area`` m^2.
     """
     web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
     y[web] += grown / burning_area
@@ -117,17 +116,17 @@ def solve_stage(
     """Solve an implicit stage: from ``mass`` and ``volume``, ``h`` s at the rates of its own end.
 
     (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no h q on the left.
-    What is solved is convex in p and negative at 0, so it has one positive root, and Newton from
-    above falls on it.
+    The function is convex in p and negative at 0, so it has one positive root, and Newton's method
+    from above converges to it.
 
     Args:
-        mass: Positive, kg.
-        volume: m^3.
-        h: s.
-        grown: Volume rate over p^n.
-        flow: Mass rate over p.
-        energy: RT, J/kg.
-        guess: Of the pressure, Pa.
+        mass: Mass, positive, kg.
+        volume: Volume, m^3.
+        h: Step, s.
+        grown: Volume rate divided by p^n.
+        flow: Mass rate divided by p.
+        energy: Specific energy RT, J/kg.
+        guess: Initial guess of the pressure, Pa.
         g: Parameters.
 
     Returns:
@@ -150,15 +149,15 @@ def solve_stage(
         rate -= slope * change
         if (
             abs(change) <= 1e-8 * p
-        ):  # Newton converges quadratically: what is left is below rounding
+        ):  # Newton converges quadratically: the remaining error is below rounding
             break
     return p, rate
 
 
 @inlined
 def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
-    """Advance the gas generator by ``h`` s, the throat going to that of ``angle`` (rad)
-    meanwhile.
+    """Advance the gas generator by ``h`` s while the throat changes to its area at ``angle``
+    (rad).
     """
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
     energy, velocity = g[ENERGY] * heat_share, g[VELOCITY] * math.sqrt(heat_share)
@@ -175,8 +174,8 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     p1, q1 = solve_stage(mass, volume, _GAMMA * h, grown, early, energy, pressure, g)
     first = 1.0 - _GAMMA
     base = mass + first * h * ((g[DENSITY] + made * p1) * q1 - early * p1)
-    # A step far longer than the gas takes to settle would start its second stage below zero: one
-    # implicit Euler step.
+    # If the step is far longer than the settling time, the second stage would start below zero:
+    # take one implicit Euler step instead.
     share = first if base > 0.0 else 0.0
     base = base if base > 0.0 else mass
     p2, q2 = solve_stage(
@@ -198,7 +197,7 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
 
 @inlined
 def contact_force(pressure: float, throat: float, g: Vector) -> float:
-    """Return F_P = (p_g - p_c0) A_s, eq. 10, N; none where the gas would lift the valve."""
+    """Return F_P = (p_g - p_c0) A_s, eq. 10, N; zero if the gas would lift the valve."""
     return float(
         max(pressure - g[BACK_PRESSURE], 0.0) * (math.pi * g[OPENING] * g[OPENING] - throat)
     )
@@ -208,8 +207,8 @@ def contact_force(pressure: float, throat: float, g: Vector) -> float:
 def steady_pressure(throat: float, g: Vector) -> float:
     """Return the pressure at which the generator burns steadily, Pa.
 
-    By eq. 8 (rho_b A_b a C_r / A_t)^(1/(1-n)); by eq. 7 the root of (rho_b - p/RT) A_b a p^n = p
-    A_t / C_r, which lies a little below.
+    With eq. 8 it is (rho_b A_b a C_r / A_t)^(1/(1-n)); with eq. 7 it is the slightly lower root of
+    (rho_b - p/RT) A_b a p^n = p A_t / C_r.
     """
     n = g[EXPONENT]
     energy, velocity = g[ENERGY] * g[HEAT_SHARE], g[VELOCITY] * math.sqrt(g[HEAT_SHARE])

@@ -1,6 +1,4 @@
-"""The gas generator alone: the valve's angle in, pressure and masses out, without motor, drive or
-bus.
-"""
+"""Simulates the gas generator alone: pressure and masses from the valve angle."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ Array = NDArray[np.float64]
 
 
 class Burn(NamedTuple):
-    """A burn at the times of its angles; arrays of shape (n,).
+    """A simulated firing, sampled at the times of its valve angles; arrays of shape (n,).
 
     Burnt and outflow count from the first sample.
     """
@@ -49,12 +47,12 @@ def burn(
     steps: int = 1,
     pressure_Pa: float | None = None,
 ) -> Burn:
-    """Burn while the valve follows a history of angles, linear between samples.
+    """Simulate a firing while the valve follows given angles, linear between samples.
 
     Args:
-        machine: Whose gas generator.
-        angle_rad: Of the valve, rad, shape (n,).
-        period_s: Between samples, s.
+        machine: The machine with the gas generator.
+        angle_rad: Valve angles, rad, shape (n,).
+        period_s: Sampling period, s.
         steps: Integration steps per sample.
         pressure_Pa: Pressure to start from; None for the steady one at the first angle.
     """

@@ -47,7 +47,7 @@ def gas_vector(machine: constants.Machine) -> Array:
 
 
 def unlit(machine: constants.Machine) -> Array:
-    """Return the state without a gas generator: no gas, and the pressure beyond the valve."""
+    """Return the state without a gas generator: no gas, and the pressure behind the valve."""
     y = np.zeros(gas.GAS_SIZE)
     y[gas.PRESSURE] = machine.gas.back_pressure_Pa
     return y
@@ -59,9 +59,9 @@ def lit(
     """Return the state at ignition.
 
     Args:
-        machine: Whose gas generator.
-        g: Its vector.
-        angle_rad: Of the valve, rad.
+        machine: The machine with the gas generator.
+        g: Vector of the gas generator.
+        angle_rad: Valve angle, rad.
         pressure_Pa: Pressure to start from; None for the steady one at that angle.
     """
     y = np.zeros(gas.GAS_SIZE)

@@ -1,4 +1,4 @@
-"""The simulated machine with its servo loops: advance it in time, latch what its sensors see."""
+"""The simulated machine with its servo loops: advances in time and latches its sensors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _NO_PATH = np.zeros(0)
 
 
 class Reading(NamedTuple):
-    """What drive and joint encoder see at one instant.
+    """Sensor values of drive and joint encoder at one instant.
 
     ``current_A`` and ``voltage_V`` are means since the previous latch; the others are values at the
     instant.
@@ -79,7 +79,7 @@ class SimulatedMachine:
 
     Attributes:
         motor_count_rad: Joint angle of one count of the motor encoder, rad.
-        joint_count_rad: That of the joint encoder.
+        joint_count_rad: Joint angle of one count of the joint encoder, rad.
     """
 
     def __init__(self, machine: constants.Machine, rng: np.random.Generator) -> None:
@@ -112,14 +112,14 @@ class SimulatedMachine:
         self._load()
 
     def press(self, contact_force_N: float) -> None:
-        """Press on the valve with this contact force F_P (eq. 13)."""
+        """Load the valve with this contact force F_P (eq. 13)."""
         self._force_N = contact_force_N
         self._y = unlit(self.constants)
         self._load()
 
     def ignite(self) -> None:
-        """Light the gas generator instead of a weight; it burns steadily at once, and until
-        something else presses.
+        """Ignite the gas generator instead of a weight; it burns steadily at once, until another
+        load is set.
         """
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
@@ -135,7 +135,7 @@ class SimulatedMachine:
         if not self._e.size:
             self._e = bare_vector(self.constants)
             self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
-        # Two sines of the angle make one: the weight and an imbalance that is hidden.
+        # The weight and an injected imbalance, both sines of the angle, add to one sine.
         hidden = self.constants.effects.get(
             "gravity_imbalance", {"torque_Nm": 0.0, "zero_rad": 0.0}
         )
@@ -148,9 +148,7 @@ class SimulatedMachine:
         self._load()
 
     def _load(self) -> None:
-        """Pack the friction vector for what presses on the valve in the recording that is on, or
-        comes next.
-        """
+        """Pack the friction vector for the load of the current or next recording."""
         joint, e = self.constants.joint, self._e
         per_kg = joint.lever_ratio * joint.gravity_m_s2
         force = (
@@ -183,7 +181,7 @@ class SimulatedMachine:
     def power(self, on: bool) -> None:
         """Switch the power stage.
 
-        Off: the motor is open-circuit and coasts. On: it holds where it is.
+        Off: the motor is open-circuit and coasts. On: it holds its position.
         """
         s = self._s
         if on and s[loops.MODE] == loops.OFF:
@@ -199,7 +197,7 @@ class SimulatedMachine:
             s[loops.OFFSET] = 0.0
 
     def rest(self, seconds: float) -> None:
-        """Let time pass with the power off and the joint at rest: what is warm cools, the campaign
+        """Let time pass with the power off and the joint at rest; the motor cools, campaign time
         goes on.
         """
         self._x[extra.RUN] += seconds
@@ -220,7 +218,7 @@ class SimulatedMachine:
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def feed(self, current_A: float) -> None:
-        """Add this current to what the loops ask for, from now on and while the machine tracks."""
+        """Add this current to the loops' command from now on, while the machine tracks."""
         if self._s[loops.MODE] == loops.TRACK:
             self._s[loops.OFFSET] = current_A
 
@@ -254,9 +252,7 @@ class SimulatedMachine:
         return count
 
     def follow(self, path_rad: NDArray[np.float64]) -> None:
-        """Integrate one loop period for each joint angle of ``path_rad``, asked for one after
-        another.
-        """
+        """Integrate one loop period for each commanded joint angle of ``path_rad``."""
         self._advance(len(path_rad), path_rad)
 
     def _advance(self, count: int, path: NDArray[np.float64]) -> None:
@@ -279,7 +275,7 @@ class SimulatedMachine:
         ``target_counts``.
 
         Raises:
-            ValueError: The cycle is no whole number of loop periods.
+            ValueError: The cycle is not a whole number of loop periods.
         """
         per_cycle = self._loops_in(cycle_ns)
         out = np.zeros((len(target_counts), LATCHED))
@@ -314,7 +310,7 @@ class SimulatedMachine:
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next ``count`` samples of the noise, the same that as many loop periods would
+        """Return the next ``count`` noise samples, the same as that many loop periods would
         draw.
         """
         left = self._noise[self._noise_at :]
@@ -328,11 +324,10 @@ class SimulatedMachine:
         return drawn[:count]
 
     def latch(self) -> Reading:
-        """Return what the sensors see now and start new means for current and voltage.
+        """Return the present sensor values and start new means of current and voltage.
 
         Raises:
-            ConfigurationError: The angles are no numbers any more: the constants make the equations
-                diverge.
+            ConfigurationError: The angles are NaN: the equations diverge with these constants.
         """
         s = self._s
         theta = float(s[loops.THETA])
@@ -373,7 +368,7 @@ class SimulatedMachine:
         )
 
     def temperature(self, run_s: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return what the drive reports after this running time, deg C."""
+        """Return the temperature that the drive reports after this running time, deg C."""
         machine = self.constants
         return machine.temperature_C - machine.warming_K * np.expm1(-run_s / machine.warming_s)
 

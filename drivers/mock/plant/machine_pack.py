@@ -28,7 +28,7 @@ def friction_vector(joint: constants.Joint, contact_force_N: float) -> NDArray[n
 
 
 def drive_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Pack motor and loop constants for compiled code, all seen from the joint."""
+    """Pack motor and loop constants for compiled code, all referred to the joint."""
     motor, cascade, sensing = machine.motor, machine.loops, machine.sensing
     loop_s = 1.0 / cascade.rate_Hz
     counts = sensing.motor_counts_per_turn * motor.gear_ratio

@@ -1,5 +1,5 @@
-"""Whole recordings in one call: machine, drive loops and latches of the bus's control cycle,
-without the bus.
+"""Simulates whole recordings in one call: machine, drive loops and cyclic sampling, without the
+bus.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from drivers.mock.plant.parts.loops import (
     VELOCITY_ESTIMATE,
 )
 
-# Columns of what is latched.
+# Columns of the latched values.
 (
     ROTOR,
     JOINT_SEEN,
@@ -46,12 +46,12 @@ _NO_PATH = np.zeros(0)
 
 
 class Latches(NamedTuple):
-    """What drive and joint encoder see at each SYNC, before their own units; every array has shape
+    """Values of drive and joint encoder at each SYNC, not yet in device units; arrays of shape
     (n,).
 
     ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the
-    machine's running time. ``pressure_Pa`` is exact, and that beyond the valve while no gas
-    generator burns.
+    machine's running time. ``pressure_Pa`` is exact; it is the pressure behind the valve while no
+    gas generator burns.
     """
 
     motor_counts: NDArray[np.float64]
@@ -83,8 +83,7 @@ def record_cycles(
 ) -> None:
     """Run one cycle for each joint angle of ``targets``: advance, latch, obey.
 
-    As on the bus, the target that goes out with a SYNC is reached by interpolation one cycle after
-    that SYNC.
+    As on the bus, the target sent with a SYNC is reached by interpolation one cycle later.
     """
     for k in range(len(targets)):
         part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]

@@ -1,6 +1,4 @@
-"""A CAN bus in simulated time: one wire, exact frame times, arbitration, no threads and no wall
-clock.
-"""
+"""A CAN bus in simulated time: exact frame times, arbitration, no threads and no wall clock."""
 
 from __future__ import annotations
 
@@ -28,7 +26,7 @@ _NEVER = 1 << 62
 
 @contextmanager
 def _of_python_can() -> Iterator[None]:
-    """Raise what the bus refuses as python-can's interfaces do."""
+    """Translate the bus's errors into those of python-can."""
     try:
         yield
     except OSError as error:
@@ -103,21 +101,19 @@ class SimulatedBus(can.BusABC):
         self._routes = routes
 
     def contend(self, identifier: int, number: int) -> None:
-        """Enter the first frame of a controller's queue for the next arbitration."""
+        """Enter a controller's first queued frame for the next arbitration."""
         heapq.heappush(self._contenders, (identifier, number))
         if self._sender is None:
             self._clock.call_at(self._clock.now_ns() + self._arbitrate(), self._arrived)
 
     def _arbitrate(self) -> int:
-        """Put the contender with the lowest identifier on the wire; return how long its frame
-        takes, ns.
-        """
+        """Send the contender with the lowest identifier; return the duration of its frame, ns."""
         _, number = heapq.heappop(self._contenders)
         self._sender = sender = self._ports[number]
         return self._times[len(sender.queue[0][1])]
 
     def _arrived(self) -> None:
-        """Deliver the frame on the wire, and those that follow it, up to the next event of another
+        """Deliver the frame on the bus and the following ones, up to the next event of another
         kind.
         """
         clock, contenders = self._clock, self._contenders
@@ -136,8 +132,7 @@ class SimulatedBus(can.BusABC):
                         handler(data)
                 if sender is not self._host and not self.down:
                     self._received.append(raw_frame((now, identifier, data, False)))
-            # Receivers have queued their answers by now, so that all of them take part in the next
-            # arbitration.
+            # Receivers have queued their answers by now, so all take part in the next arbitration.
             if not contenders:
                 self._sender = None
                 return
@@ -170,10 +165,10 @@ class SimulatedBus(can.BusABC):
         self._host.send(identifier, data)
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return what has come in, advancing simulated time while there is nothing.
+        """Return the received frames, advancing simulated time while there are none.
 
-        Frames that follow one another without a gap come in together, as into a controller's
-        buffer, each with the time at which it arrived.
+        Frames without a gap between them are returned together, as from a controller's buffer, each
+        with its arrival time.
 
         Raises:
             OSError: The bus is shut.
@@ -197,8 +192,7 @@ class SimulatedBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes python-can's filters.
 
-        ``timeout`` is in seconds of simulated time; None waits as long as anything at all is
-        scheduled.
+        ``timeout`` is in seconds of simulated time; None waits as long as any event is scheduled.
 
         Raises:
             can.CanOperationError: The bus is shut.
@@ -221,8 +215,8 @@ class SimulatedBus(can.BusABC):
         return None
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Advance simulated time until there is a frame for the host; False where there is none by
-        the deadline.
+        """Advance simulated time until there is a frame for the host; False if none comes by the
+        deadline.
         """
         if self._is_shutdown:
             raise OSError("the bus is shut")

@@ -1,6 +1,4 @@
-"""Simulated devices behind pseudo-terminals and sockets: what a host program opens like
-hardware.
-"""
+"""Simulated devices on pseudo-terminals and sockets, which a host program opens like hardware."""
 
 from __future__ import annotations
 
@@ -23,7 +21,7 @@ _IDLE_S: Final = 0.05
 
 @dataclass
 class Traffic:
-    """Bytes that a station has taken from the host program and given to it so far."""
+    """Counts of bytes that a station has received from the host program and sent to it."""
 
     station: Station
     taken: int = 0
@@ -45,9 +43,9 @@ class Ports:
         self._ends: dict[str | int, list[int]] = {}
 
     def open_pty(self, station: Station) -> str:
-        """Put a station behind a pseudo-terminal; returns the path that the host program opens.
+        """Connect a station to a pseudo-terminal; returns the path that the host program opens.
 
-        What a host that does not read leaves no room for is lost, as in an adapter.
+        Bytes are lost if the host does not read and the buffer is full, as in an adapter.
         """
         ours, theirs = pty.openpty()
         tty.setraw(theirs)
@@ -82,9 +80,7 @@ class Ports:
         return port
 
     def unplug(self, name: str | int) -> None:
-        """Take a pseudo-terminal or server away: what the host program has open fails from now
-        on.
-        """
+        """Remove a pseudo-terminal or server: the host program's open ports fail from now on."""
         for number, (listener, _) in list(self._listeners.items()):
             if listener.getsockname()[1] == name:
                 del self._listeners[number]
@@ -96,7 +92,7 @@ class Ports:
                 os.close(descriptor)
 
     def babble(self, name: str | int, data: bytes) -> None:
-        """Send the host program bytes that no station has said."""
+        """Send the host program bytes that come from no station."""
         for descriptor in self._ends[name]:
             if descriptor in self._stations:
                 _write(descriptor, data)
@@ -110,12 +106,12 @@ class Ports:
         self._owned, self._stations, self._listeners, self._ends = [], {}, {}, {}
 
     def wait(self, timeout_s: float, *others: int) -> list[int]:
-        """Return what has something to read within the time, of the ports and of ``others``."""
+        """Return the ports, and the members of ``others``, that become readable within the time."""
         ready, _, _ = select.select([*others, *self._stations, *self._listeners], [], [], timeout_s)
         return ready
 
     def serve(self, ready: list[int]) -> None:
-        """Move what has come in to the stations, and what they have to say to the host program."""
+        """Transfer bytes from the host program to the stations and back."""
         for descriptor in ready:
             if descriptor in self._listeners:
                 self._accept(descriptor)
@@ -145,12 +141,12 @@ class Ports:
             traffic.given += len(answer)
             _write(descriptor, answer)
         except OSError:
-            # The host program is gone; its devices are not.
+            # The host program is gone, but its devices live on.
             del self._stations[descriptor]
 
 
 def _write(descriptor: int, data: bytes) -> None:
-    """Write what there is room for."""
+    """Write as many bytes as there is room for."""
     try:
         while data:
             data = data[os.write(descriptor, data) :]
@@ -159,14 +155,14 @@ def _write(descriptor: int, data: bytes) -> None:
 
 
 class RealTimeBench(Ports):
-    """Ports whose devices live in real time, on a thread of their own.
+    """Ports whose devices run in real time, in a separate thread.
 
-    They live on while the host program computes, hangs or, in another process, is dead. A context
+    They run on while the host program computes, hangs or (in another process) is dead. A context
     manager; ports are opened before it is entered.
 
     Args:
-        clock: Of the simulated devices; kept in step with the machine's, and nobody else may move
-            it meanwhile.
+        clock: Clock of the simulated devices; kept in step with the real clock, and not to be
+            advanced by others meanwhile.
     """
 
     def __init__(self, clock: SimulatedClock) -> None:

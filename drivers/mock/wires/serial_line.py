@@ -1,6 +1,4 @@
-"""A serial line in simulated time: bytes take as long as at their rate, and nothing waits on the
-wall clock.
-"""
+"""A serial line in simulated time: bytes take their time at the baud rate; no wall clock."""
 
 from __future__ import annotations
 
@@ -16,10 +14,12 @@ _BITS_PER_BYTE = 10
 
 
 class Station(Protocol):
-    """What is at the far end of a line."""
+    """The device at the far end of a line."""
 
     def receive(self, data: bytes) -> bytes:
-        """Take bytes, possibly none, and return what is sent back or, unasked, is due."""
+        """Process received bytes, possibly none, and return the answer or unsolicited bytes that
+        are due.
+        """
         ...
 
 
@@ -33,11 +33,11 @@ class SimulatedLine:
     Args:
         clock: Simulated time.
         baud: Bit/s, 8N1.
-        station: At the far end.
-        echo: The host's adapter hears its own bytes.
+        station: The device at the far end.
+        echo: Whether the host's adapter echoes its own bytes.
 
     Attributes:
-        station: At the far end.
+        station: The device at the far end.
         filters: Hooks for fault injection, applied in order to every message.
         cut: True while the line is unplugged: nothing arrives either way.
     """
@@ -56,7 +56,7 @@ class SimulatedLine:
         self._closed = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes; they go after those still on the way.
+        """Send bytes, after those still being sent.
 
         Raises:
             OSError: The line is closed.
@@ -94,9 +94,7 @@ class SimulatedLine:
         self._closed = True
 
     def deliver(self, data: bytes, from_host: bool) -> None:
-        """Put a message at the end that it is for, past the filters; an answer to it comes as it
-        always does.
-        """
+        """Deliver a message to its receiver without the filters; its answer is sent as usual."""
         if self.cut:
             return
         if not from_host:

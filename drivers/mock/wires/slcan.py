@@ -19,10 +19,10 @@ _MAX_LINE: Final = 64
 
 
 class LawicelAdapter:
-    """The adapter as its serial line sees it; a :class:`~drivers.mock.wires.serial_line.Station`.
+    """The serial side of the adapter; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Only data frames with 11-bit identifiers, which is all that the simulated devices send. Answers
-    to settings are left out, as hosts do not wait for them.
+    Handles only data frames with 11-bit identifiers, as used by the simulated devices. Settings are
+    not answered, as hosts do not wait for that.
 
     Args:
         bus: The bus on its other side; the adapter is its host.
@@ -40,7 +40,7 @@ class LawicelAdapter:
         self._buffer += data
         answers = bytearray()
         *lines, rest = self._buffer.split(_OK)
-        # A line that never ends is not one of ours.
+        # A line without end is not of this protocol.
         self._buffer = rest if len(rest) <= _MAX_LINE else bytearray()
         for line in lines:
             answers += self._obey(bytes(line))

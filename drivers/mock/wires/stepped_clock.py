@@ -1,4 +1,4 @@
-"""A host clock that steps, beside the simulated time that does not."""
+"""A host clock that can step, on top of simulated time that cannot."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from drivers.clock import NS, Clock
 
 
 class SteppedClock:
-    """The clock of a host whose time can jump; the bus and the devices on it keep the time of
-    ``base``.
+    """The clock of a host whose time can jump; bus and devices keep the time of ``base``.
 
     A monotonic clock does not do this by itself; a suspended virtual machine or a defective driver
     can.
@@ -26,5 +25,5 @@ class SteppedClock:
         return self._base.now_ns() + self._ahead_ns
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Wait for as long as the deadline seemed away at the call."""
+        """Wait for the time that remained to the deadline at the call."""
         self._base.sleep_until_ns(deadline_ns - self._ahead_ns)

@@ -1,1 +1,1 @@
-"""Files for a user to start from, and the schemas that editors complete and check them with."""
+"""Creation of starting files for a user, and the JSON Schemas for editors."""

@@ -1,4 +1,4 @@
-"""``rig new bench``: from a few answers about a bench to its file."""
+"""``rig new bench``: makes a bench file from a few answers."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from rig.config.serial_bus import Amt21Section, SerialBus, overload
 from rig.config.simulated_machine import derived
 
 _SPEED_SHARE: Final = 0.8
-"""Share of the speed that the supply allows without load, for the limit on speed."""
+"""Default speed limit as a share of the no-load speed at the supply voltage."""
 _GREATEST_SPEED_DEG_S: Final = 120.0
 _OVER_RATED: Final = 5.0 / 3.0
 _OVER_WEIGHT: Final = 1.2
 _HARD_SHARE: Final = 0.8
 _PERIODS_MS: Final = (2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)
-"""Control cycles on a serial line: those whose rate is a round number."""
+"""Control cycles offered on a serial line: those with a round rate."""
 _SUPPLY_SHARE: Final = 0.2
 _ROTOR_SHARE: Final = 0.8
-"""Largest share of the rotor in the joint's inertia of a simulated bench."""
+"""Largest share of the rotor's inertia in the joint's inertia of a simulated bench."""
 _STALE_CYCLES: Final = 5
 
 
@@ -47,7 +47,9 @@ def _real_can(answers: Mapping[str, Any]) -> bool:
 
 
 def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
-    """Return the default limit on speed: what the supply allows, no more than is useful."""
+    """Return the default speed limit: the speed that the supply allows, capped at a useful
+    value.
+    """
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
 
@@ -184,8 +186,8 @@ def bench_text(name: str, answers: Answers) -> str:
     """Return the text of a bench file, its first line left out.
 
     Args:
-        name: Of the bench.
-        answers: To :data:`QUESTIONS`.
+        name: Name of the bench.
+        answers: Answers to :data:`QUESTIONS`.
     """
     sections: dict[str, Any] = {
         "bench": 1,
@@ -210,7 +212,7 @@ def bench_text(name: str, answers: Answers) -> str:
 
 
 def remarks(answers: Answers) -> list[str]:
-    """Return what the user should know about the answers beside the file."""
+    """Return remarks on the answers that are not part of the file."""
     found = []
     torque = _torque_N_m(answers)
     heaviest = max(answers["weights"], default=0.0)
@@ -289,7 +291,7 @@ def _servo(answers: Answers) -> Block | Raw:
 
 
 def _dbc_servo(answers: Answers) -> Raw:
-    """Return the section of the packaged bench, the simulated drive's, with these limits."""
+    """Return the section of the packaged bench for the simulated drive, with these limits."""
     text = packaged("practical_dbc", "benches").read_text(encoding="utf-8")
     servo = parse(text)[0].plain()["servo"]
     servo["held"].update(
@@ -364,10 +366,10 @@ def _limits(answers: Answers) -> Block:
 
 
 def _mock(sections: Mapping[str, Any], rotor_inertia_kg_m2: float) -> Block:
-    """Return the simulated machine: what nobody knows before it is identified; the rest follows
-    from the bench.
+    """Return the simulated machine: assumed values of what must be identified; the rest from the
+    bench.
 
-    The joint's inertia contains that of the rotor.
+    The joint's inertia includes the rotor.
     """
     plain = {
         name: dict(section.values) if isinstance(section, Block) else section

@@ -1,4 +1,6 @@
-"""The schema beside a file: where it goes, and the first line by which an editor finds it."""
+"""The JSON Schema stored with a file: its location, and the first line that refers an editor to
+it.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,15 @@ from rig.common.errors import InputError
 from rig.common.places import require_folder, write_text
 
 FOLDER: Final = "schemas"
-"""Folder beside a file in which its schema lies."""
+"""Subfolder for schemas in the folder of a file."""
 _OWN: Final = '"$id": "urn:loadrig:'
 
 
 def first_line(kind: str) -> str:
     """Return the comment that names the schema of a file, relative to the file itself.
 
-    A relative path goes with the folder when that is moved, shared or put under version control,
-    and needs neither a network nor an installed program to be read.
+    A relative path stays valid when the folder is moved or shared, and needs neither network nor an
+    installed program.
     """
     return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
 

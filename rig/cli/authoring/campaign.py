@@ -1,4 +1,4 @@
-"""``rig new campaign``: from recordings made elsewhere to the file that describes them."""
+"""``rig new campaign``: makes the file that describes recordings made elsewhere."""
 
 from __future__ import annotations
 
@@ -69,10 +69,10 @@ def answer(
 
     Args:
         files: The recordings.
-        given: Answers that were given as options.
-        asker: Who is asked for the others; None for nobody.
+        given: Answers given as options.
+        asker: Asks for the other answers; None to ask nothing.
         tell: Shows messages.
-        before: Answers of an earlier round, the defaults of this one.
+        before: Answers of an earlier round, used as defaults.
 
     Raises:
         InputError: An answer is missing, or names no column.
@@ -96,9 +96,9 @@ def campaign_text(path: Path, files: Sequence[DataFile], answers: Answers) -> st
     """Return the text of a campaign file, its first line left out.
 
     Args:
-        path: Where it will be; files are named relative to its folder.
+        path: Future path of the campaign file; recordings are named relative to its folder.
         files: The recordings.
-        answers: About them.
+        answers: Answers about them.
     """
     bench = {
         **{key: answers[key] for key in BenchSection.model_fields if key in answers},

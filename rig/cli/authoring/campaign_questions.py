@@ -1,4 +1,4 @@
-"""What `rig new campaign` asks about recordings made elsewhere, and its options."""
+"""Questions and options of `rig new campaign` about recordings made elsewhere."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ ASKED: Final = (
     "velocity",
     "command",
 )
-"""Channels that are asked for; the others are taken where a column is named for them."""
+"""Channels that are asked for; others are used only if a column has their name."""
 NONE: Final = "-"
 
 
@@ -40,7 +40,7 @@ class DataFile:
     Attributes:
         path: The file.
         names: Its columns.
-        mass_kg: Mass on the lever that its name states; 0 for none.
+        mass_kg: Mass on the lever according to its file name; 0 for none.
     """
 
     path: Path
@@ -49,7 +49,7 @@ class DataFile:
 
 
 def questions(files: Sequence[DataFile]) -> tuple[Question, ...]:
-    """Return what is asked about files."""
+    """Return the questions about these files."""
 
     def has(*channels: str) -> Callable[[Mapping[str, Any]], bool]:
         return lambda answers: any(answers[channel] != NONE for channel in channels)
@@ -227,7 +227,7 @@ class Names(Kind):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, ...]:
-        """Return the names in the order given, each once, or fail with words."""
+        """Return the names in the order given, each once, or fail with a message."""
         if isinstance(value, tuple):
             return value
         names = [word.strip() for word in str(value).split(",") if word.strip()]
@@ -254,7 +254,7 @@ class Masses(Numbers):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, ...]:
-        """Return the masses, or fail with words."""
+        """Return the masses, or fail with a message."""
         if isinstance(value, tuple):
             return value
         words = str(value).replace(",", " ").split()
@@ -311,7 +311,7 @@ OPTIONS: Final = (
 
 
 def column_of(answer: str, names: Sequence[str]) -> str | int | None:
-    """Return the column that an answer means, by name or else by index; None for none."""
+    """Return the column selected by an answer, by name or else by index; None for none."""
     if answer in names:
         return answer
     if answer.isdecimal() and int(answer) < len(names):

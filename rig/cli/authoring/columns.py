@@ -1,4 +1,4 @@
-"""Which column of a recording made elsewhere holds which channel: guesses from names and units."""
+"""Guesses the channels of a recording's columns from their names and units."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ _UNIT: Final[Mapping[str, tuple[str, float]]] = {
     "mpa": ("Pa", 1e6),
     "bar": ("Pa", 1e5),
 }
-"""Unit as written, in lower case without blanks, to its SI unit and the scale to that."""
+"""Unit as written (lower case, no blanks) to its SI unit and scale."""
 _NAMES: Final[Mapping[str, str]] = {
     "time": r"t|time|timestamp|zeit|stamp|seconds|elapsed",
     "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
@@ -64,15 +64,15 @@ _NAMES: Final[Mapping[str, str]] = {
     "temperature": r"temp|temperature|t_?motor",
     "pressure": r"p|pressure|druck|chamber_?pressure",
 }
-"""Channel to the names that columns of it have, the more particular channels first."""
+"""Channel to its usual column names, the more specific channels first."""
 
 
 class Guess(NamedTuple):
-    """A column for a channel.
+    """The column guessed for a channel.
 
     Attributes:
-        column: Name or, where the columns have none, index.
-        scale: To SI.
+        column: Name, or index if the columns have no names.
+        scale: Scale to SI.
         sure: Whether the column states its unit.
     """
 
@@ -107,7 +107,7 @@ def channel_unit(channel: str, linear: bool = False) -> str:
 
 
 def scale_of(name: str, channel: str, linear: bool = False) -> float:
-    """Return the scale to SI that the name of a channel's column states; 1 where it states none."""
+    """Return the scale to SI from the unit in a column's name; 1 without a unit."""
     unit, scale = _UNIT.get(split_unit(name)[1], ("", 1.0))
     return scale if unit == channel_unit(channel, linear) else 1.0
 
@@ -126,7 +126,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
         unit = channel_unit(channel, linear)
         for column, bare, stated in columns:
             word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
-            # A unit that is not known has a scale that is not known either.
+            # The scale of an unknown unit is unknown.
             si, scale = _UNIT.get(stated, ("", 1.0)) if stated else (unit, 1.0)
             if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
                 continue
@@ -144,6 +144,6 @@ def is_linear(names: Iterable[str]) -> bool:
 
 
 def guess_mass(stem: str) -> float:
-    """Return the mass on the lever that the name of a file states, kg; 0 where it states none."""
+    """Return the mass on the lever from a file's name, kg; 0 if the name has none."""
     found = re.search(r"(?<![\d.,])(\d+(?:[.,p]\d+)?)\s*_?kg", stem, re.IGNORECASE)
     return float(re.sub("[,p]", ".", found[1])) if found else 0.0

@@ -1,6 +1,4 @@
-"""Questions whose answers make a file: put at the terminal, given as options, or left at their
-defaults.
-"""
+"""Questions whose answers define a file; answered at the terminal, by options or by defaults."""
 
 from __future__ import annotations
 
@@ -22,15 +20,15 @@ else:
 
 Answers = dict[str, Any]
 Derived = Callable[[Mapping[str, Any]], Any]
-"""A default that follows from the answers before."""
+"""A default computed from the earlier answers."""
 
 
 class Number(Kind):
-    """A finite number above a bound; a decimal comma is read as well.
+    """A finite number above a bound; a decimal comma is accepted.
 
     Args:
-        above: What it must be greater than; None for any.
-        at_least: What it may not be less than; None for any.
+        above: Exclusive lower bound; None for no bound.
+        at_least: Inclusive lower bound; None for no bound.
         not_zero: Whether zero is refused.
     """
 
@@ -46,7 +44,7 @@ class Number(Kind):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """Return the number, or fail with words."""
+        """Return the number, or fail with a message."""
         try:
             number = float(str(value).strip().replace(",", "."))
         except ValueError:
@@ -70,7 +68,7 @@ class Numbers(Kind):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[float, ...]:
-        """Return the numbers in the order given, or fail with words."""
+        """Return the numbers in the order given, or fail with a message."""
         if isinstance(value, tuple):
             return value
         words = str(value).replace(",", " ").split()
@@ -81,18 +79,18 @@ class Numbers(Kind):
 
 @dataclass(frozen=True)
 class Question:
-    """One thing to know.
+    """A question to the user.
 
     Attributes:
-        name: Of the answer; with dashes, of the option.
-        words: What is asked for, for the prompt and the help of the option.
+        name: Name of the answer; with dashes, name of the option.
+        words: Text for the prompt and the help of the option.
         unit: Unit of the answer; empty for none.
         kind: Reads the answer.
-        default: Taken when nothing is typed: a value, or a function of the answers before; None for
-            an answer that must be given.
-        when: Whether it is asked at all, from the answers before.
-        why: What to do where it has no default, for the message.
-        refusal: Why an answer cannot be taken, from it and the answers before; None where it can.
+        default: Default: a value, or a function of the earlier answers; None if an answer is
+            required.
+        when: Function of the earlier answers that decides if it is asked.
+        why: Advice in the message if it has no default.
+        refusal: Function of an answer and the earlier ones; returns why it is refused, else None.
     """
 
     name: str
@@ -110,11 +108,11 @@ class Question:
         return f"--{self.name.replace('_', '-')}"
 
     def default_for(self, answers: Mapping[str, Any]) -> Any:
-        """Return the default after the answers before; None for none."""
+        """Return the default given the earlier answers; None for none."""
         return self.default(answers) if callable(self.default) else self.default
 
     def prompt(self, default: Any) -> str:
-        """Return what is shown at the terminal."""
+        """Return the prompt for the terminal."""
         unit = f", {self.unit}" if self.unit else ""
         choices = (
             f" ({', '.join(self.kind.choices)})" if isinstance(self.kind, click.Choice) else ""
@@ -156,16 +154,16 @@ def ask_all(
     """Return the answer to every question that applies.
 
     Args:
-        questions: In order.
-        given: Answers by name that were given as options; None for those that were not.
-        asker: Puts the others to the user; None to take the defaults.
-        tell: Shows what is wrong with an answer. Where somebody can be asked, an option that cannot
-            be taken is reported and asked for, so that no typed answer is lost.
-        before: Answers of an earlier round, which are the defaults of this one.
+        questions: The questions in order.
+        given: Answers given as options, by name; None for options not given.
+        asker: Asks the user the others; None to use the defaults.
+        tell: Shows what is wrong with an answer. With an ``asker``, a refused option is reported
+            and asked for again, so that no typed answer is lost.
+        before: Answers of an earlier round, used as defaults.
 
     Raises:
-        InputError: A question without default is not answered, or an option cannot be taken or does
-            not apply; lists them all. Or the input ended.
+        InputError: A question without default is not answered, or an option is refused or does not
+            apply (lists all); or the input ended.
     """
     asked = tuple(questions)
     before = before or {}
@@ -202,14 +200,14 @@ def ask_all(
 
 
 def _stand_in(question: Question) -> Any:
-    """Return an answer that lets the questions that follow be looked at as well."""
+    """Return a placeholder answer, so that later questions can be checked too."""
     return 1.0 if isinstance(question.kind, Number) else ""
 
 
 def _without_default(
     questions: Iterable[Question], given: Mapping[str, Any], answers: Mapping[str, Any]
 ) -> list[str]:
-    """Return the options that must be given for questions, everything else left at its default."""
+    """Return the options that are required if all others are left at their defaults."""
     found, known = [], dict(answers)
     for question in questions:
         if not question.when(known):
@@ -236,7 +234,7 @@ def _ask(
     tell: Callable[[str], None],
     answers: Mapping[str, Any],
 ) -> Any:
-    """Put one question until the answer can be taken.
+    """Ask one question until the answer is accepted.
 
     Raises:
         InputEndedError: There is no input any more.

@@ -1,9 +1,9 @@
 """JSON Schemas of the files that a user writes: for editors, and for programs that make such files.
 
-They are generated from the records that the program itself reads the files into. What a schema
-can't say (one value against another, files that must exist) is left to the program: a schema
-accepts every file that the program accepts, but for wrong values under ``defaults`` that every
-recording overrides; it refuses unknown keys, wrong types and values outside their range.
+They are generated from the records into which the program reads the files. A schema refuses unknown
+keys, wrong types and values outside their range. It cannot check relations between values or the
+existence of files, and leaves those to the program. It accepts every file that the program accepts,
+except wrong values under ``defaults`` that every recording overrides.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ KINDS: Final[Mapping[str, type[BaseModel]]] = {
     "campaign": Campaign,
     "faults": FaultSchedule,
 }
-"""Kind of file to the record that it is read into."""
+"""Kind of file to its record class."""
 DIALECT: Final = "http://json-schema.org/draft-07/schema#"
-"""The dialect that YAML editors know best."""
+"""Schema dialect with the best support in YAML editors."""
 _SHORT_CHANNEL: Final = {
     "type": ["string", "integer"],
     "description": "Column, by name or by index from 0.",
@@ -69,7 +69,7 @@ def json_schema(kind: str) -> Tree:
 
 
 def records(root: type) -> dict[str, type]:
-    """Return every record that a file's record is made of, itself included, by name."""
+    """Return a file's record and all records nested in it, by name."""
     found: dict[str, type] = {}
     waiting: list[Any] = [root]
     while waiting:
@@ -88,7 +88,7 @@ def _is_record(annotation: type) -> bool:
 
 
 def _describe(node: Tree, record: type) -> None:
-    """Give a record and its keys their descriptions and units, and forbid unknown keys."""
+    """Add descriptions and units to a record and its keys, and forbid unknown keys."""
     node["description"] = _plain(summary(record))
     node["additionalProperties"] = False
     known = meanings(record)
@@ -98,7 +98,7 @@ def _describe(node: Tree, record: type) -> None:
 
 
 def describe(meaning: Meaning) -> str:
-    """Return what a key means with its unit, in one paragraph."""
+    """Return the meaning of a key with its unit, in one paragraph."""
     text = _plain(meaning.text)
     if not meaning.unit:
         return text
@@ -120,10 +120,10 @@ def _walk(node: Any, change: Callable[[Tree], None]) -> None:
 
 
 def _tidy(node: Tree) -> None:
-    """Leave out what is no use to an editor, and write what draft 7 knows.
+    """Remove what is useless to an editor, and use only draft 7 keywords.
 
-    The branches of a union overlap where a key that tells them apart is left out, so that "one of"
-    would refuse what the program accepts. Titles of keys repeat their names.
+    Without their discriminating key the branches of a union overlap, and "one of" would refuse
+    files that the program accepts. Titles of keys only repeat their names.
     """
     if isinstance(branches := node.get("oneOf"), list) and any("$ref" in item for item in branches):
         node["anyOf"] = node.pop("oneOf")
@@ -143,7 +143,7 @@ def _bench(tree: Tree, definitions: Tree) -> None:
             if hints[key] in (int, float, float | None):
                 _bound(node, may_be(key))
     definitions["Machine"]["properties"]["effects"] = _effects()
-    # The kind of bus is told by its interface; as plain text it would be any.
+    # The interface distinguishes the kinds of bus; as free text it would match any.
     definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
     definitions["ServoSection"]["not"] = {
         "properties": {"kind": {"const": "dbc"}},
@@ -163,7 +163,7 @@ def _bound(node: Tree, sign: str) -> None:
 
 
 def _effects() -> Tree:
-    """Return the schema of the physics that a simulated machine can hide."""
+    """Return the schema of the effects that can be injected into a simulated machine."""
     effects = {
         name: {
             "type": "object",
@@ -230,7 +230,7 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
         **partial,
         "description": tree["properties"]["defaults"].get("description", ""),
     }
-    # What a recording lacks may stand under `defaults`.
+    # A key missing in a recording may be given under `defaults`.
     items = tree["properties"]["recordings"].pop("items")
     tree["if"] = {"required": ["defaults"]}
     tree["then"] = {"properties": {"recordings": {"items": partial}}}

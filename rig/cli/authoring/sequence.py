@@ -46,8 +46,8 @@ def sequence_text(name: str, answers: Answers) -> str:
     """Return the text of a sequence file, its first line left out.
 
     Args:
-        name: Of the sequence.
-        answers: To :data:`QUESTIONS`.
+        name: Name of the sequence.
+        answers: Answers to :data:`QUESTIONS`.
     """
     masses = [0.0, *answers["weights"]]
     stages = [
@@ -90,7 +90,7 @@ def _stage(mass: float, before: int, answers: Answers, bare: bool) -> Block:
 
 
 def load_for(bench: Document[Bench] | None, path: Path) -> None:
-    """Read a sequence back, and hold it against the limits of a bench where one is given.
+    """Read a sequence back, and check it against the limits of a bench if one is given.
 
     Raises:
         InputError: It is not valid, or asks for more than the bench allows.

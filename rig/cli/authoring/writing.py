@@ -1,4 +1,4 @@
-"""A new file: loaded back before it takes its place, and never over another."""
+"""Writes a new file: validated before it gets its name, and never over an existing file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rig.common.places import replacing, require_file
 
 
 class RefusedError(InputError):
-    """Answers make no valid file; nothing is written."""
+    """The answers give no valid file; nothing was written."""
 
 
 def require_new(path: Path, kind: str) -> None:
@@ -36,16 +36,16 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
 
     Args:
         path: The file.
-        kind: Of the file, one of :data:`rig.cli.authoring.schema.KINDS`.
+        kind: Kind of file, one of :data:`rig.cli.authoring.schema.KINDS`.
         body: All but the first line.
-        load: Reads the file and raises InputError where it is not valid; called before the file is
-            there under its name.
+        load: Reads the file and raises InputError if it is not valid; called before the file gets
+            its name.
 
     Returns:
-        What was written.
+        Description of the written files.
 
     Raises:
-        RefusedError: It is not valid, which the answers are at fault for.
+        RefusedError: The answers give no valid file.
         InputError: It can't be written.
     """
     require_new(path, kind)
@@ -69,7 +69,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
 
 
 def _without_place(problems: Iterable[str], draft: Path) -> Iterator[str]:
-    """Yield messages with the key of the file, and without lines of a file that is not there."""
+    """Yield messages with the key only, without line numbers of a file that does not exist."""
     place = re.compile(rf"{re.escape(str(draft))}:(\d+:\d+: )?")
     for line in problems:
         yield f"not written: {place.sub('', line).strip()}"

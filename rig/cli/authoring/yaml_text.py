@@ -1,6 +1,4 @@
-"""YAML text of a record in which every key has a comment: what it means, its unit and its
-default.
-"""
+"""YAML text of a record with a comment on every key: meaning, unit and default."""
 
 from __future__ import annotations
 
@@ -30,8 +28,8 @@ class Block:
     Attributes:
         record: Its class, whose docstring says what the keys mean.
         values: Key to value: a scalar, a list of scalars, plain data, or blocks below.
-        notes: Key to words in place of its default.
-        bare: Whether comments are left out, as in all but the first item of a list.
+        notes: Key to text in place of its default.
+        bare: Whether to omit the comments, as in all but the first item of a list.
     """
 
     record: type
@@ -42,7 +40,7 @@ class Block:
 
 @dataclass(frozen=True)
 class Raw:
-    """Text of a mapping that is YAML already."""
+    """A mapping given as YAML text."""
 
     text: str
 
@@ -92,7 +90,7 @@ def _comment(words: str, indent: int) -> Iterator[str]:
 
 
 def _default(record: type, key: str) -> str:
-    """Return words for what a key is where the file leaves it out; empty where it must stand."""
+    """Return text for the default of a key; empty if the key is required."""
     value: Any = PydanticUndefined
     if issubclass(record, BaseModel):
         value = record.model_fields[key].get_default(call_default_factory=True)

@@ -30,9 +30,9 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
     Channels keep their canonical names and SI units. MATLAB and Parquet files hold all recordings,
-    and a field or column names each. A CSV file holds one: of several, each gets its own, OUT with
-    its name in it. Excitations that a run stopped in are left out unless --partial is given; their
-    names then end in "(partial)".
+    and a field or column names each. A CSV file holds one recording; of several, each is written to
+    its own file, named OUT plus the recording's name. Excitations that a run stopped in are left
+    out unless --partial is given; their names then end in "(partial)".
 
     \b
     Example:

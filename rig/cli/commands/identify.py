@@ -32,29 +32,29 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "--compare",
     "compared",
     is_flag=True,
-    help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on "
-    "one problem.",
+    help="Also run the paper's GA, differential evolution, CMA-ES and multi-start least squares on "
+    "the same problem.",
 )
 @click.option(
     "--profile",
     is_flag=True,
-    help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten "
-    "seconds more or so.",
+    help="Also compute the likelihood profile of every parameter, with its 90 % range; takes some "
+    "ten seconds more.",
 )
 @click.option(
     "--bootstrap",
     "draws",
     metavar="N",
     type=click.IntRange(min=20),
-    help="Also the spread over N draws of the motion segments, with replacement; half a "
-    "second each or so.",
+    help="Also compute the spread over N draws of the motion segments, with replacement; each "
+    "takes some half a second.",
 )
 @click.option(
     "--plan",
     "sequence",
     metavar="SEQUENCE",
-    help="Instead of a SOURCE: what this sequence would pin, and one of the same duration that "
-    "would pin more.",
+    help="Instead of a SOURCE: predict what this sequence determines, and propose one of the same "
+    "duration that determines more.",
 )
 @click.option(
     "--bench",
@@ -65,16 +65,15 @@ _METHODS: dict[str, tuple[str, ...]] = {
 @click.option(
     "--nominal",
     type=click.Path(path_type=Path),
-    help="With --plan: last accepted result of `rig identify --json`. [default: the catalogue's "
-    "nominal values]",
+    help="With --plan: last accepted result of `rig identify --json`. [default: the paper's "
+    "friction and the practical bench's inertia]",
 )
 @click.option(
     "--current-noise",
     metavar="A",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="With --plan: noise of the logged current, rms. [default: what the --nominal file found, "
-    "else a thousandth of "
-    "the current limit]",
+    help="With --plan: noise of the logged current, rms. [default: the value in the --nominal "
+    "file, else a thousandth of the current limit]",
 )
 @shared.bandwidth("Bandwidth of torque and regressors; chosen from the recordings if left out.")
 @shared.partial
@@ -85,8 +84,8 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "--score",
     metavar="SOURCE",
     type=click.Path(path_type=Path),
-    help="Another source to score the result on: its error there against the noise floor, and "
-    "what moved.",
+    help="Another source to score the result on: its error there against the noise floor, and the "
+    "parameters that moved.",
 )
 @shared.seed()
 @shared.out_folder(
@@ -97,8 +96,8 @@ _METHODS: dict[str, tuple[str, ...]] = {
 def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
-    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one
-    that takes no longer. It may have more stages, and other weights.
+    With --plan, before anything is recorded: predict which parameters a sequence determines, and
+    propose a better one that takes no longer. It may have more stages, and other weights.
 
     \b
     Example:
@@ -116,7 +115,7 @@ def command(**options: Any) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """Argument and options of the command, as click names and converts them."""
+    """Argument and options of the command, named and converted by click."""
 
     source: Path | None
     method: Literal["default", "paper", "both"]
@@ -205,7 +204,7 @@ def _identify_source(options: _Options, source: Path) -> None:
 
 
 def _plan(options: _Options, sequence: str) -> None:
-    """Say what a sequence would pin, and write one that would pin more."""
+    """Report which parameters a sequence would determine, and write a better sequence."""
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence

@@ -45,7 +45,7 @@ SCHEMA = "loadrig.jog/1"
 @click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
 @shared.simulated_seed
 @shared.reset_fault()
-@shared.record_file("Also write how it ended to this file.")
+@shared.record_file("Also write the outcome to this file.")
 def command(
     bench: str,
     angles: tuple[float, ...],
@@ -97,10 +97,10 @@ def command(
 
 
 def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
-    """Yield the angles typed at the terminal, until an empty answer or the end of the input.
+    """Yield the angles typed at the terminal until an empty answer or the end of the input.
 
     Raises:
-        KeyboardInterrupt: The operator stopped it at the prompt, where the drive is off.
+        KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
     """
     while True:
         try:

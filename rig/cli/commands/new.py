@@ -45,7 +45,9 @@ def command() -> None:
 
 @contextmanager
 def _terminal(yes: bool) -> Iterator[tuple[Asker | None, Callable[[str], None]]]:
-    """Yield who answers questions, None for the defaults, and what shows messages."""
+    """Yield the object that asks questions (None to use defaults) and the one that shows
+    messages.
+    """
     with closing(Screen()) as screen:
         yield None if yes else Prompt(screen), screen.say
 
@@ -162,17 +164,17 @@ def _until_valid(
     asker: Asker | None,
     tell: Callable[[str], None],
 ) -> tuple[Answers, list[Path]]:
-    """Ask until the answers make a valid file; return them, and what was written.
+    """Ask until the answers give a valid file; return the answers and what was written.
 
     Args:
-        ask: From earlier answers, which become the defaults, to answers.
+        ask: Returns answers; takes earlier answers as defaults.
         write: Writes the file.
-        given: Answers that were given as options.
-        asker: Who can be asked again; None for nobody.
+        given: Answers given as options.
+        asker: Asks again; None if nobody can be asked.
         tell: Shows why answers were refused.
 
     Raises:
-        RefusedError: They make none, and nothing that was asked for could change that.
+        RefusedError: They give none, and no asked answer could change that.
     """
     answers: Answers = {}
     while True:
@@ -188,7 +190,7 @@ def _until_valid(
 
 
 def _say(written: list[Path], following: str) -> None:
-    """Name what was written, and the command that comes next."""
+    """Print what was written, and the next command."""
     for path in written:
         click.echo(f"wrote {path}")
     click.echo(f"next: {following}")

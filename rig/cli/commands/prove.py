@@ -25,18 +25,16 @@ from rig.cli import options as shared
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("proof"),
     show_default=True,
-    help="Folder; one begun before is gone on with.",
+    help="Folder; a proof begun there before is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
-@shared.seed("Of draws and diagnosis.")
+@shared.seed("Seed of draws and diagnosis.")
 @click.option(
     "--gas",
     is_flag=True,
-    help="Rigs that hide something in their gas generator; pressure and angle alone.",
+    help="Trials with effects injected into the gas generator; only pressure and angle are used.",
 )
-@click.option(
-    "--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each."
-)
+@click.option("--keep", is_flag=True, help="Keep the recordings of scored trials, 7 MB each.")
 @shared.result_file
 def command(
     rigs: int,
@@ -48,8 +46,8 @@ def command(
     keep: bool,
     json_file: Path | None,
 ) -> None:
-    """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal,
-    score.
+    """Test the diagnosis blind: draw trials with injected effects, seal the truth, diagnose,
+    unseal, score.
 
     The SHA-256 of every sealed truth is printed before the first diagnosis starts.
 

@@ -78,7 +78,7 @@ def command(
     feedforward = (
         None if stated is None else load_feedforward(recorded_input(run, stated), constants)
     )
-    # Each recording has noise of its own.
+    # Each recording gets its own noise.
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died
     inputs = Inputs(
@@ -99,7 +99,7 @@ def command(
 
 
 def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path | None) -> int:
-    """Connect, go on in the run's folder, and say what came of it; return the status."""
+    """Connect, continue in the run's folder, and report the outcome; return the exit status."""
     bench = inputs.bench
     screen = Screen()
     screen.silence()

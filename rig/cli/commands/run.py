@@ -56,14 +56,14 @@ from rig.wiring.preflight import require_startable
 @shared.yes
 @click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
 @click.option(
-    "--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing."
+    "--dry-run", is_flag=True, help="Print the plan and its predicted torque; connect to nothing."
 )
 @shared.simulated_seed
 @click.option(
     "--faults",
     "fault_file",
     type=click.Path(path_type=Path),
-    help="Schedule (YAML or CSV) of what goes wrong on the simulated bench.",
+    help="Schedule (YAML or CSV) of injected faults on the simulated bench.",
 )
 @shared.operator_name
 @shared.identification
@@ -126,12 +126,12 @@ class _Options:
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
-        """Return how long an answer of the operator is waited for; None is for ever."""
+        """Return the time to wait for an operator's answer, s; None for ever."""
         return self.prompt_timeout_s or bench.prompt_timeout_s
 
 
 def _run(options: _Options) -> int:
-    """Check everything that can be checked before anything moves, then run; return the status."""
+    """Check everything that can be checked before any motion, then run; return the exit status."""
     require_file(options.json_file, "--json")
     bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
     click.echo(bench_line(bench))
@@ -146,7 +146,7 @@ def _run(options: _Options) -> int:
         click.echo(feedforward.remark, err=True)
     path = options.out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
-    # Of a folder that another program works in, its lock says more than what lies there.
+    # If another program uses the folder, the lock's message is more helpful.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)
@@ -181,7 +181,7 @@ def _run(options: _Options) -> int:
 def _carry_out(
     options: _Options, inputs: Inputs, plan: Plan, path: Path, injector: FaultInjector | None
 ) -> int:
-    """Connect, run into a new folder, and say what came of it; return the status."""
+    """Connect, run into a new folder, and report the outcome; return the exit status."""
     bench = inputs.bench
     screen = Screen()
     screen.silence()

@@ -1,1 +1,1 @@
-"""Experiments proposed for a bench, and how they are written."""
+"""Proposed experiments for a bench, and their output."""

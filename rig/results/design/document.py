@@ -1,4 +1,4 @@
-"""What ``rig identify --plan`` says: a planned experiment as a document, for the terminal alone."""
+"""Output of ``rig identify --plan``: a planned experiment as a document, for the terminal only."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rig.results.document import Document, Note, Section, Table
 
 
 def plan_document(experiment: Experiment) -> Document:
-    """Return what is pinned now and would be, and the stages of the proposal."""
+    """Return the parameters determined by both sequences, and the stages of the proposal."""
     title = f"Experiment in place of {experiment.sequence.name}"
     return Document(title, "", tuple(_summary(experiment)))
 
@@ -68,10 +68,8 @@ def _stages(experiment: Experiment) -> Table:
 
 
 def _advice(experiment: Experiment) -> str:
-    """Say what the proposal is for; or that no better one was found, and it is the sequence as it
-    was.
-    """
-    aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
+    """State the purpose of the proposal, or that none was better than the given sequence."""
+    aim = f"aimed at {experiment.proposal.weakest}, which is determined least accurately now"
     if experiment.proposal.pinned == experiment.proposal.present:
         return (
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
@@ -89,7 +87,7 @@ def _drive(experiment: Experiment) -> str:
 
 def _width(found: Pinned, name: str) -> str:
     width = found.half_widths[name]
-    return percent(100.0 * width) if math.isfinite(width) else "not pinned"
+    return percent(100.0 * width) if math.isfinite(width) else "not determined"
 
 
 def _gain(now: Pinned, then: Pinned, name: str) -> str:
@@ -98,7 +96,7 @@ def _gain(now: Pinned, then: Pinned, name: str) -> str:
 
 
 def excitation_words(stage: StageSection) -> str:
-    """Return what a stage commands, in words: sines, or ramps."""
+    """Return a description of a stage's excitation: sines or ramps."""
     if stage.ramp is not None:
         ramp = stage.ramp
         return (

@@ -1,5 +1,5 @@
-"""``rig identify --plan``: what a sequence would pin on a bench, and a sequence that would pin the
-weakest better.
+"""``rig identify --plan``: predicts which parameters a sequence determines, and searches a
+sequence that determines the weakest one better.
 """
 
 from __future__ import annotations
@@ -28,11 +28,9 @@ from rig.results.design.planned_nominal import NominalValues, nominal_values
 from rig.runs.run import bench_constants
 
 NOISE_SHARE = 1e-3
-"""Current noise, as a share of the bench's current limit, where neither the caller nor an
-identification states it.
-"""
+"""Default current noise as a share of the bench's current limit."""
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-"""Masses to choose from, beside those of the sequence, where the bench file lists none."""
+"""Masses to choose from, in addition to those of the sequence, if the bench file lists none."""
 
 
 @dataclass(frozen=True)
@@ -40,14 +38,14 @@ class Experiment:
     """A planned experiment.
 
     Attributes:
-        sequence: As it was.
-        nominal: The model it was judged on.
-        nominal_source: Where its values came from, in words.
-        current_noise_A: Of the logged current.
-        proposal: What is pinned now, and what would be.
+        sequence: The given sequence.
+        nominal: The model used to assess it.
+        nominal_source: Origin of its values, as text.
+        current_noise_A: Noise of the logged current, rms.
+        proposal: Parameters determined by the given and by the proposed sequence.
         proposed: The sequence to run instead.
-        seed: Of the search.
-        seconds: Spent.
+        seed: Seed of the search.
+        seconds: Wall-clock time spent.
     """
 
     sequence: Sequence
@@ -68,19 +66,19 @@ def plan_experiment(
     seed: int,
     progress: Callable[[str, float], None],
 ) -> Experiment:
-    """Judge a sequence on the nominal model of a bench, and search for a better one of the same
+    """Assess a sequence on the nominal model of a bench, and search a better one of the same
     duration.
 
     Args:
         sequence: The experiment in mind.
-        bench: Its limits, sensors and stated constants; nothing is taken from the description of
-        a simulated machine.
+        bench: Its limits, sensors and stated constants; the simulated machine's section is not
+        used.
         nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's
         nominal values.
-        current_noise_A: Noise of the logged current, A rms; None for what the nominal file says, or
-            a thousandth of the current limit.
-        seed: Of the search.
-        progress: Called with what is being done and the share that is done.
+        current_noise_A: Noise of the logged current, A rms; None for the value in the nominal file,
+            or a thousandth of the current limit.
+        seed: Seed of the search.
+        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: The sequence breaks a limit of the bench, or the nominal file cannot be used.
@@ -139,7 +137,7 @@ def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
 
 
 def _torque(bench: Bench, limits: Limits) -> float:
-    """Return the torque that neither a limit nor the current allows to exceed, N m at the joint."""
+    """Return the highest torque allowed by the torque and current limits, N m at the joint."""
     return min(limits.torque, bench_limits(bench).torque_per_ampere * bench.limits.current_A)
 
 
@@ -190,7 +188,7 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
-        """Return the joint angles of all repeats; the phases of the sequence hold only for its own
+        """Return the joint angles of all repeats; the sequence's phases apply only to its own
         tones.
         """
         section = stage if e is present else _with(stage, e, stage.name)
@@ -207,29 +205,26 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
 def _stages(
     stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]
 ) -> tuple[StageSection, ...]:
-    """Return the stages of a proposal; those in place of one stage bear its name and a number."""
+    """Return the stages of a proposal; stages that replace one stage have its name and a number."""
     out = []
     for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
         own = [p.excitation for p in parts if p.frame == number]
         if own == [frame.present]:
-            out.append(stage)  # as it is, with its phases and repeats
+            out.append(stage)  # unchanged, with its phases and repeats
         else:
             out += [_with(stage, e, f"{stage.name}-{k}") for k, e in enumerate(own, 1)]
     return tuple(out)
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the same centre, rounded as it will be
-    written.
-    """
+    """Return a stage with another excitation about the same centre, rounded as in the file."""
     changes: dict[str, Any] = {
         "name": name,
         "weight_kg": e.weight,
         "duration_s": e.seconds,
         "repeats": 1,
     }
-    # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a
-    # bound of its own.
+    # The old stage's time limit does not apply to the proposed stage; the plan computes a new one.
     changes["time_limit_s"] = None
     if e.ramps is None:
         tones = tuple(
@@ -241,7 +236,7 @@ def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
     speed = round(math.degrees(e.ramps.speed), 3)
     travel = (
         math.floor(1e3 * speed * e.ramps.away - 1e-6) / 1e3
-    )  # so that there and back fit in the duration
+    )  # so that the motion out and back fits in the duration
     ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=0.0, times=round(e.seconds / e.step))
     unfaded = {
         name: StageSection.model_fields[name].default for name in ("ramp_in_s", "ramp_out_s")

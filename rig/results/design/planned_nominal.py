@@ -1,5 +1,5 @@
-"""What `rig identify --plan` takes of a bench: the result of an identification, and the drive in
-its recordings.
+"""Nominal values for `rig identify --plan`: an identification result, and the drive from its
+recordings.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from rig.planning.reference import read_identification
 from rig.runs.run import load_run
 
 _SMALLEST = 1e-12
-"""Of a parameter, in SI units; the largest is its inverse. What lies beyond is no machine."""
+"""Smallest plausible parameter value, SI units; the largest is its inverse."""
 
 
 @dataclass(frozen=True)
 class NominalValues:
-    """What is known of a bench before an experiment.
+    """Nominal values of a bench before an experiment.
 
     Attributes:
-        values: The nine, SI.
-        source: Where they came from, in words.
-        weakest: The parameter that was pinned worst; None where that is not known.
-        recordings: What they were identified from, where it is a run that can still be read.
-        torque_noise: Of the measured torque, N m rms; None where that is not known.
+        values: The nine parameters, SI.
+        source: Their origin, as text.
+        weakest: The least accurate parameter; None if unknown.
+        recordings: The recordings they were identified from, if the run can still be read.
+        torque_noise: Noise of the measured torque, N m rms; None if unknown.
     """
 
     values: dict[str, float]
@@ -41,14 +41,16 @@ class NominalValues:
 
 
 def nominal_values(path: Path | None) -> NominalValues:
-    """Return what a result of `rig identify --json` says; what it left open comes from the
-    catalogue.
+    """Return the values of a result of `rig identify --json`; undetermined ones are the default
+    nominal values.
 
     Raises:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
     """
     if path is None:
-        return NominalValues(dict(NOMINAL), "the catalogue's nominal values")
+        return NominalValues(
+            dict(NOMINAL), "the paper's friction and the practical bench's inertia"
+        )
     raw = read_identification(path)
     try:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
@@ -74,8 +76,7 @@ def nominal_values(path: Path | None) -> NominalValues:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it
-    was not found.
+    """Return the total noise of the measured torque in a result file, N m rms; None if absent.
 
     Raises:
         KeyError, TypeError, ValueError: It is damaged.
@@ -89,17 +90,13 @@ def _torque_noise(noise: dict[str, Any] | None) -> float | None:
 
 
 def _half_width(parameter: dict[str, Any]) -> float:
-    """Return a parameter's relative half width in a result file; infinite where it was left
-    open.
-    """
+    """Return a parameter's relative half width in a result file; infinite if undetermined."""
     value, low, high = (parameter[key] for key in ("value", "low", "high"))
     return math.inf if not value or low is None or high is None else 0.5 * (high - low) / abs(value)
 
 
 def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
-    """Return the recordings of the runs among the inputs that are still what they were; others are
-    left out.
-    """
+    """Return the recordings of those input runs that are unchanged; others are omitted."""
     out: list[Recording] = []
     for folder in sorted({file.parent for file in inputs}):
         mine = {file: digest for file, digest in inputs.items() if file.parent == folder}

@@ -1,4 +1,4 @@
-"""A proposed sequence as the file that runs it, and what it pins in words."""
+"""A proposed sequence as a sequence file, and a message on the parameters it determines."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ PROPOSAL_FILE = "proposal.yaml"
 
 
 def proposal_text(experiment: Experiment, bench: str) -> str:
-    """Return the sequence file of a proposal; a comment says what it was made for."""
+    """Return the sequence file of a proposal; a comment states its purpose."""
     pinned = pinned_words(experiment.proposal.pinned)
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
@@ -29,19 +29,17 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
 
 
 def plain_sequence(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence as its file states it; what is at its default is left out, but for what a
-    reader looks for.
-    """
+    """Return a sequence as in its file; most keys at their default are omitted."""
     given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
     return {"sequence": sequence.sequence, **given}
 
 
 def pinned_words(found: Pinned) -> str:
-    """Say how many parameters are pinned, and which one the least."""
+    """Return a message on how many parameters are determined, and which one least accurately."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
-        return f"says nothing of {', '.join(open_names)}"
+        return f"does not determine {', '.join(open_names)}"
     return (
-        f"pins all {len(found.half_widths)}; the weakest is {found.weakest}, to "
+        f"determines all {len(found.half_widths)}; the weakest is {found.weakest}, to "
         f"{percent(100.0 * found.worst)}"
     )

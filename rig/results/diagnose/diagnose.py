@@ -1,4 +1,4 @@
-"""From a source to its diagnosis, timed, with its provenance."""
+"""Diagnoses a source; adds run time and provenance."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ from rig.sources import load_source
 
 RESULT_FILE = "diagnose.json"
 EFFORT = frozenset({"torque", "current", "voltage"})
-"""Channels any of which gives the drive's torque."""
+"""Channels from any of which the drive's torque follows."""
 REFINED_SAMPLES = 60_000
-"""Samples up to which refining takes about as long as the search, some ten seconds."""
+"""Number of samples up to which refining takes about as long as the search, some ten seconds."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What ``rig diagnose`` found.
+    """Result of ``rig diagnose``.
 
     Attributes:
-        dataset: What was diagnosed.
+        dataset: The diagnosed dataset.
         diagnosis: The verdict with its evidence.
         provenance: Seed, inputs, time.
     """
@@ -67,16 +67,17 @@ def diagnose_source(
 
     Args:
         source: Run folder or campaign file.
-        seed: Of the random generator.
-        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its
-        own.
-        progress: Called with what is being done and the share that is done.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken
-            out, where the recordings allow it; None where there are :data:`REFINED_SAMPLES` at
-            most. Those of a gas generator always are.
-        gas: Diagnose the gas generator though there is torque as well; recordings in which none
-        burns are left out.
-        onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
+        seed: Seed of the random generator.
+        bandwidth_Hz: Bandwidth of every error; None to choose it from the recordings. Pressure
+        keeps its own bandwidth.
+        progress: Called with the current step and the completed share.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects
+            subtracted, if the recordings allow it; None to refit up to :data:`REFINED_SAMPLES`
+            samples. Gas generator parameters are always refitted.
+        gas: Whether to diagnose the gas generator although there is torque too; recordings without
+        a firing are left out.
+        onlooker: Receives the nominal model's fit before the search; not called for a gas
+            generator.
         partial: Whether to take the unfinished excitations of a run as well; the result warns of
             them.
 
@@ -113,12 +114,12 @@ def diagnose_source(
 
 
 def without_torque(dataset: Dataset) -> bool:
-    """Whether recordings say nothing of the torque, and all of their gas generator."""
+    """Whether no recording has torque, and all have the pressure of a gas generator."""
     return all(bears(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
 
 
 def burning(dataset: Dataset) -> Dataset:
-    """Return the recordings in which a gas generator burns: hot firings, and what has no torque.
+    """Return the recordings of a gas generator: hot firings, and recordings without torque.
 
     Raises:
         RecordingError: There are none.
@@ -134,16 +135,15 @@ def burning(dataset: Dataset) -> Dataset:
 
 
 def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
-    """Return a diagnosis whose nominal parameters are those of the default estimator with the
-    effects taken out.
+    """Return a diagnosis with nominal parameters by the default estimator, the effects subtracted.
 
     Args:
-        dataset: What was diagnosed.
+        dataset: The diagnosed dataset.
         found: The diagnosis.
-        seed: Of the estimator's random generator.
+        seed: Seed of the estimator's random generator.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model.
+        RecordingError: The recordings do not determine the nominal model.
     """
     record = {"parameters": found.parameters, "alpha": found.alpha, **effects_record(found)}
     model = model_of(record, [r.name for r in dataset.recordings])
@@ -163,7 +163,7 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
 
 
 def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, bool]:
-    """Say whether refining takes no longer than the search; where it does, tell how to ask for
+    """Return whether refining takes no longer than the search; if it does, say how to request
     it.
     """
     samples = sum(len(r.time) for r in dataset.part("fit"))
@@ -177,9 +177,7 @@ def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, boo
 
 
 def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
-    """Refine where the recordings allow it; where not, say why and keep the values of the
-    search.
-    """
+    """Refine if the recordings allow it; otherwise report why and keep the values of the search."""
     try:
         return refined(dataset, found, seed)
     except RecordingError as error:
@@ -187,11 +185,11 @@ def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagn
 
 
 def settled(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis that says nothing of friction at rest where its recordings do not pin it.
+    """Return a diagnosis without static friction if its recordings do not determine it.
 
-    The equation errors at a low bandwidth may leave static friction at any height above a speed too
-    low to be seen, and a machine made of that never breaks away: it is brought down to Coulomb's,
-    and the result says so.
+    Equation errors at a low bandwidth may give an arbitrarily high static friction below the
+    resolvable speed, and a machine simulated with it never breaks away. Static friction is then set
+    to Coulomb friction, and the result says so.
     """
     parameters, notes = dict(found.parameters), []
     for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c"), ("mu_gs", "mu_gc")):
@@ -199,7 +197,7 @@ def settled(found: Diagnosis) -> Diagnosis:
         if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
             parameters[static] = parameters[coulomb]
             notes.append(
-                f"{static} is not pinned by these recordings; the corrected model has it equal to "
-                f"{coulomb}"
+                f"{static} is not determined by these recordings; the corrected model has it equal "
+                f"to {coulomb}"
             )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))

@@ -1,4 +1,4 @@
-"""What ``rig diagnose`` says: a diagnosis as a document."""
+"""Output of ``rig diagnose``: a diagnosis as a document."""
 
 from __future__ import annotations
 
@@ -55,9 +55,9 @@ def diagnose_document(name: str, outcome: Outcome, exports: Exports) -> Document
     """Return a diagnosis as a document.
 
     Args:
-        name: Of what was diagnosed.
-        outcome: What was found.
-        exports: The files beside the page.
+        name: Name of the source.
+        outcome: The result.
+        exports: The files next to the page.
     """
     found = outcome.diagnosis
     return Document(
@@ -127,7 +127,7 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
 
 
 def _if_any(cells: Table) -> tuple[Table, ...]:
-    """Return a table, or nothing where it has no rows."""
+    """Return a table, or nothing if it has no rows."""
     return (cells,) if cells.rows else ()
 
 
@@ -136,7 +136,7 @@ def _warnings(found: Diagnosis) -> list[Note]:
 
 
 def _effect(effect: Effect, found: Diagnosis) -> Section:
-    """Return what is said of one effect beside the table."""
+    """Return the text on one effect that accompanies the table."""
     blocks: list[Block] = []
     others = [name for name in effect.alias_group if name != effect.name]
     if effect.statement not in found.statement:

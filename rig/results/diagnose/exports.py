@@ -1,5 +1,5 @@
-"""What a diagnosis leaves beside its report: the corrected model in three forms, and the experiment
-that decides.
+"""Files of a diagnosis next to its report: the corrected model in up to three formats, and the
+experiment that splits an alias group.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Export(NamedTuple):
 
 
 class Exports(NamedTuple):
-    """Files beside the report, and notes: what they lack, what could not be made, and why."""
+    """Files next to the report, and notes on what they lack and which could not be made."""
 
     files: tuple[Export, ...]
     notes: tuple[str, ...]
@@ -44,8 +44,8 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
 
     Args:
         source: Run folder or campaign file that was diagnosed.
-        outcome: What was found.
-        record: Its JSON.
+        outcome: The result.
+        record: Its JSON record.
     """
     if of_gas(outcome.diagnosis):
         use = "the corrected gas generator, as a block of a campaign file"
@@ -65,9 +65,7 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
 def _models(
     name: str, base: Mapping[str, Any], outcome: Outcome, record: Mapping[str, Any]
 ) -> tuple[list[Export], list[str]]:
-    """Return the corrected model in the forms that it can take, and why it cannot take the
-    others.
-    """
+    """Return the corrected model in all possible formats, and why others are not possible."""
     files: list[Export] = []
     recordings = outcome.dataset.recordings
     first = recordings[0]
@@ -85,7 +83,7 @@ def _models(
 
 
 def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
-    """Return the sequence that splits the first alias group for which there is one."""
+    """Return the sequence that splits the first alias group that a sequence can split."""
     limits = Bench.model_validate_json(json.dumps(base), strict=True)
     for effect in found.effects:
         group = effect.alias_group

@@ -1,6 +1,4 @@
-"""What a diagnosis of the gas generator leaves beside its report: corrected constants and
-effects.
-"""
+"""File of a gas generator diagnosis next to its report: corrected constants and effects."""
 
 from __future__ import annotations
 
@@ -30,11 +28,11 @@ def of_gas(found: Diagnosis) -> bool:
 
 
 def gas_text(found: Diagnosis, bench: Bench) -> str:
-    """Return the corrected gas generator as YAML: the block of a campaign file, and what it lacks.
+    """Return the corrected gas generator as YAML (a block of a campaign file), and what it lacks.
 
     Args:
         found: The diagnosis.
-        bench: With the nominal constants.
+        bench: The bench with the nominal constants.
     """
     g = bench.gas_generator
     assert g is not None

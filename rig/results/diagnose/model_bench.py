@@ -1,6 +1,7 @@
 """A result file as a simulated bench: the corrected model becomes the machine behind the bus.
 
-Names of effects and parameters are the same on both sides; this is the one place where they meet.
+Effects and parameters have the same names in results and in the simulated machine; only this module
+maps them.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ Tree = dict[str, Any]
 def base_bench(source: Path) -> Tree:
     """Return the bench that a source was recorded on, on the simulated bus, as plain data.
 
-    Campaigns say nothing of drive loops and limits, and stand on the packaged practical bench.
+    Campaigns lack drive loops and limits; these come from the packaged practical bench.
 
     Raises:
         InputError: The run's bench cannot be read.
@@ -67,16 +68,16 @@ def _plain(text: str) -> Tree:
 def model_bench(
     base: Mapping[str, Any], model: CorrectedModel, constants: Constants
 ) -> tuple[Tree, list[str]]:
-    """Return a bench file's data whose simulated machine is the model of a result, and what it
-    cannot carry.
+    """Return bench file data with the model of a result as simulated machine, and what it cannot
+    represent.
 
     Args:
         base: Bench whose drive loops, sensors and limits are kept.
-        model: Of a result.
-        constants: Of the bench the recordings were made on.
+        model: Model of a result.
+        constants: Constants of the recorded bench.
 
     Raises:
-        InputError: The result does not hold what a machine needs.
+        InputError: The result lacks values that a machine needs.
     """
     values = model.parameters
     notes = []

@@ -113,13 +113,12 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
 
 
 def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
-    """Return the model as a Python file: the functions this program computes with, as they stand in
-    its source.
+    """Return the model as a Python file, with the source of the functions of this program.
 
     Args:
         model: The corrected model.
-        recording: Any one of the bench, for its constants.
-        name: Of the source, for the docstring.
+        recording: Any recording of the bench, for its constants.
+        name: Name of the source, for the docstring.
     """
     used: list[Callable[..., Any]] = [torque.nominal_torque, motor.nominal_voltage, arrays.signals]
     lists = []

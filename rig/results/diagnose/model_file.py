@@ -1,6 +1,4 @@
-"""The model that a result file carries: nominal parameters, effects, and the curve of what has no
-name.
-"""
+"""The model in a result file: nominal parameters, effects, and the empirical curve."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
 OF_ONE_RECORDING = ("wrong_weight", "encoder_slip")
 """Effects whose parameter ``recording`` counts recordings from 1."""
 _LARGEST = 1e12
-"""Magnitude of a parameter, in SI units, up to which there are machines."""
+"""Largest plausible magnitude of a parameter, SI units."""
 _MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
 
 
@@ -33,7 +31,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """Read a result file of ``rig identify`` or ``rig diagnose``.
 
     Raises:
-        InputError: It cannot be read or is another file; names it and what was found.
+        InputError: It cannot be read or is another kind of file; names it and what was found.
     """
     record = read_json(path)
     found = record.get("schema") if isinstance(record, dict) else type(record).__name__
@@ -43,12 +41,10 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
-    """Refuse a result of a rotary bench for a linear one, and the other way round: its numbers are
-    in other units.
+    """Refuse a result of a rotary bench for a linear one and vice versa, as units differ.
 
     Raises:
-        InputError: The result says that it is of the other motion, by itself or by the unit of its
-            inertia.
+        InputError: The result is of the other motion, as stated or by the unit of its inertia.
     """
     found = record.get("motion")
     if found is None:
@@ -69,9 +65,9 @@ def model_of(
     """Return the model of a result.
 
     Args:
-        record: Of ``rig identify --json`` or ``rig diagnose --json``.
+        record: Record of ``rig identify --json`` or ``rig diagnose --json``.
         recordings: Names of the recordings it was made from, in order.
-        place: Of the record, for messages.
+        place: Path of the record, for messages.
 
     Raises:
         InputError: A value is missing or not a number, an effect has other parameters than the

@@ -15,8 +15,8 @@ DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
     """Return the diagnosis of a dataset as the record of ``rig diagnose --json``.
 
-    Beside the verdict it holds the corrected model whole: ``parameters`` and ``alpha`` with the
-    effects' own, and ``curve`` where what is missing has no name.
+    It contains the verdict and the complete corrected model: ``parameters``, ``alpha``, the effects
+    with their parameters, and ``curve`` for missing torque outside the catalogue.
     """
     return {
         **provenance.record(DIAGNOSE_SCHEMA),
@@ -42,8 +42,8 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
 
 
 def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return what the corrected model adds to the nominal one: effects, and the curve of what has
-    no name.
+    """Return the additions of the corrected model to the nominal one: effects, and the empirical
+    curve.
     """
     return {
         "effects": [_effect_record(e) for e in found.effects],

@@ -17,14 +17,12 @@ _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
 _RESTS_S = (0.1, 0.5, 2.0, 8.0)
 _STILL_DEG = 0.02
-"""Amplitude so small that a joint with friction stays at rest, and the torque that holds it is
-recorded.
-"""
+"""Amplitude at which a joint with friction stays at rest while its holding torque is recorded."""
 
 
 @dataclass(frozen=True)
 class Room:
-    """What a bench allows an experiment."""
+    """Limits of a bench for an experiment."""
 
     travel_deg: float
     speed_deg_s: float
@@ -209,9 +207,9 @@ RECIPES: Mapping[str, Recipe] = {
     **dict.fromkeys(("asymmetric_coulomb", "current_offset"), _hold),
     **dict.fromkeys(("load_swing",), _after_hanging),
 }
-"""Effect to what splits it from its likes.
+"""Effect to the experiment that distinguishes it from similar effects.
 
-Those without one need a hand on the bench: another supply voltage, or the encoder turned on its
+Effects without one need a manual change: another supply voltage, or the encoder turned on its
 shaft.
 """
 
@@ -221,7 +219,7 @@ def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
 
     Args:
         names: The group, the likeliest first.
-        bench: Its limits size the experiment.
+        bench: The bench, whose limits set the size of the experiment.
     """
     recipes = list(dict.fromkeys(RECIPES[name] for name in names if name in RECIPES))
     room = Room.of(bench)

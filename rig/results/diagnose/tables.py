@@ -1,4 +1,4 @@
-"""Tables of a diagnosis, for the terminal and the report alike."""
+"""Tables of a diagnosis, for terminal and report."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ READABLE = {
     "s/m": "%/(m/s)",
     "W": "kW",
 }
-"""Units that are shown instead of those of the records."""
+"""Displayed unit for a unit of the records."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
@@ -48,7 +48,7 @@ def effect_table(found: Diagnosis, motion: str) -> Table:
 
 
 def rival_table(found: Diagnosis) -> Table:
-    """Return what was considered instead of each effect, and why it was not taken."""
+    """Return the rivals of each effect, and why they were rejected."""
     rows = tuple(
         (
             effect.name,
@@ -81,9 +81,7 @@ def fit_table(found: Diagnosis) -> Table:
 
 
 def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters before and after, what the missing physics had bent; none where
-    none moved.
-    """
+    """Return the nominal parameters before and after the correction; no rows if none changed."""
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())
     rows = tuple(
@@ -100,7 +98,7 @@ def shift_table(found: Diagnosis) -> Table:
 
 
 def where_table(found: Diagnosis) -> Table:
-    """Return where the mismatch shows, of each effect, or of the mismatch as a whole."""
+    """Return the location of the mismatch of each effect, or of the mismatch as a whole."""
     places = [(e.name, e.where) for e in found.effects]
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]

@@ -1,6 +1,4 @@
-"""What ``rig identify`` says: an identification, by one method or several side by side, as a
-document.
-"""
+"""Output of ``rig identify``: an identification by one or several methods as a document."""
 
 from __future__ import annotations
 
@@ -42,7 +40,7 @@ _TRUTH = (
 
 
 class Extra(NamedTuple):
-    """What was asked for beside the identification: title, table, and lines that explain it."""
+    """An optional part of the result: title, table, and explanatory lines."""
 
     title: str
     table: Table
@@ -55,9 +53,9 @@ def identify_document(
     """Return an identification as a document.
 
     Args:
-        name: Of what was identified.
-        outcome: What was found; figures of single recordings show the first result.
-        truth: True values of a simulated bench, for display only.
+        name: Name of the source.
+        outcome: The result; figures of single recordings show the first method.
+        truth: True values of a simulated bench, only for display.
     """
     results = outcome.results
     return Document(

@@ -1,4 +1,4 @@
-"""From a source to its identification: every method asked for, timed, with its provenance."""
+"""Identifies a source by the requested methods; adds run time and provenance."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from rig.weighing.label_check import comparable, off_label
 
 
 class Method(Protocol):
-    """An estimator, as the command line calls it."""
+    """Signature of an estimator for the command line."""
 
     def __call__(
         self,
@@ -48,7 +48,7 @@ class Method(Protocol):
 METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Name on the command line to estimator."""
 COMPARED_SEEDS = 5
-"""Runs of each search that has chance in it."""
+"""Number of seeds of each stochastic search."""
 _FED = (
     "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
     "and breakaways are "
@@ -60,16 +60,16 @@ _FED = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """What ``rig identify`` found.
+    """Result of ``rig identify``.
 
     Attributes:
-        dataset: What was identified.
-        results: One per method, in the order asked for.
+        dataset: The identified dataset.
+        results: One result per method, in the requested order.
         provenance: Seed, inputs, time.
-        ladder: Every rung of the friction models, where asked for.
-        transfer: The first result scored on other recordings, where asked for.
-        scored_on: Where those are.
-        comparison: All estimators side by side, where asked for.
+        ladder: All rungs of the ladder of friction models, if requested.
+        transfer: The first result scored on other recordings, if requested.
+        scored_on: Source of these recordings.
+        comparison: Comparison of all estimators, if requested.
     """
 
     dataset: Dataset
@@ -83,12 +83,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked of an identification.
+    """Settings of an identification.
 
     Attributes:
-        methods: Names out of :data:`METHODS`; each starts from the same seed.
-        bandwidth_Hz: Bandwidth of the fit; None leaves it to the recordings.
-        seed: Of the random generator.
+        methods: Names from :data:`METHODS`; each starts from the same seed.
+        bandwidth_Hz: Bandwidth of the fit; None to choose it from the recordings.
+        seed: Seed of the random generator.
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
@@ -114,8 +114,8 @@ def identify_source(
 
     Args:
         source: Run folder or campaign file.
-        request: Methods, and what is asked for beside them.
-        progress: Called with what is being done and the share that is done.
+        request: Methods and options.
+        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
@@ -171,7 +171,7 @@ def _identified(
 
 
 def _warnings(source: Path, dataset: Dataset) -> tuple[str, ...]:
-    """Return what is to be said of the recordings beside every result of theirs."""
+    """Return the warnings on the recordings for all their results."""
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
     fed = is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs
     return (*partial_warnings(dataset), *off, *((_FED,) if fed else ()))
@@ -196,10 +196,10 @@ def compare_methods(
     seeds.
 
     Args:
-        source: What was identified, for messages.
-        outcome: Its identification; the first result is the default method's.
-        truth: True parameters of a simulated bench; they enter the table only.
-        progress: Called with what is being done and the share that is done.
+        source: The source, for messages.
+        outcome: Its identification; the first result is of the default method.
+        truth: True parameters of a simulated bench, used only in the table.
+        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: The campaign fixes values or declares terms.

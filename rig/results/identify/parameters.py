@@ -1,4 +1,4 @@
-"""Parameters side by side, for the terminal and the report alike."""
+"""Parameter tables for terminal and report."""
 
 from __future__ import annotations
 
@@ -19,8 +19,7 @@ def parameter_table(
 
     Args:
         results: One per method; the first names the rows.
-        truth: True values, where a simulated bench lets them be known; adds the columns ``true``
-            and ``error``.
+        truth: True values of a simulated bench, if known; adds the columns ``true`` and ``error``.
     """
     header = ["parameter"]
     for result in results:
@@ -54,8 +53,8 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
 
 
 def pinned_notes(results: Sequence[Identification]) -> list[str]:
-    """Say for each method with intervals how many parameters the recordings pin, and which one the
-    least.
+    """Return for each method with intervals how many parameters are determined, and which is
+    least accurate.
     """
     lines = []
     for result in results:
@@ -68,14 +67,14 @@ def pinned_notes(results: Sequence[Identification]) -> list[str]:
             weakest = max(widths, key=lambda n: widths[n])
             count = f"{len(widths)} of {len(result.parameters)} parameters"
             lines.append(
-                f"{result.method}: pins {count}; the weakest is {weakest}, to "
+                f"{result.method}: determines {count}; the weakest is {weakest}, to "
                 f"{percent(100.0 * widths[weakest])}"
             )
     return lines
 
 
 def note(parameter: Parameter) -> str:
-    """Say in words what to know about an estimate beside its numbers."""
+    """Return a remark on an estimate in addition to its numbers."""
     if not parameter.identifiable:
         return "not identifiable"
     return "at the bound of the search" if parameter.at_bound else ""

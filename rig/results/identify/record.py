@@ -34,7 +34,7 @@ def outcome_record(outcome: Outcome) -> dict[str, Any]:
 
 
 def identification_record(result: Identification, provenance: Provenance) -> dict[str, Any]:
-    """Return what one method found."""
+    """Return the record of one method."""
     return {
         **provenance.record(IDENTIFY_SCHEMA),
         "method": result.method,
@@ -57,9 +57,7 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 
 def parameter_record(parameter: Parameter) -> dict[str, Any]:
-    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was
-    not computed.
-    """
+    """Return one parameter; ``value`` is null if not identifiable, ``floor`` if not computed."""
     return {
         "value": finite(parameter.value),
         "low": finite(parameter.low),
@@ -73,7 +71,7 @@ def parameter_record(parameter: Parameter) -> dict[str, Any]:
 
 
 def fit_record(fit: Fit) -> dict[str, Any]:
-    """Return one fit; the ``validate`` figures are null where nothing was set aside."""
+    """Return one fit; the ``validate`` values are null if nothing was set aside."""
     return {
         "unit": fit.unit,
         "bandwidth_Hz": finite(fit.bandwidth_Hz),
@@ -85,7 +83,7 @@ def fit_record(fit: Fit) -> dict[str, Any]:
 
 
 def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the keys that a result file has of this."""
+    """Return the keys on uncertainty in a result file."""
     return {
         "tradeoffs": [
             {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
@@ -160,7 +158,7 @@ def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
 
 
 def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Return the comparison as it stands in the result file; errors are relative."""
+    """Return the comparison for the result file; errors are relative."""
     return [
         {
             "name": c.name,

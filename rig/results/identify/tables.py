@@ -25,7 +25,7 @@ _FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
 def fit_table(results: Sequence[Identification]) -> Table:
-    """Return the error of each fit, and on what was set aside, one row each."""
+    """Return the error of each fit and on the recordings set aside, one row each."""
     rows = []
     for result in results:
         fit = result.fit
@@ -57,7 +57,7 @@ def recording_fit_table(results: Sequence[Identification]) -> Table:
 
 
 def stage_table(results: Sequence[Identification]) -> Table:
-    """Return the effort and the end of each stage of each method."""
+    """Return effort and final state of each stage of each method."""
     rows = tuple(
         (
             result.method,
@@ -86,7 +86,7 @@ def stage_table(results: Sequence[Identification]) -> Table:
 
 
 def recording_table(recordings: Sequence[Recording]) -> Table:
-    """Return what was identified, and what was corrected on reading it."""
+    """Return the identified recordings and the corrections on reading."""
     rows = tuple(
         (
             r.name,
@@ -105,9 +105,7 @@ def recording_table(recordings: Sequence[Recording]) -> Table:
 
 
 def comparison_table(contenders: Sequence[Contender]) -> Table:
-    """Return one row per estimator; the column against the truth is left out where that is not
-    known.
-    """
+    """Return one row per estimator; the error column is omitted if the truth is unknown."""
     known = any(c.true_error is not None for c in contenders)
     header = (
         "estimator",
@@ -137,8 +135,8 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
 
 
 def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """Return one row per rung: error of the fit, on what was set aside, and of the simulated angle
-    there.
+    """Return one row per rung: error of the fit, on the recordings set aside, and of the
+    simulated angle there.
     """
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
@@ -169,7 +167,7 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
 
 
 def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
-    """Return what the table's columns mean."""
+    """Return explanations of the table's columns."""
     first = rungs[0]
     where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
     lines = [
@@ -187,8 +185,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
 
 
 def transfer_table(found: Transfer) -> Table:
-    """Return one row per parameter: on both, the difference, and whether it is more than the joint
-    interval.
+    """Return one row per parameter: both values, their difference, and whether it exceeds the
+    joint interval.
     """
     rows = tuple(
         (
@@ -208,7 +206,7 @@ def transfer_table(found: Transfer) -> Table:
 
 
 def transfer_notes(found: Transfer) -> list[str]:
-    """Return the errors in words."""
+    """Return the errors as text."""
     fit, own = found.fit, found.own
     line = (
         f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "

@@ -1,5 +1,5 @@
-"""How sure an identification is: what trades off, bounds hit, starts and profiles, as lines, tables
-and pictures.
+"""Uncertainty of an identification: trade-offs, active bounds, starts and profiles, as text,
+tables and pictures.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ BOOTSTRAP_NOTE = (
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
-    """Return what trades off, which bounds were hit and how many starts reached the best end, a
-    line each.
+    """Return lines on trade-offs, active bounds, and the number of starts that reached the best
+    optimum.
     """
     lines = [pair.statement for pair in result.tradeoffs]
     if result.least_pinned:
@@ -52,7 +52,7 @@ def uncertainty_notes(result: Identification) -> list[str]:
 
 
 def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
-    """Return in words what noise the recordings were found to have."""
+    """Return text on the estimated noise of the recordings."""
     torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
     if noise.correlated:
         over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
@@ -68,7 +68,7 @@ def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
 
 
 def profile_table(result: Identification) -> Table:
-    """Return one row per profile: its 90 % range beside the interval."""
+    """Return one row per profile: its 90 % range and the interval."""
     rows = [_profile_row(curve, result) for curve in result.profiles]
     return Table(
         ("parameter", "90 % interval", "profile", "skew", "scaled", "unit"),
@@ -95,14 +95,14 @@ def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
 
 
 def _open(curve: Profile) -> str:
-    """Return a range of which one end or both lie beyond what was tried."""
+    """Return a range as text, with one or both ends beyond the scanned range."""
     low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
     high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
     return f"[{low}, {high}]"
 
 
 def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
-    """Return the tables of what was asked for, each with its note."""
+    """Return the requested tables, each with its note."""
     tables = []
     if result.profiles:
         tables.append((profile_table(result), PROFILE_NOTE))
@@ -112,7 +112,7 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
 
 
 def bootstrap_table(result: Identification) -> Table:
-    """Return one row per parameter: the spread of its draws beside the interval."""
+    """Return one row per parameter: the spread of its draws and the interval."""
     rows = [_bootstrap_row(r, result) for r in result.resampled]
     return Table(
         ("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3)
@@ -131,9 +131,7 @@ def _bootstrap_row(r: Resampled, result: Identification) -> tuple[str, ...]:
 
 
 def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
-    """Return profiles and waterfalls of the results that have them; one start alone makes no
-    waterfall.
-    """
+    """Return figures of profiles and of costs over starts (for more than one start)."""
     pictures = []
     for result in results:
         several = [s for s in result.starts if len(s.ends) > 1]

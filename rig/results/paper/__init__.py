@@ -1,3 +1,3 @@
-"""The paper's figures done again, each with what the paper shows, what came out, and the numbers
-drawn.
+"""Reproduction of the paper's figures: each with the paper's statement, our result, and the
+plotted data.
 """

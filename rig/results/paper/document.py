@@ -1,6 +1,4 @@
-"""What ``rig paper`` says: the paper's tables and figures beside what came out here, as a
-document.
-"""
+"""Output of ``rig paper``: the paper's tables and figures with our results, as a document."""
 
 from __future__ import annotations
 
@@ -30,12 +28,12 @@ def paper_document(
     of_tables: Sequence[Exhibit],
     provenance: Provenance,
 ) -> Document:
-    """Return the paper done again as a document.
+    """Return the reproduction of the paper as a document.
 
     Args:
-        found: Its tables.
+        found: The reproduced tables.
         figures: Exhibits of the figures.
-        of_tables: Those of the tables; the terminal shows the tables alone.
+        of_tables: Exhibits of the tables; the terminal shows only the tables.
         provenance: Seed, inputs, time.
     """
     sections = (

@@ -1,4 +1,4 @@
-"""One figure or table of the paper beside what came out here."""
+"""One figure or table of the paper with our result."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class Exhibit:
     Attributes:
         name: Key in the result file, and file name of its data: ``fig_2``.
         title: Heading.
-        paper: What the paper prints or shows, in words.
-        found: What came out here, a sentence each.
+        paper: What the paper prints or shows, as text.
+        found: Our results, one sentence each.
         pictures: Figures; the first is named like the exhibit.
-        data: Picture name to the numbers in it.
-        table: Values side by side, where there are any.
+        data: Picture name to its plotted data.
+        table: Values side by side, if any.
     """
 
     name: str

@@ -1,6 +1,4 @@
-"""Fig. 5 and 11: the closed loop, in which the load disturbs the control and the control moves the
-load.
-"""
+"""Fig. 5 and 11: the closed loop of valve and gas generator, with mutual disturbance."""
 
 from __future__ import annotations
 
@@ -38,12 +36,12 @@ class Firing:
 
     Attributes:
         flow: Its flow command.
-        period: Between samples, s.
-        time: From the start of the stage, s.
-        flows: Commanded, and what pressure and angle let out, kg/s.
-        pressures: Asked for by the flow command, and measured, Pa.
-        angles: Commanded and measured, rad.
-        current: Of the motor, A.
+        period: Sampling period, s.
+        time: Time since the start of the stage, s.
+        flows: Commanded flow, and flow computed from pressure and angle, kg/s.
+        pressures: Commanded and measured pressure, Pa.
+        angles: Commanded and measured valve angle, rad.
+        current: Motor current, A.
         force: Contact force, N.
     """
 
@@ -144,7 +142,7 @@ def _data(found: Firing) -> Rows:
 
 
 def _hunting(found: Firing) -> str:
-    """Say how the current swings at steady flow, before the first step."""
+    """Return text on the current oscillation at steady flow, before the first step."""
     time = found.time
     before = found.current[(time >= 1.0) & (time < found.flow.steps[1].at_s)]
     return (
@@ -156,7 +154,7 @@ def _hunting(found: Firing) -> str:
 
 
 def _settling(found: Firing) -> str:
-    """Say how long each step takes to stay within its band."""
+    """Return text on the settling time of each step."""
     flow, time, (_, outflow) = found.flow, found.time, found.flows
     n = max(1, round(_SMOOTHING_S / found.period))
     smooth = np.convolve(

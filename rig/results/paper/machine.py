@@ -1,6 +1,4 @@
-"""The packaged benches as the figures need them: their true machine, and what is identified from a
-log of each.
-"""
+"""Data of the packaged benches for the figures: true machine and identification from a run."""
 
 from __future__ import annotations
 
@@ -36,10 +34,10 @@ def identified(
     """Run ``figure10`` on a packaged bench and identify that run.
 
     Args:
-        name: Of the bench.
+        name: Name of the bench.
         scratch: Empty folder for the run and its result.
-        seed: Of the bench's noise and of the method.
-        progress: Called with what is being done and the share that is done.
+        seed: Seed of the bench's noise and of the method.
+        progress: Called with the current step and the completed share.
     """
     bench = load_bench(name)
     progress(f"running figure10 on {name}", 0.0)

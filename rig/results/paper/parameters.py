@@ -1,5 +1,5 @@
-"""The paper's verification (Sec. 4.2) done again: the literal bench, both methods, Tables 1 and 2,
-Fig. 12 and 13.
+"""Reproduction of the paper's verification (Sec. 4.2): literal bench, both methods, Tables 1 and
+2, Fig. 12 and 13.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ RATE_HZ = 1000.0
 these samples.
 """
 WRONG_BASIN_PERCENT = 20.0
-"""A seed whose worst parameter, J aside, is off by more than this ended in a wrong basin."""
+"""A seed whose largest error, except of J, exceeds this has converged to a wrong basin."""
 
 
 @dataclass(frozen=True)
@@ -62,11 +62,11 @@ TABLE_2: Mapping[str, Printed] = {
 
 @dataclass(frozen=True)
 class Reproduction:
-    """Everything ``rig paper`` found.
+    """Result of ``rig paper``.
 
     Attributes:
         dataset: The two simulated cases.
-        truth: Name to the value simulated.
+        truth: Name to the simulated true value.
         runs: Method to seed to its result.
     """
 
@@ -75,17 +75,15 @@ class Reproduction:
     runs: Mapping[str, Mapping[int, Identification]]
 
     def found(self, method: str, name: str) -> dict[int, float | None]:
-        """Return what one method found for one parameter, per seed.
+        """Return the estimates of one parameter by one method, per seed.
 
-        A genetic search always ends with some J, which the result withholds where the data do not
-        carry it; for the comparison with Table 1 it is taken from the search's own history.
+        A genetic search always ends with some J, which the result withholds if the data do not
+        determine it; for the comparison with Table 1 it is read from the search history.
         """
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
     def errors(self, method: str, name: str) -> dict[int, float]:
-        """Return the error per seed, percent of the true value; infinite where nothing was
-        found.
-        """
+        """Return the error per seed, percent of the true value; infinite without an estimate."""
         return {
             seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
             for seed, value in self.found(method, name).items()
@@ -112,7 +110,7 @@ def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> R
     """Simulate the literal bench without noise and identify it by both methods from every seed.
 
     Args:
-        seeds: Of the methods; the simulation has no chance in it.
+        seeds: Seeds of the methods; the simulation is deterministic.
         progress: Called with what is being done and the share that is done.
     """
     progress("simulating the literal bench", 0.0)

@@ -13,11 +13,11 @@ from rig.results.paper.exhibit import Exhibit
 
 
 def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
-    """Run and draw every figure but those of the tables, in the paper's order.
+    """Run and draw all figures except those of the tables, in the paper's order.
 
     Args:
-        seed: Of the simulated benches' noise.
-        progress: Called with what is being done and the share that is done.
+        seed: Seed of the simulated benches' noise.
+        progress: Called with the current step and the completed share.
     """
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)

@@ -19,19 +19,15 @@ from drivers.mock.plant.parts import constants
 Array = NDArray[np.float64]
 
 PAPER_DEG_S = 50.0
-"""As the paper runs it."""
+"""Opening speed in the paper."""
 SLOW_DEG_S = 5.0
-"""Slow enough for the pressure to keep up with the throat, to 7 %, and not so slow that the joint
-sticks and slips.
-"""
+"""Speed at which the pressure follows the throat within 7 % without stick-slip."""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 UNIFORM = 0.05
-"""Share by which the speed may be off and the motion still count as uniform, as the paper
-supposes.
-"""
+"""Relative speed deviation up to which the motion counts as uniform."""
 SMOOTHING_S = 0.020
-"""Over which the speed is taken, by the joint encoder."""
+"""Time over which the speed is computed from the joint encoder."""
 REST_S = 0.2
 
 
@@ -41,16 +37,16 @@ class Sweep:
     start of the motion.
 
     Attributes:
-        speed_deg_s: Commanded.
-        time: s.
-        angle: Joint encoder, rad.
-        current: Mean over each cycle, A.
-        pressure: Of the transmitter, Pa.
-        area: A_s at the angle, m^2.
-        steady_pressure: Where the pressure would settle at that angle, Pa.
+        speed_deg_s: Commanded speed.
+        time: Time, s.
+        angle: Angle of the joint encoder, rad.
+        current: Mean current over each cycle, A.
+        pressure: Pressure by the transmitter, Pa.
+        area: Impacted area A_s at the angle, m^2.
+        steady_pressure: Steady pressure at that angle, Pa.
         uniform: Samples at the commanded speed.
-        rank_pressure: Spearman's rank correlation of current and pressure over those.
-        rank_area: That of current and area.
+        rank_pressure: Spearman's rank correlation of current and pressure over these samples.
+        rank_area: Spearman's rank correlation of current and area.
     """
 
     speed_deg_s: float
@@ -66,7 +62,7 @@ class Sweep:
 
     @property
     def lag(self) -> float:
-        """How far the pressure was above the steady one at most, as a share of that."""
+        """Greatest relative excess of the pressure over the steady pressure."""
         return float(np.max(self.pressure[self.uniform] / self.steady_pressure[self.uniform]) - 1.0)
 
     def at(self, degrees: Array) -> Array:
@@ -94,10 +90,10 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         machine: The bench; its gas generator burns steadily at the closed valve when the motion
         starts.
         speed_deg_s: Commanded speed.
-        seed: Of the sensors' noise.
+        seed: Seed of the sensor noise.
 
     Raises:
-        ValueError: The joint sticks, or sticks and slips, all the way.
+        ValueError: The joint sticks, or is in stick-slip, all the way.
     """
     noise, transmitter = np.random.default_rng(seed).spawn(2)
     plant = SimulatedMachine(machine, noise)

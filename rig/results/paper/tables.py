@@ -42,7 +42,7 @@ _THIN = 5  # of the samples, in the data files
 
 
 def tables(found: Reproduction) -> dict[str, Table]:
-    """Return Tables 1 and 2, printed values beside ours."""
+    """Return Tables 1 and 2, with printed and our values."""
     header = ["parameter", "printed original", "simulated", "printed identified", "printed error"]
     for method in found.runs:
         header += [f"{method}: worst value", "worst error", "median error"]
@@ -58,7 +58,7 @@ def tables(found: Reproduction) -> dict[str, Table]:
 
 
 def remarks(found: Reproduction) -> list[str]:
-    """Return what the tables need said beside them."""
+    """Return remarks on the tables."""
     lines = [
         f"Literal bench: gear ratio 1, J as printed, no noise; {DURATION_S:g} s at {RATE_HZ:g} Hz "
         f"per case, and the "
@@ -119,7 +119,9 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
 
 
 def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return, for each method, its worst parameter of this table but J, which is reported apart."""
+    """Return each method's worst parameter of this table, except J, which is reported
+    separately.
+    """
     lines = []
     for method, runs in found.runs.items():
         errors = {name: max(found.errors(method, name).values()) for name in names if name != "J"}

@@ -30,14 +30,14 @@ from rig.runs.truth import true_parameters
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
 WEIGHT_KG = 30.6
 TRAVEL_DEG = {0.0: 8.0, WEIGHT_KG: 14.0}
-"""Weight to travel: more than a soft drive gives way before friction yields, 1.7 and 5.2 deg."""
+"""Weight to travel: more than a soft drive deflects before breakaway, 1.7 and 5.2 deg."""
 LEAST_LEG_S = 0.6
 GAINS = {"stiff": "practical", "soft": "practical_soft"}
 
 
 @dataclass(frozen=True)
 class UniformStudy:
-    """Points of both gain sets, and the machine's true parameters to hold them against."""
+    """Points of both gain sets, and the machine's true parameters for comparison."""
 
     points: Mapping[str, Sequence[UniformPoint]]
     truth: Mapping[str, float]
@@ -45,7 +45,7 @@ class UniformStudy:
 
 
 def sequence(scratch: Path) -> Document[SequenceFile]:
-    """Write the ramps, there and back at every speed, unloaded and loaded, as a sequence file."""
+    """Write the ramps, out and back at every speed, unloaded and loaded, as a sequence file."""
     lines = ["sequence: 1", "name: uniform", "stages:"]
     for weight, least in TRAVEL_DEG.items():
         load = "loaded" if weight else "unloaded"
@@ -64,8 +64,8 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
 
 
 def measure(scratch: Path, seed: int) -> UniformStudy:
-    """Run the ramps on both gain sets of the practical bench and take a point from each stretch of
-    constant speed.
+    """Run the ramps on both gain sets of the practical bench; return a point for each interval
+    of constant speed.
     """
     plan = sequence(scratch)
     points = {}
@@ -79,8 +79,8 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
 
 
 def exhibit(study: UniformStudy) -> Exhibit:
-    """Return the points beside the true friction, and what a Stribeck curve through them makes of
-    the parameters.
+    """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
+    them.
     """
     sets = {
         "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],

@@ -1,4 +1,4 @@
-"""What ``rig prove`` says: the blind proof as a document."""
+"""Output of ``rig prove``: the blind proof as a document."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def _rates(result: Mapping[str, Any]) -> Table:
 
 
 def _methods(result: Mapping[str, Any]) -> Table:
-    """Return the diagnosis beside the baseline methods, on the same trials."""
+    """Return the diagnosis and the baseline methods on the same trials."""
     names = [m for m in _TITLES if m in result["methods"]]
     rows = []
     for key, words in _METHODS.items():

@@ -49,7 +49,7 @@ class Rig(NamedTuple):
         kind: Number of effects, and whether the catalogue has them.
         machine: The simulated machine with them.
         pauses_s: Time without power before each recording.
-        seed: Of its noise.
+        seed: Seed of its noise.
         gravity: Whether the load is a weight fixed to the joint, without a lever.
     """
 
@@ -63,8 +63,8 @@ class Rig(NamedTuple):
 def assignment(rigs: int, seed: int) -> list[Assigned]:
     """Return kind and effect names of each trial, in random order.
 
-    Single effects are drawn in turn from the whole catalogue, and those outside it in turn from
-    theirs; pairs are drawn at random.
+    Single effects are drawn in turn from the whole catalogue, effects outside it in turn from their
+    list; pairs are drawn at random.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs)

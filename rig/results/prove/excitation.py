@@ -42,11 +42,11 @@ class Experiment(NamedTuple):
     """One recording to make.
 
     Attributes:
-        name: Of its file.
+        name: Name of its file.
         role: As in the campaign file.
-        weight_kg: On the lever.
+        weight_kg: Mass on the lever.
         command: Joint angle sent in each cycle, rad, shape (n,).
-        fixed: Weight on the joint; on a bench without lever in every recording.
+        fixed: Weight on the joint; on a bench without lever, present in every recording.
     """
 
     name: str
@@ -71,8 +71,8 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     """Return ramps to and fro between both ends of a span, one speed after another until the time
     is over.
 
-    Slow speeds cover what they can of the span in their share of the time. Corners are rounded over
-    0.12 s, which keeps the torque of the fastest within the drive's limit.
+    At slow speeds only the part of the span that fits their share of the time is covered. Corners
+    are rounded over 0.12 s, which keeps the torque of the fastest within the drive's limit.
     """
     span = np.deg2rad(span_deg)
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(speeds_rad_s)
@@ -91,7 +91,7 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
 def dwells(
     rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center_deg: float = 0.0
 ) -> Array:
-    """Return moves to and fro with a rest before each, as long as ``rests_s`` says."""
+    """Return moves to and fro, each after a rest of a duration from ``rests_s``."""
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     at = 0.0
     stops = [np.deg2rad(center_deg + s * step_deg) for s in (1.0, -1.0)]
@@ -178,8 +178,8 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
 _DRIVEN_BACK = Experiment(
     "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
 )
-"""Heavier than most friction, and level: its torque keeps its sign and hardly depends on an error
-of the angle.
+"""Weight with a torque above most friction and a horizontal arm: its torque keeps its sign and
+hardly depends on an angle error.
 """
 
 

@@ -29,11 +29,10 @@ def write(
     it.
 
     Args:
-        folder: Of the campaign.
-        machine: The plant, of which the nominal constants are written.
+        folder: Folder of the campaign.
+        machine: The plant; only its nominal constants are written.
         recorded: Its recordings.
-        packed: Whether to compress recordings that stay; it takes half as long as their
-            simulation.
+        packed: Whether to compress the recordings; this takes half as long as their simulation.
 
     Raises:
         OSError: It cannot be written.

@@ -15,18 +15,18 @@ from rig.results.prove.sizes import Draw, either, log
 
 GAS_SHARES: Mapping[Kind, float] = {"one": 50.0, "nothing": 40.0, "outside": 10.0}
 RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05, 0.2
-"""Constants lie within this share of what the campaign says of them; the exponent within this
-difference.
+"""Relative deviation of the true constants from the campaign's values; absolute for the
+exponent.
 """
 GRAIN_SPREAD = 0.03
-"""Free volumes of one rig's burns differ by this share: grains are not of one length."""
+"""Relative scatter of the free volumes within a trial, since grain lengths vary."""
 NOISE_SHARES = (0.001, 0.0025)
-"""Noise of the transmitter over its range."""
+"""Noise of the transmitter as a share of its range."""
 ZERO_SHARE = 0.0003
-"""Of the transmitter's range, by which its zero is off at most after taring."""
+"""Largest zero error of the transmitter after taring, as a share of its range."""
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
-"""By which the valve's dimensions and the encoder's zero are off at most, and how late the pressure
-is sampled.
+"""Largest errors of valve dimensions and encoder zero, and largest sampling delay of the
+pressure.
 """
 
 GAS_SIZES: Mapping[str, Mapping[str, Draw]] = {
@@ -48,20 +48,20 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
         "length_s": log(0.05, 0.4),
     },
 }
-"""The same for effects that are in no catalogue."""
+"""Effect that is in no catalogue -> parameter -> its draw."""
 
 
 class GasRig(NamedTuple):
-    """One rig as drawn.
+    """One gas trial as drawn.
 
     Attributes:
         kind: Kind of trial: no effect, one of the catalogue, or one outside it.
-        machine: The simulated machine with it.
-        volumes_m3: Free volume of each burn.
-        angle_zero_rad: True valve angle less that recorded.
-        pressure_zero_Pa: Recorded pressure less that of the transmitter.
-        late_cycles: By which pressure lags behind angle.
-        seed: Of its noise.
+        machine: The simulated machine with the effect.
+        volumes_m3: Free volume of each firing.
+        angle_zero_rad: True minus recorded valve angle.
+        pressure_zero_Pa: Recorded pressure minus transmitter pressure.
+        late_cycles: Delay of pressure relative to angle, cycles.
+        seed: Seed of its noise.
     """
 
     kind: Kind

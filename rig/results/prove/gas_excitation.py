@@ -1,8 +1,9 @@
-"""The burns of a blind gas trial: six to fit and two set aside, which together separate similar
+"""The firings of a blind gas trial: six to fit and two set aside; together they separate similar
 effects of the catalogue.
 
-Pauses at many throats, early and late in a burn; steps between the least and the greatest; sines
-and sweeps through the chamber's own time. The burns to validate repeat none of the others.
+They contain constant throats early and late in a firing; steps between the smallest and the largest
+throat; sines and sweeps around the chamber's time constant. The firings to validate repeat none of
+the others.
 """
 
 from __future__ import annotations
@@ -18,12 +19,12 @@ from rig.results.prove.excitation import CYCLE_S, Array
 
 BURN_S = 20.0
 MOVE_S = 0.25
-"""A step of the valve takes this long."""
+"""Duration of a step of the valve."""
 
 
 class GasExperiment(NamedTuple):
-    """One burn to make: name of its file, role as in the campaign file, valve angle sent in each
-    cycle, rad, (n,).
+    """One firing to make: name of its file, role as in the campaign file, valve angle sent in
+    each cycle, rad, (n,).
     """
 
     name: str
@@ -66,5 +67,5 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], Callable[[], Array]], ...] =
 
 @cache
 def gas_experiments() -> tuple[GasExperiment, ...]:
-    """Return the eight burns in the order in which they are made."""
+    """Return the eight firings in the order in which they are made."""
     return tuple(GasExperiment(name, role, command()) for name, role, command in _PLAN)

@@ -1,5 +1,5 @@
-"""A blind gas trial: its truth sealed, its burns simulated and written, and the strength of its
-effect.
+"""A blind gas trial: seals its truth, simulates and writes its firings, computes its effect's
+strength.
 """
 
 from __future__ import annotations
@@ -81,11 +81,11 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
 
 
 def campaign(rig: GasRig) -> list[Samples]:
-    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh
+    """Simulate all firings with motor, drive loops and sensors, each from ignition with a fresh
     grain.
 
-    Zeros and lateness are added to what the sensors gave; of a late pressure the first sample
-    stands for those before.
+    Zero errors and delay are added to the sensor values; a delayed pressure is padded with its
+    first sample.
     """
     done = []
     for number, (experiment, volume) in enumerate(

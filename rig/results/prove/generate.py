@@ -31,7 +31,7 @@ class Sealed(NamedTuple):
     """One trial whose truth is sealed.
 
     Attributes:
-        number: From 1.
+        number: Number of the trial, from 1.
         campaign: Its campaign file, once it is simulated.
         truth: Its sealed truth.
         digest: SHA-256 of that file.
@@ -74,7 +74,7 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
 def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
     """Write and seal the truth of one trial.
 
-    The salt of the seal does not follow from the seed: the truth must not be guessed from the
+    The salt of the seal is independent of the seed, so that the truth cannot be guessed from the
     digest.
 
     Raises:
@@ -88,7 +88,7 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
 
-    The noise floors of its reference simulation are written beside the truth.
+    The noise floors of its reference simulation are written next to the truth.
 
     Raises:
         OSError: It cannot be written.

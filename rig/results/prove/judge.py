@@ -29,8 +29,8 @@ class Judgement(NamedTuple):
         baselines: Method to the effects that it selects, the most important first.
         oracle: From the true names to the record of
         :class:`identification.diagnosis.oracle.HeldOut`, or None.
-        seconds: Spent on the diagnosis.
-        baseline_seconds: Spent on the baselines.
+        seconds: Time spent on the diagnosis, s.
+        baseline_seconds: Time spent on the baselines, s.
         left: Residual of the nominal model's fit in each equation, in its unit.
     """
 
@@ -43,7 +43,7 @@ class Judgement(NamedTuple):
 
 
 Judge = Callable[[Path, int], Judgement]
-"""From a campaign file and a seed; only the oracle gets the truth, afterwards."""
+"""Judge a campaign file with a seed; only the oracle gets the truth, afterwards."""
 
 
 def judge(source: Path, seed: int) -> Judgement:

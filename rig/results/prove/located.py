@@ -33,7 +33,8 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
     Args:
         name: The effect.
         true: Its parameters; ``recording`` counts from 1.
-        diagnosis: As ``rig diagnose --json`` says; of several effects the first one's place counts.
+        diagnosis: Record of ``rig diagnose --json``; of several effects the first one's location
+            counts.
 
     Returns:
         ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is

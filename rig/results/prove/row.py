@@ -38,9 +38,9 @@ def row_of(
     Args:
         truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
         strengths: Channel to rms change over noise.
-        judgement: Of the trial.
+        judgement: Judgement of the trial.
         oracle: Held-out errors with the true structure; None where there is none.
-        digest: Of the seal.
+        digest: Digest of the seal.
         floor: Equation to the nominal model's residual of the reference simulation; empty where
             that is not known.
 
@@ -85,7 +85,7 @@ def row_of(
 
 
 def _named(effect: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is kept of one effect of a diagnosis."""
+    """Return the stored values of one effect of a diagnosis."""
     return {
         "name": effect["name"],
         "alias_group": list(effect["alias_group"]),
@@ -143,7 +143,7 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return held-out errors, and the share of the way to the noise floor that was gained.
+    """Return held-out errors, and the achieved share of the possible gain down to the noise floor.
 
     A model fitted to the same data falls below the floor only by chance.
     """
@@ -164,8 +164,7 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the diagnosis's held-out gain over the oracle's, in the equation where the oracle
-    gains most.
+    """Return the ratio of held-out gains, diagnosis to oracle, in the oracle's best equation.
 
     Null where the true structure itself gains nothing there, or where the diagnosis has no such
     equation.

@@ -34,9 +34,9 @@ class Proof(NamedTuple):
     Attributes:
         out: Its folder.
         source: Folder of campaigns sealed by someone else; None where trials are drawn here.
-        seed: Of draws and diagnosis.
+        seed: Seed of draws and diagnosis.
         seals: Every trial, its truth sealed.
-        family: Of the trials, out of :data:`rig.results.prove.family.FAMILIES`.
+        family: Family of the trials, from :data:`rig.results.prove.family.FAMILIES`.
     """
 
     out: Path
@@ -118,7 +118,7 @@ def work(
     """Diagnose and score the trials that are not done yet; return all rows in order.
 
     Args:
-        proof: As begun.
+        proof: The proof as begun.
         judge: Judges a campaign; with more than one job it must be importable.
         jobs: Processes.
         keep: Whether recordings of trials drawn here stay after scoring.
@@ -126,7 +126,7 @@ def work(
 
     Raises:
         InputError: A truth was changed after it was sealed.
-        OSError: Something cannot be written.
+        OSError: A file cannot be written.
     """
     todo = [s for s in proof.seals if not is_file(proof.row_file(s.number))]
     done = len(proof.seals) - len(todo)

@@ -31,7 +31,9 @@ def unseal(path: Path, digest: str) -> dict[str, Any]:
     try:
         content = read_bytes(path)
     except FileNotFoundError as error:
-        raise InputError(f"{path}: the sealed truth is missing; generate the rigs anew") from error
+        raise InputError(
+            f"{path}: the sealed truth is missing; generate the blind trials again"
+        ) from error
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     found = sha256(content)

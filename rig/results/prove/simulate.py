@@ -15,13 +15,13 @@ from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experime
 
 MOVING_RAD_S = 0.02
 SETTLE_S = 0.5
-"""Under power before each recording."""
+"""Time under power before each recording, s."""
 CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "temperature")
 _CYCLE_NS = round(CYCLE_S * 1e9)
 
 
 class Recorded(NamedTuple):
-    """One recording of a campaign; ``start_s`` is when it began since the campaign did."""
+    """One recording of a campaign; ``start_s`` is its start since the start of the campaign."""
 
     experiment: Experiment
     start_s: float
@@ -63,9 +63,9 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
     depends on how it came to rest, down to a single encoder count.
 
     Returns:
-        For each channel the rms difference over the channel's noise. The noise is the
-        difference of two recordings of one experiment in the reference simulation, over sqrt(2),
-        and at least that of its quantum.
+        For each channel the rms difference over the channel's noise. The noise is the difference of
+        two recordings of one experiment in the reference simulation, over sqrt(2), and at least its
+        quantisation noise.
     """
     first, last = reference[0].samples, reference[-1].samples
     assert np.array_equal(first.command, last.command)

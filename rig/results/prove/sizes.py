@@ -33,7 +33,7 @@ def one_of(*values: float) -> Draw:
 
 
 def away_from(center: float, low: float, high: float) -> Draw:
-    """Draw ``center`` plus or minus something log-uniform."""
+    """Draw ``center`` plus or minus a log-uniform value."""
     return lambda rng: float(
         center + math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
     )

@@ -1,1 +1,1 @@
-"""The page of a run, what goes on after it, and the dry run before it."""
+"""The page of a run, advice on how to continue it, and the dry run."""

@@ -1,4 +1,4 @@
-"""``rig run --dry-run``: what a run would do and ask of the bench, without connecting to it."""
+"""``rig run --dry-run``: predicts motion and peaks of a run without connecting to the bench."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from rig.wiring.bench_text import Watcher, watcher_of
 
 SCHEMA = "loadrig.dry_run/1"
 PROMPT_S = 60.0
-"""Time that is assumed for hanging a weight and answering its prompt, s."""
+"""Assumed time for hanging a weight and answering its prompt, s."""
 NOT_PREDICTED = (
     "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
     "simulated benches that is up to a fifth."
@@ -37,12 +37,12 @@ _FROM_PAPER = (
 
 @dataclass(frozen=True)
 class Duration:
-    """How long a run takes, as far as that is known.
+    """Expected duration of a run.
 
     Attributes:
-        under_power_s: In motion and at rest, s.
-        moves_s: Moves to the starts, s; the first from 0 deg.
-        prompts: That somebody has to answer.
+        under_power_s: Time under power, in motion and at rest, s.
+        moves_s: Time of the moves to the starts, s; the first from 0 deg.
+        prompts: Number of prompts that an operator must answer.
     """
 
     under_power_s: float
@@ -51,12 +51,12 @@ class Duration:
 
     @property
     def total_s(self) -> float:
-        """With the time that is assumed for the prompts, s."""
+        """Total duration, with the assumed time for prompts, s."""
         return self.under_power_s + self.moves_s + self.prompts * PROMPT_S
 
     @property
     def words(self) -> str:
-        """In words."""
+        """Description for the operator."""
         asked = (
             f"{self.prompts} prompts, {PROMPT_S:g} s assumed for each"
             if self.prompts
@@ -72,15 +72,15 @@ class Duration:
 
 @dataclass(frozen=True)
 class DryRun:
-    """A run that was only computed.
+    """Result of a dry run.
 
     Attributes:
-        bench: On which.
-        plan: What would be done.
-        model: What the peaks are predicted with.
-        peaks: Predicted, in the order of the run.
-        watcher: Who would stop the drive when this program does not.
-        duration: How long it takes.
+        bench: The bench.
+        plan: The plan.
+        model: Friction and inertia used to predict the peaks.
+        peaks: Predicted peaks in the order of the run.
+        watcher: What would stop the drive if this program did not.
+        duration: Expected duration.
     """
 
     bench: Document[Bench]
@@ -92,7 +92,7 @@ class DryRun:
 
     @property
     def problems(self) -> list[str]:
-        """Peaks above their limits, predicted from measured friction, in words."""
+        """Messages on peaks above their limits, predicted from measured friction."""
         return [
             text
             for peak in self.peaks
@@ -102,7 +102,9 @@ class DryRun:
 
     @property
     def warnings(self) -> list[str]:
-        """Peaks near their limits, and those above that are predicted from the paper's friction."""
+        """Messages on peaks near their limits, and on peaks above them if predicted from the
+        paper's friction.
+        """
         found: list[str] = []
         for peak in self.peaks:
             measured = self._measured(peak)
@@ -124,13 +126,13 @@ class DryRun:
 
 
 def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool) -> DryRun:
-    """Compute what a run would do and ask of the bench.
+    """Compute motion, peaks and duration of a run.
 
     Args:
-        bench: On which.
-        plan: What is to be done.
-        model: What is known of its friction and inertia.
-        asks: Whether somebody has to answer the prompts.
+        bench: The bench.
+        plan: The plan.
+        model: Known friction and inertia of the bench.
+        asks: Whether an operator must answer the prompts.
     """
     prompts = len(plan.stages) if asks else 0
     cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
@@ -154,7 +156,7 @@ def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
 
 
 def describe_dry_run(run: DryRun) -> str:
-    """Return everything for the terminal."""
+    """Return the dry run as text for the terminal."""
     head = ["stage", "part", "peak N m", "limit N m", "share", "peak A", "limit A", "share"]
     rows = [
         [
@@ -184,7 +186,7 @@ def describe_dry_run(run: DryRun) -> str:
 
 
 def dry_run_record(run: DryRun) -> dict[str, Any]:
-    """Return the same as the record of ``--json``."""
+    """Return the dry run as the record of ``--json``."""
     bench = run.bench.value
     return {
         "schema": SCHEMA,

@@ -1,6 +1,4 @@
-"""What comes after a run that did not end as planned: what is put right first, and the command that
-goes on.
-"""
+"""Advice after a run that stopped: remedies first, then the command to continue."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ _BY_FILE = frozenset(
 
 
 def first_words(record: RunRecord) -> list[str]:
-    """Return what has to be done before the run goes on, in order; empty where nothing is known."""
+    """Return the steps required before continuing, in order; empty if none are known."""
     words = [] if record.de_energised else [NOT_READ_BACK]
     check = _tripped(record)
     if check is not None:
@@ -38,12 +36,12 @@ def first_words(record: RunRecord) -> list[str]:
 
 
 def go_on_notes(record: RunRecord) -> list[str]:
-    """Return what else is worth knowing before the run goes on."""
+    """Return further notes for continuing the run."""
     return [NEW_RUN] if _tripped(record) in _BY_FILE else []
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
-    """Return the command that goes on with a run, quoted for the shell; None where every stage is
+    """Return the command that continues a run, quoted for the shell; None if every stage is
     done.
     """
     if all(stage.state == "done" for stage in record.stages):
@@ -53,7 +51,7 @@ def go_on_command(record: RunRecord, folder: Path) -> str | None:
 
 
 def go_on_words(record: RunRecord, folder: Path) -> str:
-    """Return the lines that end the message of a run that is not done; empty for one that is.
+    """Return the last lines of the message on an unfinished run; empty for a finished one.
 
     Args:
         record: ``run.json`` at the end of the run.
@@ -73,11 +71,11 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
 
 
 def _in_fault(record: RunRecord) -> bool:
-    """Whether the drive was left in a fault, which no run clears unless it is asked to."""
+    """Whether the drive was left in a fault, which a run clears only on request."""
     return record.drive_state in _FAULTS or RESET_HINT in record.message
 
 
 def _tripped(record: RunRecord) -> Check | None:
-    """Return which check the run tripped on, if it did."""
+    """Return the check that tripped the run, if any."""
     name = record.trip.get("check") if record.trip else None
     return next((check for check in Check if check.value == name), None)

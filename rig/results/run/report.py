@@ -1,6 +1,4 @@
-"""The page of a run: on what and by whom it was made, how it ended and how it goes on, and what it
-recorded.
-"""
+"""The page of a run: bench, operator, outcome, advice on how to continue, and recordings."""
 
 from __future__ import annotations
 
@@ -49,10 +47,10 @@ _STYLE = (
 
 
 def write_run_report(folder: Path, record: RunRecord) -> Path:
-    """Write ``run.html`` into a run folder. A part of it that cannot be made says so in its place.
+    """Write ``run.html`` into a run folder. A part that cannot be made is replaced by a message.
 
-    Written by hand rather than from a template and figures: loading the template engine and the
-    plotting library would take longer than the rest of the ending of a run.
+    The page is written without template engine and plotting library, whose import would take longer
+    than the rest of a run's end.
 
     Raises:
         OSError: It cannot be written.
@@ -96,10 +94,10 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
-    """Return one part of the page, or words in its place where it cannot be made.
+    """Return one part of the page, or a message if it cannot be made.
 
-    The page is read where something went wrong, and made of files that may be damaged or edited:
-    whatever one part meets, the others must be there.
+    The page is read after failures and made from files that may be damaged or edited, so an error
+    in one part must not prevent the others.
     """
     try:
         return list(made())
@@ -111,7 +109,7 @@ def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
 
 
 def _recorded(folder: Path, record: RunRecord, number: int) -> Recorded | str:
-    """Read one recording for drawing; words where that cannot be done."""
+    """Read one recording for plotting; a message if this is impossible."""
     try:
         return Recorded(folder, record, number)
     except InputError as error:
@@ -146,9 +144,7 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _facts(folder: Path, record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield on which bench, when and by whom; the bench's name is in the file attached to the
-    recording.
-    """
+    """Yield bench, time and operator; the bench's name is in the file attached to the recording."""
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
     kind = (

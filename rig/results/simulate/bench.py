@@ -1,4 +1,4 @@
-"""The model that was simulated, as a bench file."""
+"""The simulated model as a bench file."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from rig.results.simulate.simulate import Simulation
 
 
 def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]]:
-    """Return the first model as a simulated bench, file name to its text, and what to say of it.
+    """Return the first model as a simulated bench (file name to text), and remarks on it.
 
-    Where it cannot be one there is no file, and the lines say why.
+    If this is impossible there is no file, and the remarks state why.
     """
     try:
         constants = found.dataset.recordings[0].bench

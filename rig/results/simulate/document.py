@@ -1,4 +1,4 @@
-"""What ``rig simulate`` says: predicted and simulated responses as a document."""
+"""Output of ``rig simulate``: predicted and simulated responses as a document."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Do
     """Return a simulation as a document.
 
     Args:
-        name: Of the source.
-        found: What was predicted and simulated.
-        beside: What is to be said of the model as a bench file.
+        name: Name of the source.
+        found: The result.
+        beside: Remarks on the model as a bench file.
     """
     models = dict.fromkeys(str(one.file) for one in found.predictions)
     return Document(
@@ -67,7 +67,7 @@ def _explanations(found: Simulation) -> Iterator[str]:
 
 
 def _left_out(found: Simulation) -> list[str]:
-    """Return what the closed loop does not show."""
+    """Return a remark on what the closed-loop simulation omits."""
     if not found.cases:
         return [
             "no closed loop: the controller of these recordings is not declared (`controller:` in "

@@ -1,6 +1,4 @@
-"""Equation errors of result files on a source: what each model predicts, with its effects and
-without.
-"""
+"""Equation errors of result files on a source, with and without their effects."""
 
 from __future__ import annotations
 
@@ -17,11 +15,11 @@ from identification.recording import Dataset
 
 @dataclass(frozen=True)
 class Prediction:
-    """What one model predicts on every recording.
+    """Prediction of one model for every recording.
 
     Attributes:
         file: Result file.
-        effects: Names of those that were switched on; empty for the nominal part alone.
+        effects: Names of the active effects; empty for the nominal part alone.
         parts: Every equation of every recording.
     """
 
@@ -30,7 +28,7 @@ class Prediction:
     parts: tuple[Predicted, ...]
 
     def error(self, equation: str, role: str) -> float | None:
-        """Return the rms error of one equation over the recordings of one role; None where it does
+        """Return the rms error of one equation over the recordings of one role; None if it does
         not apply.
         """
         return rms(p for p in self.parts if p.equation == equation and p.role == role)
@@ -39,7 +37,7 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model; one with effects also without them.
+    """Predict every recording with every model, and models with effects also without them.
 
     Raises:
         RecordingError: A recording that cannot be brought to this bandwidth.

@@ -1,4 +1,4 @@
-"""From a source and result files to simulated responses, scored against the recordings."""
+"""Simulates responses from a source and result files, and compares them with the recordings."""
 
 from __future__ import annotations
 
@@ -26,17 +26,15 @@ from rig.sources import load_source
 
 RESULT_FILE = "simulate.json"
 SHARES = (1.0, 0.5, 0.0)
-"""Friction simulated, over that of the result: its error means something beside those of half of it
-and of none.
-"""
+"""Factors on the result's friction: errors with half and without friction serve as reference."""
 
 
 @dataclass(frozen=True)
 class FittedModel:
-    """A model out of a result file.
+    """A model from a result file.
 
     Attributes:
-        file: Where it was read.
+        file: The result file.
         corrected: Nominal parameters and effects.
     """
 
@@ -59,17 +57,17 @@ class Case:
 
 @dataclass(frozen=True)
 class Simulation:
-    """What ``rig simulate`` found.
+    """Result of ``rig simulate``.
 
     Attributes:
         dataset: The recordings.
-        models: In the order asked for.
+        models: Models in the requested order.
         predictions: Equation errors of every model, with its effects and without.
         prepared: Their measured side at the bandwidth, in the same order.
-        cases: Every model with every share of friction, in closed loop; empty where a recording's
-            controller is not known. Effects are not simulated there.
-        responses: Of the first model with all its friction, in the order of the recordings.
-        bandwidth_Hz: Of the torque errors.
+        cases: Every model with every share of friction, in closed loop, without effects; empty if a
+            recording's controller is unknown.
+        responses: Responses of the first model with full friction, in the order of the recordings.
+        bandwidth_Hz: Bandwidth of the torque errors.
         provenance: Inputs, time.
     """
 
@@ -89,7 +87,7 @@ class Simulation:
 
     @property
     def rotary(self) -> bool:
-        """Whether the bench turns; a linear one has forces and positions."""
+        """Whether the bench is rotary; a linear one has forces and positions."""
         return self.dataset.recordings[0].bench.motion == "rotary"
 
     def names(self, role: str) -> list[str]:
@@ -103,15 +101,15 @@ def simulate_source(
     bandwidth_Hz: float | None,
     progress: Callable[[str, float], None],
 ) -> Simulation:
-    """Predict every recording of a source with the model of each result file, in closed loop where
-    that is known.
+    """Predict every recording of a source with the model of each result file, in closed loop if
+    known.
 
     Args:
         source: Campaign file or run folder.
         results: Result files of ``rig identify`` or ``rig diagnose``.
-        bandwidth_Hz: Of the errors; None takes that of the first result, or chooses it as the
-        identification does.
-        progress: Called with what is being done and the share that is done.
+        bandwidth_Hz: Bandwidth of the errors; None for the bandwidth of the first result, or chosen
+        as in the identification.
+        progress: Called with the current step and the completed share.
 
     Raises:
         InputError: A file cannot be used, or a recording cannot be simulated.

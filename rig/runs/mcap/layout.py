@@ -1,5 +1,5 @@
-"""Layout of the messages in a recording: one protobuf message a sample, one packed message for a
-cycle's raw frames.
+"""Message layout of a recording: one protobuf message per sample, one packed message for a cycle's
+raw frames.
 
 The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open
 a recording while neither side needs a protobuf library: every field is a double at a fixed place,
@@ -21,8 +21,8 @@ SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
 FRAMES_TOPIC = "/frames"
 TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
-"""Of the channels 1 to 3 of every recording: one whose channel records are damaged can still be
-read.
+"""Topics of the channels 1 to 3 of every recording, so that it can be read with damaged channel
+records.
 """
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
@@ -92,7 +92,7 @@ _DTYPES = {
     for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))
 }
 SAMPLE_SIZES = frozenset(_DTYPES)
-"""Bytes of a sample as this program or an older one wrote it."""
+"""Sizes in bytes of a sample written by this or an older version."""
 
 
 def encode_sample(sample: Sample) -> bytes:
@@ -103,12 +103,11 @@ def encode_sample(sample: Sample) -> bytes:
 
 
 def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array a field, shape (n,); NaN for fields that they do
-    not have.
+    """Unpack concatenated samples into one array per field, shape (n,); NaN for missing fields.
 
     Args:
         messages: The samples.
-        size: Bytes of one, of :data:`SAMPLE_SIZES`.
+        size: Bytes per sample, from :data:`SAMPLE_SIZES`.
 
     Raises:
         ValueError: The length is not a whole number of samples.

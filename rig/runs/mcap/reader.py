@@ -37,7 +37,7 @@ from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 _DATA_END_BYTES = 4
 _TOLD = 3
-"""How many damaged places are described; the rest are counted."""
+"""Number of damaged places that are described; further ones are only counted."""
 
 
 class NotARecordingError(ValueError):
@@ -53,7 +53,7 @@ class Message(NamedTuple):
 
 @dataclass(frozen=True)
 class Log:
-    """What a recording holds.
+    """Content of a recording.
 
     Attributes:
         samples: Field of :class:`rig.common.sample.Sample` to array, shape (n,).
@@ -76,10 +76,10 @@ class Log:
 def read_run(path: Path) -> Log:
     """Read a recording.
 
-    Behind a damaged place reading goes on at the next record whose checksum is right.
+    After a damaged place, reading continues at the next record with a correct checksum.
 
     Raises:
-        NotARecordingError: It is not one of this program's recordings at all.
+        NotARecordingError: It is not a recording of this program.
         OSError: It cannot be opened.
     """
     data = read_bytes(path)
@@ -101,7 +101,7 @@ def read_run(path: Path) -> Log:
 
 
 class _Reading:
-    """What has been read so far."""
+    """State of a reading."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -162,7 +162,7 @@ class _Reading:
         """Sort one record into its place.
 
         Raises:
-            DamageError: It is not as it was written.
+            DamageError: The record is damaged.
         """
         match found.opcode:
             case Opcode.CHUNK:
@@ -236,7 +236,7 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return between which samples something is missing, where there is one on both sides."""
+    """Return the times of the samples around a loss, if there is one on both sides."""
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
         if 0 < before < len(times)

@@ -1,4 +1,4 @@
-"""The records of a recording file: cut out, checked, and found again behind a damaged place."""
+"""Extracts and checks records of a recording file, and finds the next one after damage."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from mcap.records import Attachment, Channel, Metadata, Statistics
 from rig.runs.mcap.writer import FOOTER_START, MAGIC
 
 HEADER = struct.Struct("<BQ")
-"""Of every record: opcode and length."""
+"""Header of every record: opcode and length."""
 _CHUNK = struct.Struct("<QQQI")
 MAX_CHUNK = 1 << 28
 _OPCODES = frozenset(map(int, Opcode))
@@ -31,7 +31,7 @@ _FOOTER = struct.Struct("<BQQQI")
 
 
 class DamageError(Exception):
-    """A record that is not as it was written."""
+    """A record is damaged."""
 
 
 class Found(NamedTuple):
@@ -43,10 +43,10 @@ class Found(NamedTuple):
 
 
 def record_at(data: bytes, offset: int) -> Found:
-    """Cut out the record that begins at ``offset``.
+    """Extract the record at ``offset``.
 
     Raises:
-        DamageError: There is no whole record.
+        DamageError: There is no complete record.
     """
     if offset + HEADER.size > len(data):
         raise DamageError("cut off inside a record header")
@@ -62,8 +62,8 @@ def record_at(data: bytes, offset: int) -> Found:
 
 
 def next_sound(data: bytes, offset: int) -> int | None:
-    """Return where the first chunk or attachment from ``offset`` on begins whose checksum is right,
-    or None.
+    """Return the offset of the first chunk or attachment with correct checksum from ``offset``
+    on, or None.
     """
     for match in _CHECKED.finditer(data, offset):
         try:
@@ -121,7 +121,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     """Return the counts at the end of a whole recording, whose summary begins at ``offset``,
     checked against its CRC.
 
-    ``before`` is how many bytes of the recording ``data`` leaves out.
+    ``before`` is the number of bytes of the recording before ``data``.
 
     Raises:
         DamageError: The summary is not whole.
@@ -148,7 +148,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
 
 @contextmanager
 def _undamaged(what: str) -> Iterator[None]:
-    """What the library cannot read is damage."""
+    """Translate the library's errors into :class:`DamageError`."""
     try:
         yield
     except (McapError, struct.error, UnicodeDecodeError) as error:

@@ -1,8 +1,8 @@
 """Reads a whole recording piece by piece, in memory that does not grow with its length.
 
 For recordings that were closed in order. A damaged one is read by
-:func:`rig.runs.mcap.reader.read_run`, which holds all of it and finds what is sound behind the
-damaged place.
+:func:`rig.runs.mcap.reader.read_run`, which keeps all of it in memory and finds sound records after
+the damage.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArr
 
 
 def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
-    """Yield what a recording holds but its frames.
+    """Yield the content of a recording except its frames.
 
-    Events come before the block that the samples around them are in.
+    Events come before the block with the samples of the same time.
 
     Args:
         path: The recording.
@@ -99,7 +99,8 @@ def _items(
                 wrong = next((len(content) for content in contents if len(content) != size), None)
                 if wrong is not None or size not in SAMPLE_SIZES:
                     raise DamageError(
-                        f"a sample of {wrong or size} bytes: another program's recording"
+                        f"a sample of {wrong or size} bytes, which this program does not write: another "
+                        "program's recording"
                     )
                 pending += contents
                 waiting += size * len(contents)
@@ -118,7 +119,7 @@ def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block
 def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
     """Yield channel and contents of the messages wanted, chunk by chunk, events first.
 
-    At the end the number of messages is held against the file's own count.
+    At the end the number of messages is compared with the count in the file.
 
     Raises:
         DamageError: The file is not whole.

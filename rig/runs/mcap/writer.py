@@ -40,7 +40,7 @@ MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEADER = MESSAGE.size - 9
 FOOTER_START = struct.Struct("<BQQQ")
-"""Of the footer, what its checksum covers beside the summary."""
+"""The part of the footer covered by its checksum."""
 
 
 class McapWriter:

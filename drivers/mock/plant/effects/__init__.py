@@ -1,3 +1,1 @@
-"""Physics that the simulated machine can hide: names and ranges, formulas, and the kernel that
-knows them.
-"""
+"""Effects that can be injected into the simulated machine: names, ranges, formulas and kernel."""

@@ -1,4 +1,4 @@
-"""Torques of the device on the joint, and its load."""
+"""Injected effects on the load: imbalance, spring and end stop; factor on the contact force."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _STOP_DAMPING_S = 2e-3
 def device_torque(theta: float, omega: float, e: Vector) -> float:
     """Return the torque of imbalance, spring and end stop on the joint, N m.
 
-    A stop pushes and never pulls. It is beyond ``angle_rad`` on the side of that angle's sign.
+    A stop only pushes. It acts beyond ``angle_rad``, on the side of its sign.
     """
     torque = 0.0
     if e[GRAVITY_TORQUE] != 0.0:
@@ -43,8 +43,8 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
 
 @inlined
 def load_factor(theta: float, time: float, e: Vector) -> float:
-    """Return the contact force over that of the hanging weight, at an angle and a time since the
-    power came on.
+    """Return the ratio of the contact force to that of the weight at rest, at an angle and a
+    time since power-on.
     """
     factor = 1.0
     if e[LOAD_SLOPE] != 0.0:

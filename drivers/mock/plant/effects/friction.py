@@ -1,6 +1,4 @@
-"""Friction at the joint with what the nominal law leaves out: sides, drag, memory, rest, and
-bristles (LuGre).
-"""
+"""Joint friction beyond the nominal law: asymmetry, drag, memory, rest, and bristles (LuGre)."""
 
 from __future__ import annotations
 
@@ -25,7 +23,7 @@ from drivers.mock.plant.parts.friction import (
     friction,
 )
 
-# What follows the nominal friction vector in the working copy.
+# Slots after the nominal friction vector in the working copy.
 SIDE, VISCOUS_SIDE, DRAG, LAGGED, WORK_SIZE = range(FRICTION_SIZE, FRICTION_SIZE + 5)
 
 _BRISTLE_DAMPING = 0.2
@@ -34,9 +32,7 @@ _BRISTLE_DAMPING = 0.2
 
 @inlined
 def static_limit(side: float, w: Vector) -> float:
-    """Return the torque up to which the joint holds against being pushed to ``side`` (1 or -1), N
-    m.
-    """
+    """Return the static friction limit against a torque to ``side`` (1 or -1), N m."""
     return float(
         max(w[MC] + w[DM] + w[MOMENT] * (w[MU_C] + w[DMU]) + side * w[SIDE] + w[LAGGED], 0.0)
     )
@@ -123,7 +119,7 @@ def step_bristles(
     Args:
         omega: Speed, rad/s.
         z: Mean deflection of the bristles, rad.
-        torque: Over the step, N m.
+        torque: Torque over the step, N m.
         h: Step, s.
         w: Working friction vector.
         e: Effect vector.

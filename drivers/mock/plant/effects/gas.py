@@ -1,7 +1,7 @@
-"""What the gas generator can hide: deposits, a tapered grain, erosion, heat for cold walls, a leak;
-and decoys.
+"""Effects injected into the gas generator: deposits, tapered grain, erosion, heat loss to cold
+walls, leak; and decoys.
 
-Slots count from where the hidden part of the gas vector begins, and of the gas state.
+Slots are relative to the start of the injected part of the gas vector and of the gas state.
 """
 
 from __future__ import annotations
@@ -69,18 +69,18 @@ GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
         "length_s": Parameter(PUFF_LENGTH, 1e-3, 10.0),
     },
 }
-"""The same for what is in no catalogue."""
+"""Effect -> parameter -> slot and range, for effects that are in no catalogue."""
 
 
 @inlined
 def layer(burn_time: float, g: Vector, at: int) -> float:
-    """Return what has grown on the rims of the throat, m; worn where negative."""
+    """Return the layer thickness on the rims of the throat, m; negative for wear."""
     return float((g[at + LAYER_RATE] - g[at + WEAR_RATE]) * burn_time)
 
 
 @inlined
 def open_share(burn_time: float, g: Vector, at: int) -> float:
-    """Return the share of the throat that no slag shuts."""
+    """Return the share of the throat not closed by slag."""
     if g[at + PUFF_SHARE] == 0.0:
         return 1.0
     slot = math.floor(burn_time / g[at + PUFF_PERIOD])
@@ -91,16 +91,14 @@ def open_share(burn_time: float, g: Vector, at: int) -> float:
 
 @inlined
 def burning_share(web: float, g: Vector, at: int) -> float:
-    """Return the burning area of a grain whose diameter changes along its axis, over that at
-    ignition.
-    """
+    """Return the burning area of a tapered grain, relative to ignition."""
     return float((1.0 + g[at + TAPER] * web) ** 2)
 
 
 @inlined
 def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: int) -> float:
-    """Return the burning rate over a p^n, under gas that leaves the surface at ``gas_speed``
-    m/s.
+    """Return the ratio of the burning rate to a p^n, with gas leaving the surface at
+    ``gas_speed`` m/s.
     """
     share = 1.0 + g[at + EROSION] * gas_speed
     if g[at + BAND_SHARE] != 0.0:
@@ -114,16 +112,16 @@ def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: in
 
 @inlined
 def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
-    """Return the heat that the gas gives to the walls, W: in proportion to the difference of their
-    temperatures.
+    """Return the heat flow from the gas to the walls, W, proportional to their temperature
+    difference.
     """
     return float(g[at + HEAT_FLOW] * (1.0 - cooled - warmed))
 
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
-    """Return the share of the temperature that is lost where ``burnt`` kg/s mix at once and the
-    walls are cold.
+    """Return the relative loss of temperature if ``burnt`` kg/s mix at once and the walls are
+    cold.
     """
     return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 
@@ -139,21 +137,21 @@ def cool(
     g: Vector,
     at: int,
 ) -> tuple[float, float]:
-    """Advance what the gas has lost and what the walls have gained by ``h`` s.
+    """Advance gas and wall temperatures by ``h`` s.
 
-    Fresh gas at flame temperature mixes with what is stored, and each gives its share to the walls:
-    stored ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. Exact in the mixing,
-    explicit in the heat.
+    Fresh gas at flame temperature mixes with the stored gas, which loses heat to the walls: stored
+    ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. Exact in the mixing, explicit in
+    the heat.
 
     Args:
         cooled: 1 - s.
         warmed: x.
-        burnt: Fresh gas, kg/s.
+        burnt: Mass flow of fresh gas, kg/s.
         stored: Gas in the chamber, kg.
-        enthalpy: J/kg at flame temperature.
-        h: s.
+        enthalpy: Specific enthalpy at flame temperature, J/kg.
+        h: Step, s.
         g: Parameters of the gas generator.
-        at: Where its hidden part begins.
+        at: Start of its injected part.
     """
     heat = chill(cooled, warmed, g, at) / enthalpy
     settled = heat / burnt

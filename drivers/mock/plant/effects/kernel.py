@@ -1,6 +1,4 @@
-"""The compiled heart of a machine that hides something; with nothing to hide it takes the nominal
-kernel's steps.
-"""
+"""Compiled kernel of a machine with injected effects; without any it equals the nominal kernel."""
 
 from __future__ import annotations
 
@@ -79,15 +77,15 @@ from drivers.mock.plant.parts.loops import (
 )
 
 CONSTANTS_AT = OUTSIDE_END
-"""Where the constants of :mod:`drivers.mock.plant.effects.state` begin in the effect vector."""
+"""Start of the constants of :mod:`drivers.mock.plant.effects.state` in the effect vector."""
 
 
 @inlined
 def move_joint(
     omega: float, held: float, bristles: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float, float]:
-    """Advance the joint's speed by ``h``; return it with friction at its end, bristles and the
-    friction's work.
+    """Advance the joint speed by ``h``; return speed, final friction, bristles and friction
+    work.
     """
     if e[table.PRESLIDING_STIFFNESS] > 0.0:
         new, bristles, drag = step_bristles(omega, bristles, torque, h, w, e)
@@ -140,8 +138,8 @@ def integrate(
             current = winding(
                 current, voltage, per_speed * flux * turning, resistance, dead, decay, e
             )
-        # What acts over the step is the mean of the lagging current; its value at the end is half a
-        # step further on.
+        # The torque over the step is due to the mean of the lagging current; the current at the end
+        # is half a step later.
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
@@ -154,7 +152,7 @@ def integrate(
             twist = rotor - theta - error
             before = deflection(play, e)
             given, play = give_way(twist, play, e)
-            # The coupling is in series with the shaft, whose damping does not slow it.
+            # The coupling is in series with the shaft; the shaft's damping does not act on it.
             rate = turning - omega * (1.0 + steepness) - (given - before) / h
             carried = shaft_torque(twist, rate, given, damping, e)
             transmitted = carried * (1.0 + steepness)
@@ -189,7 +187,7 @@ def integrate(
 
 @inlined
 def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
-    """Set the supply under the present load, and return what reaches the winding of
+    """Set the supply voltage under the present load, and return the winding voltage for
     ``voltage``, V.
     """
     nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]

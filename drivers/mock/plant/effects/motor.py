@@ -1,4 +1,4 @@
-"""Motor and power stage with what eq. 1 leaves out."""
+"""Effects in motor and power stage beyond eq. 1."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 COPPER_PER_K = 0.00393
-"""Rise of a copper winding's resistance."""
+"""Temperature coefficient of a copper winding's resistance."""
 MAGNET_PER_K = -0.001
-"""Fall of a ferrite or neodymium magnet's flux, and with it of torque constant and back-EMF."""
+"""Temperature coefficient (decrease) of magnet flux, torque constant and back-EMF."""
 
 
 @inlined
@@ -37,8 +37,8 @@ def winding(
     """Return the current after half a step at constant voltage and speed.
 
     The dead time opposes the current with a fixed voltage ``dead``, the brushes with one that grows
-    with the current. A current that the dead time brings to zero stays there until the voltage
-    exceeds it.
+    with the current. A current brought to zero by the dead time stays zero until the voltage
+    exceeds ``dead``.
     """
     push = voltage - emf
     if e[BRUSH_VOLTAGE] != 0.0:
@@ -59,13 +59,15 @@ def winding(
 
 @inlined
 def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
-    """Return what the dead time takes off, V; it is a share of the supply."""
+    """Return the voltage loss by the dead time, V: a share of the supply voltage."""
     return float(e[DEAD_TIME_VOLTAGE] * supply / nominal)
 
 
 @inlined
 def flux_factor(shaft: float, e: Vector) -> float:
-    """Return flux over its mean at a motor angle in rad; it scales torque and back-EMF alike."""
+    """Return the flux relative to its mean at a motor angle (rad); it scales torque and
+    back-EMF.
+    """
     if e[RIPPLE_FRACTION] == 0.0:
         return 1.0
     return float(1.0 + e[RIPPLE_FRACTION] * math.sin(e[RIPPLE_ORDER] * shaft + e[RIPPLE_PHASE]))
@@ -73,14 +75,14 @@ def flux_factor(shaft: float, e: Vector) -> float:
 
 @inlined
 def saturated(current: float, e: Vector) -> float:
-    """Return the current that counts for the torque, A."""
+    """Return the effective current for the torque under saturation, A."""
     knee = e[SATURATION_KNEE]
     return knee * math.tanh(current / knee) if knee > 0.0 else current
 
 
 @inlined
 def cogging(shaft: float, e: Vector) -> float:
-    """Return the torque at the joint that needs no current, at a motor angle in rad."""
+    """Return the cogging torque at the joint, at a motor angle in rad."""
     if e[COGGING_TORQUE] == 0.0:
         return 0.0
     return float(e[COGGING_TORQUE] * math.sin(e[COGGING_ORDER] * shaft + e[COGGING_PHASE]))

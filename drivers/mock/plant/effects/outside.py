@@ -1,4 +1,4 @@
-"""Effects that are in no catalogue: decoys that a diagnosis must place, and must not name."""
+"""Effects that are in no catalogue: decoys that a diagnosis must locate but not name."""
 
 from __future__ import annotations
 
@@ -83,14 +83,14 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 """Effect -> parameter -> slot and range."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed in rad/s below which the drag that grows with the root of the speed is straightened, so
-that it has a slope.
+"""Speed in rad/s below which drag proportional to the root of speed is made linear, so that its
+slope is finite.
 """
 
 
 @inlined
 def scatter(number: float) -> float:
-    """Return a number in [0, 1) that looks random, the same for the same whole ``number``."""
+    """Return a pseudo-random number in [0, 1) that depends only on the integer ``number``."""
     x = math.sin(12.9898 * number + 4.1414) * 43758.5453
     return x - math.floor(x)
 
@@ -150,8 +150,8 @@ def outside_level(speed: float, moment: float, e: Vector) -> tuple[float, float]
 
 @inlined
 def outside_sides(theta: float, acceleration: float, e: Vector) -> tuple[float, float]:
-    """Return extra Coulomb friction for both directions, and what is added forward and taken off
-    backward, N m.
+    """Return extra Coulomb friction for both directions, and its asymmetry (added forward,
+    subtracted backward), N m.
     """
     both = one = 0.0
     if e[ACCELERATION_DRAG] != 0.0:

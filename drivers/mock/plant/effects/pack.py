@@ -1,4 +1,4 @@
-"""Effects as asked for, checked and packed into the vector that compiled code reads."""
+"""Checks the requested effects and packs them into the vector for compiled code."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from drivers.mock.plant.parts import constants
 Effects = Mapping[str, Mapping[str, float]]
 KNOWN: Mapping[str, Mapping[str, Parameter]] = {**CATALOGUE, **OUTSIDE}
 GAS_KNOWN: Mapping[str, Mapping[str, Parameter]] = {**GAS_CATALOGUE, **GAS_OUTSIDE}
-"""Those of the gas generator; their slots are in its own vector."""
+"""Effects of the gas generator; their slots are in its own vector."""
 _EVERY = {**KNOWN, **GAS_KNOWN}
 _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
 def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield what is wrong with effects as asked for, each a path of names and a message."""
+    """Yield the problems of the requested effects, each as path of names and message."""
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
@@ -54,11 +54,11 @@ def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
 
 
 def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Pack a machine's effects; empty where it hides nothing, but for its gas generator.
+    """Pack a machine's effects, except those of its gas generator; empty if there are none.
 
     Raises:
-        ValueError: An effect or parameter is unknown or out of range, or no inertia is left for the
-            joint beside that of the rotor.
+        ValueError: An effect or parameter is unknown or out of range, or the rotor's inertia leaves
+            none for the joint.
     """
     wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects)]
     if wrong or (text := too_light(machine)):
@@ -83,7 +83,7 @@ def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Return the vector of a machine that is integrated by the hiding kernel and hides nothing."""
+    """Return the vector without effects for the kernel with injected effects."""
     e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
     e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
     e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
@@ -92,9 +92,7 @@ def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 def too_light(machine: constants.Machine) -> str | None:
-    """Return what is wrong where a transmission that gives leaves no inertia on one of its
-    sides.
-    """
+    """Return the problem if an elastic transmission has no inertia on one of its sides."""
     rotor, total = _rotor(machine), machine.joint.inertia_kg_m2
     if not _TWO_MASS & machine.effects.keys() or 0.0 < rotor < total:
         return None

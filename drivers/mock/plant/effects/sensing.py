@@ -1,4 +1,4 @@
-"""What the sensors make of the true state."""
+"""Sensor effects: measured values from the true state."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Histories = NDArray[np.float64]
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return a value of ``delay_s`` ago, interpolated between loop periods; ``loop`` is where the
-    newest stands.
+    """Return the value ``delay_s`` ago, interpolated between loop periods; ``loop`` is the
+    newest index.
     """
     back = delay_s / period_s
     whole = math.floor(back)
@@ -39,8 +39,8 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Let the joint encoder look, and return the charge (A s) that the current's logged mean gets
-    of this period.
+    """Sample the joint encoder, and return this period's charge (A s) in the logged mean
+    current.
     """
     x[LOOP] += 1.0
     at = int(x[LOOP]) & (HISTORY - 1)

@@ -1,7 +1,6 @@
-"""The transmission where it is not rigid: rotor and joint as two masses with a gap, a spring and a
-hysteresis between.
+"""Elastic transmission: rotor and joint as two masses with backlash, spring and hysteresis between.
 
-All at the joint: ``twist`` is phi/i - theta.
+All quantities are at the joint: ``twist`` is phi/i - theta.
 """
 
 from __future__ import annotations
@@ -20,11 +19,9 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 HARD_N_M_RAD = 1e6
-"""Stiffness of teeth and shaft where nothing says otherwise: 20 N m twist it by 20 microradian, an
-encoder count.
-"""
+"""Default stiffness of teeth and shaft: 20 N m twist it by 20 microradian, one encoder count."""
 DAMPING_RATIO = 0.08
-"""Of rotor against joint on the shaft's spring; chosen."""
+"""Damping ratio of rotor against joint on the shaft's spring; chosen."""
 
 
 @inlined
@@ -35,15 +32,15 @@ def stiffness_of(e: Vector) -> float:
 
 @inlined
 def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vector) -> float:
-    """Return the torque that the shaft carries from rotor to joint.
+    """Return the torque that the shaft transmits from rotor to joint.
 
-    Teeth push and never pull: the damping cannot turn the torque of a closed gap around.
+    Teeth only push: damping cannot reverse the torque of a closed gap.
 
     Args:
-        twist: rad.
+        twist: Twist, rad.
         rate: Its rate without the coupling's, rad/s.
-        given: Deflection of the coupling's hysteresis, rad.
-        damping: N m s/rad.
+        given: Deflection in the coupling's hysteresis, rad.
+        damping: Damping, N m s/rad.
         e: Effect vector.
     """
     stiffness = stiffness_of(e)
@@ -59,7 +56,7 @@ def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vec
 
 @inlined
 def deflection(play: float, e: Vector) -> float:
-    """Return the deflection of the coupling's hysteresis where its play stands, rad."""
+    """Return the deflection in the coupling's hysteresis for the present play state, rad."""
     most = e[HYSTERESIS_DEFLECTION]
     return float(most * min(max(play / e[HYSTERESIS_TORQUE], -1.0), 1.0)) if most > 0.0 else 0.0
 
@@ -75,8 +72,8 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
     is stiff.
 
     Args:
-        twist: Of spring and coupling, rad.
-        play: Where the play stood, N m.
+        twist: Twist of spring and coupling, rad.
+        play: Previous state of the play operator, N m.
         e: Effect vector.
     """
     most, width = e[HYSTERESIS_DEFLECTION], e[HYSTERESIS_TORQUE]
@@ -96,7 +93,7 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
 
 @inlined
 def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
-    """Return phi/i - theta that the teeth force at a joint angle, rad, and its derivative by the
+    """Return the mesh error phi/i - theta at a joint angle, rad, and its derivative by the
     angle.
     """
     if e[MESH_AMPLITUDE] == 0.0:

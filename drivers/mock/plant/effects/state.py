@@ -1,4 +1,4 @@
-"""What the machine remembers beyond the nominal state while it hides something."""
+"""Extra state of the machine while effects are injected."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ from __future__ import annotations
     GEAR,
     NOMINAL_SUPPLY,  # V
     TWO_MASSES,  # 1: rotor and joint move apart
-    OUTSIDE_TORQUE,  # 1: something of no catalogue pushes
+    OUTSIDE_TORQUE,  # 1: an effect that is in no catalogue acts on the joint
     CONSTANTS_SIZE,
 ) = range(7)
 
 HISTORY = 4096
-"""Loop periods that can be looked back at; a power of two."""
+"""Number of stored past loop periods; a power of two."""

@@ -1,5 +1,4 @@
-"""The effects of the catalogue that the simulated machine can hide: parameters, ranges, places in
-the kernel's vector.
+"""Catalogue effects that can be injected: parameters, ranges, slots in the kernel's vector.
 
 Sizes are at the joint, after the gear, unless the name says otherwise. Effects that are in no
 catalogue are in :mod:`drivers.mock.plant.effects.outside`.
@@ -79,9 +78,13 @@ from typing import NamedTuple
 
 
 class Parameter(NamedTuple):
+<<<<<<< HEAD
     """One parameter of an effect: its slot in the vector, what it may be, and what it is where it
     is not given (None: it must be).
     """
+=======
+    """One parameter of an effect: its slot in the vector and its range."""
+>>>>>>> words-rig
 
     slot: int
     low: float

@@ -1,6 +1,4 @@
-"""The friction vector of the moment: the nominal one with what angle, time, rest and load make of
-it.
-"""
+"""Present friction vector: the nominal one modified by angle, time, rest and load."""
 
 from __future__ import annotations
 
@@ -24,7 +22,7 @@ from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT, OMEGA_SF, SIGMA_2
 
 _RENEWAL_RAD = 1e-3
-"""Sliding after which what rest has added to static friction is gone; chosen."""
+"""Sliding distance after which the static friction gained at rest is lost; chosen."""
 
 
 @inlined
@@ -69,7 +67,7 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
 def remember(
     w: Vector, p: Vector, e: Vector, x: Vector, before: float, omega: float, h: float
 ) -> None:
-    """Carry what friction remembers over one loop period of ``h`` seconds."""
+    """Advance the memory states of friction by one loop period of ``h`` seconds."""
     speed = abs(omega)
     if e[table.MEMORY_TIME] > 0.0:
         wanted = bristle_level(speed, p, w[MOMENT])

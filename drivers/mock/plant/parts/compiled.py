@@ -1,4 +1,4 @@
-"""The one place that asks for compilation, so that options are the same everywhere.
+"""Compilation of all kernels with the same options.
 
 The machine code is kept on disk for the next process: :mod:`drivers.mock.plant.parts.kernel_cache`.
 """
@@ -28,12 +28,12 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel that allocates nothing, for inner loops: its compiled callers take it in
-    whole.
+    """Compile a kernel that allocates nothing, for inner loops: it is inlined in its compiled
+    callers.
 
-    Without ``_nrt=False`` numba counts references to every array at every call, atomically, which
-    costs more than the formulas: the hiding kernel is 2.7 times slower so, and the nominal one by a
-    sixth.
+    Without ``_nrt=False`` numba counts references to every array atomically at every call, which
+    costs more than the formulas: the kernel with injected effects would be 2.7 times slower, and
+    the nominal one slower by a sixth.
     """
     return _kept(function, **_INLINED)
 

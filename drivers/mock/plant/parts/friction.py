@@ -87,6 +87,6 @@ def step_velocity(
         after -= slope * change
         if (
             abs(change) <= 1e-7 * speed
-        ):  # Newton converges quadratically: what is left is below rounding
+        ):  # Newton converges quadratically: the remaining error is below rounding
             break
     return side * speed, 0.5 * h * (before + after), after

@@ -1,6 +1,4 @@
-"""The compiled heart of the simulated machine: drive cascade, eq. 1 and friction, loop period after
-loop period.
-"""
+"""Compiled kernel of the simulated machine: drive cascade, eq. 1 and friction per loop period."""
 
 from __future__ import annotations
 
@@ -58,8 +56,8 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Run position P and velocity PI once; return the current asked for with its offset, A, within
-    its limit.
+    """Run position P and velocity PI once; return the limited current command with its offset,
+    A.
     """
     measured = s[THETA]
     if d[COUNT] > 0.0:
@@ -95,9 +93,7 @@ def current_command(s: Vector, d: Vector) -> float:
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Run the current PI once; return the voltage for the coming loop period, V, within its
-    limit.
-    """
+    """Run the current PI once; return the limited voltage for the coming loop period, V."""
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
@@ -144,8 +140,8 @@ def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, de
 def advance(loops: int, s: Vector, d: Vector, p: Vector, noise: Vector, path: Vector) -> None:
     """Advance ``loops`` drive-loop periods.
 
-    ``noise`` holds that many samples of unit rms; ``path`` that many joint angles to ask for, one a
-    loop, or none, and then the loops interpolate to the target as a drive does.
+    ``noise`` holds ``loops`` samples of unit rms; ``path`` holds ``loops`` commanded joint angles,
+    or none, in which case the drive interpolates to its target.
     """
     decay = math.exp(-0.5 * d[RESISTANCE] * d[LOOP_S] / d[STEPS] / d[INDUCTANCE])
     for k in range(loops):

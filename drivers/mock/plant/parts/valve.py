@@ -1,5 +1,4 @@
-"""Exact areas of the flow regulator's valve (Fig. 3): what the plate covers of the opening, and
-what it leaves free.
+"""Exact covered and free areas of the flow regulator's valve opening (Fig. 3).
 
 The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the
 opening's centre; its centre line passes through the pivot, and the centre of its hole lies on it at
@@ -45,7 +44,7 @@ def throat_area(angle: float, arm: float, hole: float, opening: float, half_widt
     """Return A_t, m^2, at a valve angle.
 
     Args:
-        angle: Of the valve, rad; the same both ways.
+        angle: Valve angle, rad; its sign does not matter.
         arm: L1, m.
         hole: Radius d/2, m.
         opening: Radius D/2, m.

@@ -1,4 +1,4 @@
-"""The page of a run: what it recorded, reduced and drawn.
+"""The page of a run: its recordings, reduced and plotted.
 
 ``traces`` reads a recording, ``channels`` derives what is drawn, ``envelope`` reduces it,
 ``limits`` and ``phases`` say what held when, ``moment`` when it ended, ``panels`` puts these

@@ -1,6 +1,4 @@
-"""What is drawn of every sample: what was recorded, and what follows from it as the safety check
-computes it.
-"""
+"""Plotted channels of every sample: recorded values, and values derived as in the safety check."""
 
 from __future__ import annotations
 
@@ -50,12 +48,12 @@ cycle's start until its answer had been collected, ``late`` how late a cycle sta
 more than a period; the clocks are a device's time less the host's, since the start of the stage.
 """
 STATES = ("off", "fault", "quick stop", "enabled")
-"""Of the drive, by the number that ``state`` has."""
+"""State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
 PAUSES = frozenset({"stage start", "weight check"})
-"""Events after which the cycle begins afresh, so that a step of time before them is no lateness."""
+"""Events after which the cycle restarts, so that a time step before them is no lateness."""
 _GAP_CYCLES = 10.0
-"""Cycles that are missing in a row from which on no line is drawn across."""
+"""Number of consecutive missing cycles from which the curve is interrupted."""
 _CODES: Mapping[ServoState, str] = {
     ServoState.OPERATION_ENABLED: "enabled",
     ServoState.QUICK_STOP_ACTIVE: "quick stop",
@@ -75,10 +73,10 @@ _STATE = np.array([_code(word) for word in range(RUNNING_MASK + 1)])
 
 
 class Derived(NamedTuple):
-    """Samples as they are drawn.
+    """Samples as plotted.
 
     Attributes:
-        time: s, shape (n,).
+        time: Time, s, shape (n,).
         values: Columns in the order of :data:`NAMES`, shape (n, 20).
         broken: Whether cycles are missing before a sample, or the drive was off.
         segment: Number of the excitation, 0 for none.
@@ -92,7 +90,7 @@ class Derived(NamedTuple):
 
 @dataclass
 class _Carried:
-    """What the samples before a block leave to it."""
+    """State carried from one block of samples to the next."""
 
     time: float = -math.inf
     fresh: float = math.nan
@@ -101,7 +99,7 @@ class _Carried:
 
 
 class Deriver:
-    """Derives the channels of blocks of samples that follow one another.
+    """Derives the plotted channels of consecutive blocks of samples.
 
     Args:
         bench: Constants of the bench.
@@ -124,7 +122,7 @@ class Deriver:
 
         Args:
             samples: Every field of :class:`rig.common.sample.Sample` to its values, shape (n,).
-            events: All that were recorded up to the end of the block.
+            events: All events recorded up to the end of the block.
         """
         time = samples["time"]
         pauses = self._pauses(time, events, PAUSES)
@@ -148,7 +146,7 @@ class Deriver:
     def _pauses(
         self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]
     ) -> Flags:
-        """Return before which samples an event of these kinds lies."""
+        """Return a mask of samples preceded by an event of these kinds."""
         flags = np.zeros(len(time), dtype=np.bool_)
         at = np.array(
             [e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time]

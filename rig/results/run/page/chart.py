@@ -1,9 +1,9 @@
 """Draws curves over time as HTML with inline SVG.
 
-It draws what it is given, and knows nothing of runs.
+This module is independent of runs.
 
-The curves stretch with the page and every text is HTML, so that a chart of any width, on paper too,
-has text of one size; a picture of fixed size would be unreadable on a telephone.
+The curves scale with the page while all text is HTML, so that text has the same size in a chart of
+any width, also on paper; a picture of fixed size would be unreadable on a telephone.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from rig.results.run.page.envelope import Bins, in_columns
 from rig.results.run.page.time_axis import TimeAxis, nice, tick_label
 
 COLUMNS = 1000
-"""Columns that a curve is drawn in; each shows the least and the greatest of its samples."""
+"""Number of columns of a curve; each shows the minimum and maximum of its samples."""
 _SIZE = 1000.0
 """Width and height of a drawing in its own units."""
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
-"""Okabe and Ito's, told apart by colour-blind readers; every curve has a dash of its own as
-well.
+"""Colours by Okabe and Ito, distinguishable by colour-blind readers; every curve also has its
+own dash pattern.
 """
 _DASHES = ("", "7 4", "2 3")
 _BORDERS = ("solid", "dashed", "dotted")
 _FEW = 150
-"""Samples up to which each is marked by a dot."""
+"""Number of samples up to which each is marked by a dot."""
 _MARGIN = 0.06
 _LEAST_LABELLED = 0.25
-"""Width, of the whole, from which a limit has its value written beside it."""
+"""Share of the width from which a limit is labelled with its value."""
 _LEAST_NAMED = 1.5
-"""Width in percent from which a stretch of time has its name written over it."""
+"""Width in percent from which a time interval is labelled with its name."""
 STYLE = (
     ".chart{margin:.5rem 0 1rem;break-inside:avoid}.chart figcaption{line-height:1.35}"
     ".chart .read{color:#555;font-size:.85rem}.chart .beyond{color:#a30000;font-weight:600}"
@@ -48,8 +48,7 @@ STYLE = (
     ".plot svg *{vector-effect:non-scaling-stroke;fill:none}.plot svg .s0{fill:#eef3f8}.plot svg "
     ".s1{fill:#dfe9f2}"
     ".plot svg .s2{fill:#f7e0d3}.plot svg .s3{fill:#e4e4e4}"
-    # A name that is wider than its stretch goes to a second line, which is cut off, rather than
-    # being cut itself.
+    # A name wider than its interval wraps to a second line, which is hidden, instead of being cut.
     ".plot .names{height:1.05rem;font-size:.75rem}"
     ".plot .names .at{overflow:hidden;top:0;height:100%;line-height:1.05rem;"
     "box-sizing:border-box;border-left:1px solid #888;white-space:normal}"
@@ -74,7 +73,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Bound:
-    """A limit over time: from when on, s, and its value.
+    """A limit over time: start times, s, and values.
 
     ``upper`` says on which side of the curve it is.
     """
@@ -85,7 +84,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time with a name; ``kind`` is 0 or 1 for phases in turn, 2 for braking, 3 for no
+    """A named time interval; ``kind`` is 0 or 1 alternately for phases, 2 for braking, 3 for no
     power.
     """
 
@@ -97,7 +96,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class Mark:
-    """A moment, in s, that is pointed out."""
+    """A marked time, s."""
 
     time: float
     name: str
@@ -109,14 +108,14 @@ class Chart:
 
     Attributes:
         title: What it shows.
-        unit: Of every value.
-        curves: At the most three.
-        bounds: Limits that are drawn.
-        reading: Extremes and limits in words.
+        unit: Unit of every value.
+        curves: Curves, at most three.
+        bounds: Plotted limits.
+        reading: Text with extremes and limits.
         beyond: Whether a limit was broken.
-        categories: Names of the values 0, 1, ... where they are no quantity.
-        tall: Whether it is the one to look at first.
-        least: Span of values that is drawn at the least.
+        categories: Names of the values 0, 1, ... if they are categories.
+        tall: Whether it is the most important chart, drawn taller.
+        least: Smallest range of the value axis.
     """
 
     title: str
@@ -307,7 +306,7 @@ def _svg(
 
 
 def _stairs(bound: Bound, axis: TimeAxis) -> Iterator[tuple[float, float, float]]:
-    """Yield from where to where a limit has which value, where it is on the page."""
+    """Yield start, end and value of each constant part of a limit within the page."""
     begins, ends = axis.ends
     for (start, value), stop in zip(
         bound.steps, [*(s for s, _ in bound.steps[1:]), ends], strict=True
@@ -334,7 +333,7 @@ def _path(curve: Curve, axis: TimeAxis, low: float, high: float) -> tuple[str, s
             words.append(f"{verb}{at:.1f} {top:.1f}")
             previous = top
             continue
-        # From the end that is nearer to where the line comes from.
+        # Start at the end nearer to the previous point.
         first, second = (
             (top, bottom) if abs(top - previous) < abs(bottom - previous) else (bottom, top)
         )

@@ -1,4 +1,4 @@
-"""Samples reduced to bins that keep the minimum and the maximum of each, as they stream by."""
+"""Reduces a stream of samples to bins with their minimum and maximum."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from identification.recording import Array
 
 Flags = NDArray[np.bool_]
 MOST_BINS = 8192
-"""Bins that are kept at the least once there were so many; more than a screen has columns."""
+"""Smallest number of bins after a reduction; more than a screen has columns."""
 
 
 class Bins(NamedTuple):
@@ -20,9 +20,9 @@ class Bins(NamedTuple):
 
     Attributes:
         start: Time of each bin's first sample, s, shape (n,).
-        stop: Time of its last, s, shape (n,).
-        low: Least value of each channel, shape (n, channels); NaN where there is none.
-        high: Greatest.
+        stop: Time of each bin's last sample, s, shape (n,).
+        low: Least value of each channel, shape (n, channels); NaN without a value.
+        high: Greatest value of each channel, shape (n, channels).
         broken: Whether something is missing before the bin, so that no line may join it to the one
             before.
     """
@@ -47,7 +47,7 @@ def of_samples(time: Array, values: Array, broken: Flags) -> Bins:
 
 
 def joined(parts: Sequence[Bins]) -> Bins:
-    """Return bins that follow one another as one."""
+    """Return consecutive sets of bins as one."""
     return Bins(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
 
 
@@ -68,13 +68,13 @@ def merged(bins: Bins, starts: NDArray[np.intp]) -> Bins:
 
 
 def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
-    """Return the bins joined where they fall into one column of a drawing.
+    """Return the bins, merged if in the same column of a drawing.
 
     Args:
-        bins: What is drawn.
+        bins: The bins to draw.
         position: Where each bin begins, 0 at the left edge and 1 at the right, not falling, shape
         (n,).
-        columns: Of the drawing.
+        columns: Number of columns of the drawing.
     """
     if not len(bins.start):
         return bins
@@ -84,14 +84,13 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
 
 
 class Envelope:
-    """Takes samples in order and keeps a bounded number of bins of about the same width, whatever
-    their number.
+    """Reduces samples in order to a bounded number of bins of about the same width.
 
     Bins begin at multiples of the width, counted in samples. A recording with more holes than bins
     keeps a bin for each run between them.
 
     Args:
-        most: Twice as many bins are kept at the most.
+        most: Half of the largest number of bins.
     """
 
     def __init__(self, most: int = MOST_BINS) -> None:
@@ -102,7 +101,7 @@ class Envelope:
         self._count = 0
 
     def add(self, bins: Bins) -> None:
-        """Take what comes next: samples as bins of one each."""
+        """Add the next samples, as bins of one sample each."""
         index = np.arange(self._seen, self._seen + len(bins.start))
         self._seen += len(index)
         self._parts.append(self._reduced(bins, index))
@@ -115,7 +114,7 @@ class Envelope:
                 self._most *= 2
 
     def bins(self) -> Bins | None:
-        """Return what was added, reduced; None where nothing was."""
+        """Return the reduced samples; None if none were added."""
         if not self._count:
             return None
         self._join()

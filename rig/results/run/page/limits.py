@@ -1,4 +1,4 @@
-"""Which limits held when, worked out again from the files that are attached to a recording."""
+"""Limits over time, recomputed from the files attached to a recording."""
 
 from __future__ import annotations
 
@@ -20,21 +20,20 @@ from rig.planning.plan import APPROACH_SPEED_SHARE, Plan, make_plan
 from rig.runs.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
-"""Events by which a first pass is over; where a run ends in one, its limits hold to the end."""
+"""Events that end a first pass; if a run ends in one, its limits hold to the end."""
 _SAME = 1e-9
-"""Relative difference of two amplitudes that are one."""
+"""Relative difference up to which two amplitudes are equal."""
 
 
 @dataclass(frozen=True)
 class Attachments:
-    """What the files attached to a recording say.
+    """Content of the files attached to a recording.
 
     Attributes:
-        bench: The bench, with the limits in force; None where its file is missing or cannot be
+        bench: The bench, with the limits in force; None if its file is missing or cannot be read.
+        plan: The plan, with the first passes of each stage; None if a file is missing or cannot be
         read.
-        plan: What was planned on it, with the first passes that were to come before each stage;
-        None as well.
-        problem: Why one of them is None, in words.
+        problem: Message why one of them is None.
     """
 
     bench: Bench | None
@@ -43,7 +42,7 @@ class Attachments:
 
 
 def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
-    """Read bench and sequence as they were attached."""
+    """Read the attached bench and sequence files."""
     try:
         bench = in_force(_document(attachments, BENCH_ATTACHMENT, Bench))
     except InputError as error:
@@ -73,18 +72,17 @@ def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema])
 
 
 Step = tuple[float, Limits]
-"""From when on, s, which limits hold."""
+"""Start time, s, and limits from then on."""
 
 
 def limit_steps(
     plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]
 ) -> list[Step]:
-    """Return the limits of a run over the time of one recording, those of its first passes among
-    them.
+    """Return the limits of a run over the time of one recording, first passes included.
 
     Args:
-        plan: What was planned.
-        events: Of the recording.
+        plan: The plan.
+        events: Events of the recording.
         starts: Time, s, and command, rad, of the first sample of each stage under power.
     """
     steps: list[Step] = [(-math.inf, plan.limits)]
@@ -119,14 +117,13 @@ def _pass_steps(
     event: Mapping[str, Any],
     starts: Sequence[tuple[float, float]],
 ) -> Iterator[Step]:
-    """Yield the limits of the way to a first pass, and those of the pass, which are tighter in
-    angle.
-    """
+    """Yield the limits of the move to a first pass, and the tighter angle limits of the pass."""
     yield event["time"], planned.move_limits
     begun = [command for time, command in starts if time <= event["time"]]
     if before is None and not begun:
         return
-    # As the sequencer moves: from where the joint was found, or from the end of the pass before.
+    # As in the sequencer: from the present angle of the joint, or from the end of the previous
+    # pass.
     at = float(before.targets[-1]) if before is not None else begun[-1]
     speed = min(plan.approach_speed, APPROACH_SPEED_SHARE * planned.move_limits.speed)
     cycles = len(approach(at, float(planned.targets[0]), speed, plan.cycle_s))

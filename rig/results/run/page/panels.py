@@ -17,8 +17,8 @@ from rig.results.run.page.limits import Step
 
 DEG = math.degrees(1.0)
 _SEEN = 10.0
-"""Times the greatest value up to which a limit is drawn; one further away would leave a flat line
-to look at.
+"""Ratio of a limit to the greatest value up to which the limit is drawn; farther limits would
+flatten the curve.
 """
 
 
@@ -28,15 +28,15 @@ class Panel:
 
     Attributes:
         title: What it shows.
-        unit: Of what is drawn.
-        scale: From SI to that unit.
+        unit: Unit of the chart.
+        scale: Scale from SI to that unit.
         channels: Column to the name of its curve; the limits are those of the first.
-        checks: Trips that it shows.
+        checks: Checks whose trips it shows.
         upper: Upper limit.
         lower: Lower limit; ``symmetric`` makes it the upper one with its sign changed.
-        symmetric: Whether the limit is one of size.
-        categories: Names of the values where they are no quantity.
-        least: Span of values, in ``unit``, below which there is nothing to see.
+        symmetric: Whether the limit is on the magnitude.
+        categories: Names of the values if they are categories.
+        least: Smallest range of the value axis, in ``unit``.
     """
 
     title: str
@@ -53,9 +53,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Tripped:
-    """What a run tripped on: the value found and the limit, in SI units; NaN where the value is no
-    number.
-    """
+    """The trip of a run: value and limit in SI units; NaN if the value is no number."""
 
     check: Check
     value: float
@@ -182,22 +180,21 @@ PANELS: tuple[Panel, ...] = (
 
 
 def tripped_first(check: Check | None) -> list[Panel]:
-    """Return the panels, the one that shows a trip before all others."""
+    """Return the panels, with the tripped one first."""
     return sorted(PANELS, key=lambda panel: check not in panel.checks)
 
 
 def chart(
     panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | None, tall: bool
 ) -> Chart | None:
-    """Return one chart of a stretch of time; None where none of its channels was recorded.
+    """Return one chart of a time interval; None if none of its channels was recorded.
 
     Args:
-        panel: Which.
-        bins: The stretch.
-        steps: Which limits hold from when on; empty where they are not known.
-        tripped: What the run tripped on, where that is on this panel: its limit is drawn where no
-        other is known.
-        tall: Whether it is the one to look at first.
+        panel: The panel.
+        bins: Samples of the interval.
+        steps: Limits over time; empty if unknown.
+        tripped: The trip, if on this panel; its limit is drawn if no other is known.
+        tall: Whether it is the most important chart, drawn taller.
     """
     curves = [
         Curve(name, _channel(bins, column, panel.scale)) for column, name in panel.channels.items()
@@ -213,7 +210,8 @@ def chart(
     always = beyond or tall or size == 0.0
     reading = "" if panel.categories else _reading(low, high, bounds, panel)
     if tripped is not None and not panel.categories:
-        # The value is not always among the samples: lateness on a bench held to real time is not.
+        # The value is not always among the samples, e.g. lateness on a simulated bench in real
+        # time.
         reading = f"tripped at {panel.scale * tripped.value:.4g} {panel.unit}; {reading}"
     shown = [b for b in bounds if always or min(abs(value) for _, value in b.steps) <= _SEEN * size]
     return Chart(

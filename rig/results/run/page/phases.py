@@ -1,4 +1,4 @@
-"""Which stage and phase a run was in over the time of one recording, and when it ended.
+"""Stages and phases of a run over the time of one recording, and the time of its end.
 
 Pure functions.
 """
@@ -19,7 +19,9 @@ from rig.runs.run_record import Ending, RunRecord, SegmentRecord
 
 BRAKING = "braking"
 MOVING = f"{Phase.APPROACH.value}, {Phase.SETTLE.value}"
-"""The way to the start of an excitation and the rest there, whose border is not recorded."""
+"""Label of the move to the start of an excitation and the rest there; their boundary is not
+recorded.
+"""
 _ENDINGS = frozenset(ending.value for ending in Ending)
 _OFF = frozenset(
     {Phase.LOAD.value, Phase.PREPARE.value, Phase.BOUNDARY.value, Phase.FINISHED.value}
@@ -42,7 +44,7 @@ class Span:
 
 @dataclass(frozen=True)
 class Moment:
-    """When a run ended: ``time`` in s, and what that was in a word or two."""
+    """End of a run: ``time`` in s, and a short label."""
 
     time: float
     words: str
@@ -51,12 +53,12 @@ class Moment:
 def spans(
     events: Iterable[Mapping[str, Any]], segments: Sequence[SegmentRecord], last: float
 ) -> list[Span]:
-    """Return the phases of one recording in order of time; excitations have the name that
-    ``run.json`` has for them.
+    """Return the phases of one recording in order of time; excitations are named as in
+    ``run.json``.
 
     Args:
-        events: Of the recording.
-        segments: Its excitations.
+        events: Events of the recording.
+        segments: Excitations of the recording.
         last: Time of its last sample, s.
     """
     known = {segment.index: segment for segment in segments}
@@ -91,7 +93,7 @@ _TURNS = frozenset({*_OPENS, *_ENDINGS, "stage end", "prompt"})
 
 
 def _closed(span: Span, stop: float, segment: SegmentRecord | None) -> list[Span]:
-    """Return a span that goes on until ``stop``, cut where its excitation was complete."""
+    """Return a span until ``stop``, ended earlier if its excitation was complete."""
     end = None if segment is None else segment.end
     if end is None or not span.start <= end < stop:
         return [dataclasses.replace(span, stop=stop)]
@@ -109,15 +111,15 @@ def moment_of(
     segments: Sequence[SegmentRecord],
     events: Sequence[Mapping[str, Any]],
 ) -> Moment:
-    """Return when a run that is not done ended, in the time of its last recording.
+    """Return the time at which an unfinished run ended, in the time of its last recording.
 
-    A trip has its time. Otherwise that is the last sample of the excitation that was going on, or
-    the last under power.
+    For a trip it is the time of the trip, otherwise the last sample of the current excitation, or
+    the last sample under power.
 
     Args:
         record: ``run.json``.
         tail: The end of the last recording.
-        segments: Its excitations.
+        segments: Excitations of the recording.
         events: Its events.
     """
     last = float(tail.time[-1])
@@ -141,7 +143,7 @@ def moment_of(
 
 
 def with_braking(found: Sequence[Span], moment: Moment) -> list[Span]:
-    """Return the spans with what comes after the end of the run as braking."""
+    """Return the spans, with the time after the end of the run marked as braking."""
     cut: list[Span] = []
     for span in found:
         if span.start < moment.time:

@@ -1,5 +1,5 @@
-"""The drawn sections of a run's page: the last seconds of a run that is not done, and every
-recording as a whole.
+"""Chart sections of a run's page: the last seconds of an unfinished run, and every whole
+recording.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from rig.runs.run_file import recorded_bench
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord
 
 BEFORE_S = 2.0
-"""Shown before the end of a run that is not done, s."""
+"""Time shown before the end of an unfinished run, s."""
 _AFTER_SHARE = 0.12
-"""Share of that which is shown after it at the least."""
+"""Shortest time shown after the end, as a share of the time before it."""
 _CLOSE_S = (0.08, 0.04)
-"""Shown before and after the end, s, where single samples are to be seen."""
+"""Time shown before and after the end in the close-up with single samples, s."""
 NEVER_MOVED = "No control cycle was recorded: the drive was never under power, and nothing moved."
 
 
@@ -36,7 +36,7 @@ class Recorded:
     Args:
         folder: The run folder.
         record: ``run.json``.
-        number: Of the recording, from 1.
+        number: Number of the recording, from 1.
 
     Raises:
         InputError: It cannot be opened or is not a recording.
@@ -58,13 +58,13 @@ class Recorded:
 
     @property
     def spans(self) -> list[Span]:
-        """Its phases; there are samples."""
+        """Its phases; requires samples."""
         return spans(self.traces.events, self.segments, self.traces.ends[1])
 
     @property
     def moment(self) -> Moment | None:
-        """When the run ended, where that was in this recording, not as planned, and after a first
-        sample.
+        """Time of the end of the run, if it stopped in this recording after a first sample; else
+        None.
         """
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
@@ -73,7 +73,7 @@ class Recorded:
 
     @property
     def tripped(self) -> panels.Tripped | None:
-        """What the run tripped on, if it did, and in this recording."""
+        """The trip of the run, if it was in this recording."""
         trip = self.record.trip
         check = next((check for check in Check if trip and check.value == trip.get("check")), None)
         if trip is None or check is None or not self.is_last:
@@ -130,7 +130,7 @@ def _limits_words(recorded: Recorded) -> str:
 def _closer(
     recorded: Recorded, bins: Bins, moment: Moment, shades: Sequence[Shade]
 ) -> Iterator[str]:
-    """Yield the tripped channel once more, so close that single samples are seen."""
+    """Yield a close-up of the tripped channel with single samples visible."""
     before, after = _CLOSE_S
     first, until = moment.time - before, moment.time + after
     near = bins.part(first, until)
@@ -167,7 +167,7 @@ def whole(recorded: Recorded) -> Iterator[str]:
 
 
 def _charts(recorded: Recorded, bins: Bins, tall: bool = True) -> list[Chart]:
-    """Return the charts of a stretch, that of the tripped channel first."""
+    """Return the charts of an interval, the tripped channel first."""
     tripped = recorded.tripped
     check = None if tripped is None else tripped.check
     made = []
@@ -180,7 +180,7 @@ def _charts(recorded: Recorded, bins: Bins, tall: bool = True) -> list[Chart]:
 
 
 def _powered(traces: Traces) -> list[tuple[float, float]]:
-    """Return from when to when the drive was under power, stage by stage."""
+    """Return start and end of the time under power, stage by stage."""
     assert traces.bins is not None
     begins = [time for time, _ in traces.starts]
     first, last = traces.ends
@@ -197,7 +197,7 @@ def _powered(traces: Traces) -> list[tuple[float, float]]:
 
 
 def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:
-    """Return the phases as they are shaded; in the whole recording (``numbered``) by the stage's
+    """Return the shaded phases; in the whole recording (``numbered``) labelled by the stage's
     name alone.
     """
     shades = []
@@ -213,7 +213,7 @@ def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:
 
 
 def _inside(shades: Sequence[Shade], first: float, last: float) -> list[Shade]:
-    """Return what of the shades lies between two times."""
+    """Return the parts of the shades between two times."""
     return [
         Shade(max(shade.start, first), min(shade.stop, last), shade.name, shade.kind)
         for shade in shades

@@ -1,4 +1,4 @@
-"""Time along the page, and the numbers at the ticks of an axis."""
+"""Maps time to positions on the page, and makes tick labels."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _NICE = (1.0, 2.0, 5.0, 10.0)
 
 
 class TimeAxis:
-    """Time to place on the page. Long pauses with the drive off are drawn short.
+    """Maps time to a position on the page. Long pauses with the drive off are shortened.
 
     Args:
-        powered: Stretches of time that are drawn to scale, s, in order.
+        powered: Time intervals drawn to scale, s, in order.
     """
 
     _PAUSE = 0.02
-    """Width of a pause that is drawn short."""
+    """Width of a shortened pause."""
 
     def __init__(self, powered: Sequence[tuple[float, float]]) -> None:
         joined = [powered[0]]
@@ -48,15 +48,15 @@ class TimeAxis:
         return self._times[0], self._times[-1]
 
     def place(self, time: Array) -> Array:
-        """Return where times are, 0 at the left edge and 1 at the right."""
+        """Return the positions of times, 0 at the left edge and 1 at the right."""
         return np.asarray(np.interp(time, self._times, self._places))
 
     def at(self, time: float) -> float:
-        """Return where one time is."""
+        """Return the position of one time."""
         return float(self.place(np.array([time]))[0])
 
     def ticks(self) -> Iterator[tuple[float, str]]:
-        """Yield places and labels of the ticks, far enough from one another for a telephone."""
+        """Yield positions and labels of the ticks, spaced widely enough for a telephone."""
         step = nice(self._total / 5.0)
         last = -1.0
         for start, stop in self._joined:
@@ -76,6 +76,6 @@ def nice(rough: float) -> float:
 
 
 def tick_label(value: float, step: float) -> str:
-    """Return the label of a tick, with the digits that the step between ticks asks for."""
+    """Return the label of a tick, with the digits needed for the tick spacing."""
     digits = max(0, -math.floor(math.log10(step) + 1e-9))
     return f"{value + 0.0:.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"

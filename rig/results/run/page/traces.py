@@ -1,4 +1,4 @@
-"""Reads a recording for drawing: reduced as a whole, its end sample by sample.
+"""Reads a recording for plotting: all of it reduced, its end sample by sample.
 
 Whole files are streamed.
 """
@@ -21,22 +21,22 @@ from rig.runs.mcap.stream import Attached, Block, Happening, run_items
 from rig.runs.run_samples import read_log
 
 TAIL_S = 8.0
-"""What is kept sample by sample before the end of a recording, s: braking takes up to 1 s of it."""
+"""Time kept sample by sample at the end of a recording, s; braking takes up to 1 s of it."""
 
 
 @dataclass
 class Traces:
-    """What a recording holds, as it is drawn.
+    """Content of a recording for plotting.
 
     Attributes:
-        bins: All of it, reduced; None where no cycle was recorded.
-        tail: Its last :data:`TAIL_S`, sample by sample; None as well.
-        events: In order; each has ``time`` and ``event``.
+        bins: All samples, reduced; None if no cycle was recorded.
+        tail: Its last :data:`TAIL_S`, sample by sample; None if no cycle was recorded.
+        events: Events in order; each has ``time`` and ``event``.
         attachments: Name to content.
         starts: Time, s, and command, rad, of the first sample of each stage under power.
-        extremes: Channel to its least and greatest value; channels without any value are left out.
-        count: Samples.
-        damage: None for a whole file, else what is wrong with it, in words.
+        extremes: Channel to its least and greatest value; channels without values are omitted.
+        count: Number of samples.
+        damage: None for a complete file, else a message on the damage.
     """
 
     bins: Bins | None = None
@@ -50,7 +50,7 @@ class Traces:
 
     @property
     def ends(self) -> tuple[float, float]:
-        """Time of the first and the last sample, s; there is one."""
+        """Time of the first and the last sample, s; requires samples."""
         assert self.bins is not None
         return float(self.bins.start[0]), float(self.bins.stop[-1])
 
@@ -58,7 +58,7 @@ class Traces:
 def read_traces(path: Path, bench: Bench, cycle_s: float) -> Traces:
     """Read one recording of a run.
 
-    One that was not closed in order is read as a whole, and its damage is said.
+    A recording that was not closed in order is read at once, and its damage is reported.
 
     Args:
         path: The recording.
