@@ -155,9 +155,7 @@ def pressure_history(
     if start_pressure is None:
         start_pressure = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
     if not start_pressure > 0.0:
-        raise ValueError(
-            f"start pressure {start_pressure:g} Pa; it must be positive"
-        )
+        raise ValueError(f"start pressure {start_pressure:g} Pa; it must be positive")
     c = constants(g, {}, start_pressure, g.V_0, exact=exact)
     out = np.empty((3, len(time)))
     kernel.march(np.ascontiguousarray(time, dtype=np.float64), areas, c, kernel.NOTHING, out)
