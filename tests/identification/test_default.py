@@ -167,7 +167,7 @@ def test_strong_hidden_ripple_does_not_break_the_search(
     monkeypatch.setattr(stages, "_solved_from", tried)
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
     result = identify(Dataset((recording,)))
-    assert "physics is missing" in result.warnings[0]
+    assert "physics that the model lacks" in result.warnings[0]
     # None near solves the equations, so that it goes to inertias far off; that one there does by
     # chance is the rounding's, and helps nobody.
     (unloaded,) = result.starts
@@ -199,7 +199,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
         replace(right, whiteness=math.nan),
         replace(right, values={**right.values, "J": math.nan}),
     ):
-        assert "no numbers" in refusal(lost, 1.0, 1.0)
+        assert "not finite" in refusal(lost, 1.0, 1.0)
 
 
 def test_a_slip_that_is_lost_is_no_missing_physics(
@@ -316,7 +316,9 @@ def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> No
 def test_a_drive_without_torque_is_refused(method: Callable[..., Identification]) -> None:
     idle = sine()
     idle = replace(idle, channels={**idle.channels, "torque": np.zeros(len(idle.time))})
-    with pytest.raises(RecordingError, match="sine: the drive's torque is zero wherever it moves"):
+    with pytest.raises(
+        RecordingError, match="sine: the drive's torque is zero wherever the joint moves"
+    ):
         method(Dataset((idle,)), rng=np.random.default_rng(0))
 
 

@@ -295,7 +295,7 @@ def refine_stages(
     begun = _first_point(unloaded, start, system, model, correlated)
     first, chi2s = solve_unloaded(begun, system, inertia)
     starts = [
-        Starts("unloaded", "defect of the estimating equations", chi2s, SOLVED, absolute=True)
+        Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
     ]
     evaluations, likelihood_drop = begun.filter.evaluations, 0.0
     free, ends = [*system, *inertia], [first.point]
