@@ -74,7 +74,7 @@ def test_friction_at_a_speed_is_pinned_better_than_its_parts(
 ) -> None:
     pairs = {t.names: t for t in practical_result.tradeoffs}
     assert "only their sum at 0.3" in pairs["Mc", "sigma_2"].statement
-    assert practical_result.least_pinned.startswith("least pinned is omega_sL alone")
+    assert practical_result.least_pinned.startswith("least determined is omega_sL alone")
 
 
 def test_intervals_are_narrow_and_near_the_truth(practical_result: Identification) -> None:
