@@ -76,8 +76,8 @@ def _coarseness(name: str, value: float) -> float:
 
 
 def pinned(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value (of
-    its rise, or of its logarithm's unit).
+    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
+    (half its rise; for a Stribeck speed, 0.5 in the logarithm).
     """
     nominal = joint.nominal
     torque = next(e for e in joint.equations if e.name == "torque")
