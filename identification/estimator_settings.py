@@ -20,7 +20,8 @@ class AcceptanceLimits:
         repeating_share: Greatest repeating share of the correlated noise (M26).
         chi2: Greatest chi-square of the estimating equations of the unloaded fit (M29).
         drop: Greatest drop of the likelihood of the loaded fit, as deviance (M24).
-        error_ratio: Greatest equation error over that of the start values; true values reach 1.14.
+        error_ratio: Greatest ratio of the equation error to the start values'; it reaches 1.14 at
+            true values.
     """
 
     whiteness: float = 0.15

@@ -122,7 +122,7 @@ class Profile:
     scale: float
 
     def moved(self, by: float) -> Profile:
-        """Return the same about an estimate that was moved."""
+        """Return the profile with its values shifted by ``by``."""
         low, high = (None if end is None else end + by for end in (self.low, self.high))
         return replace(self, values=self.values + by, low=low, high=high)
 
@@ -179,7 +179,7 @@ class Resampled:
     solved: int
 
     def moved(self, by: float) -> Resampled:
-        """Return the same about an estimate that was moved."""
+        """Return the result with its bounds shifted by ``by``."""
         low, high = (None if end is None else end + by for end in (self.low, self.high))
         return replace(self, low=low, high=high)
 

@@ -57,8 +57,8 @@ def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tra
     """Return the tracking errors of a recording from ``first`` to ``last`` s after its start.
 
     Raises:
-        KeyError: It lacks command, angle, voltage or current.
-        ValueError: It has no sample in between.
+        KeyError: The recording lacks command, angle, voltage or current.
+        ValueError: The recording has no sample in this interval.
     """
     time = recording.time - recording.time[0]
     part = (time >= first) & (time < last)

@@ -33,7 +33,9 @@ UNBURDENED: Mapping[str, str] = {
 }
 """Rung with load-dependent friction to the rung without it, used if no load is declared."""
 NEAR_FLOOR = 1.5
-"""Mean square of the mismatch over that of the noise, below which it counts as explained."""
+"""Ratio of the mean-square mismatch to the noise's, below which the mismatch counts as
+explained.
+"""
 
 
 def common_bandwidth(recordings: Sequence[Recording]) -> float:
@@ -114,9 +116,7 @@ def _falls(here: Sequence[View]) -> list[float]:
 
 
 def _squares(joint: Joint) -> float:
-    """Return the mean square of the torque mismatch over that of the noise; 0 without torque
-    rows.
-    """
+    """Return the mean-square torque mismatch over the noise's; 0 without torque rows."""
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 

@@ -200,7 +200,7 @@ def left_beyond_noise(joint: Joint, term: Term) -> float:
 
 
 def judging(joint: Joint, term: Term) -> list[str]:
-    """Return those of an effect's equations by which it is judged.
+    """Return the names of the equations by which an effect is judged.
 
     A breakaway gives one number per rest, with the noise of an instant within a sample. Breakaways
     judge only effects that appear in no other equation.

@@ -99,7 +99,7 @@ def identification(
 
     Args:
         dataset: The dataset that was identified.
-        prepared: Every recording with its pieces; traces are those of the first.
+        prepared: Every recording with its pieces; traces show the first piece.
         found: The estimate, with all stages and warnings.
     """
     model, values = dataset.model, found.values

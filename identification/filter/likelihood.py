@@ -282,8 +282,8 @@ class Searched(NamedTuple):
     """End of a search.
 
     Attributes:
-        point: Where it ended.
-        iterations: Steps it took.
+        point: End point of the search.
+        iterations: Number of steps.
     """
 
     point: Point

@@ -33,8 +33,8 @@ _MOST_CORRELATED = 90
 number of filter runs.
 """
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Correlated noises tried first: standard deviation over that of the white part, correlation time
-in periods.
+"""Correlated noises tried first: ratio of standard deviations to the white part, and correlation
+time in periods.
 """
 
 

@@ -25,8 +25,8 @@ _LATENESSES = range(7)
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
 """Delays between the joint's motion and the loop's response that are tried."""
 _MISFIT = 0.15
-"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop
-is accepted.
+"""Greatest ratio of the residual's rms to the rms of the torque's changes at which the loop is
+accepted.
 """
 _GAINS = 3
 
@@ -83,7 +83,7 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
     """Return the gains of e', e and the integral of e, and the relative misfit.
 
     Args:
-        recordings: At least one.
+        recordings: One or more recordings.
         late: Cycles by which the command reaches the loop late.
         delay: Delay between the joint's motion and the loop's response, s.
     """

@@ -56,8 +56,8 @@ _APART = 0.1
 basins.
 """
 SAME_END = 1.0
-"""Difference in deviance within which two searches count as ending at the same point: half a
-standard error of one parameter.
+"""Difference in deviance up to which two search ends count as the same: half a standard error of
+one parameter.
 """
 _AS_LIKELY = 4.0
 """Difference in deviance within which recordings do not decide between two ends: two standard
@@ -73,7 +73,7 @@ class End:
     Attributes:
         unresolved: Whether its Stribeck speed is below the resolution of the samples.
         deviance: Deviance (M24) at the end; infinite if it is not finite.
-        point: Where it ended.
+        point: End point of the search.
     """
 
     unresolved: bool
