@@ -164,7 +164,7 @@ def told_apart(
     )
     rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
     if seen is None:
-        note = "no crossing lasts long enough to tell a gap from a loop"
+        note = "no crossing lasts long enough to distinguish a gap from a hysteresis loop"
     else:
         note = (
             f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's "

@@ -77,9 +77,8 @@ def pruned(
         if worth >= 1.0:
             break
         note = (
-            f"explains {100.0 * share:.0f} % of what is left beyond the noise without it, where "
-            f"{100.0 * needed:.0f} % "
-            "make one more name"
+            f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it; "
+            f"{100.0 * needed:.0f} % are needed for one more effect"
         )
         steps.append(Step("remove", name, None, without.cost - joint.cost, note))
         joint = without
@@ -175,7 +174,7 @@ def revisited(
         chosen, best = sound[simplest([j for _, j in sound], [numbers(e) for e, _ in sound])]
         if chosen is not own:
             note = (
-                f"beside the others, preferred to {taken.name} by "
+                f"with the other effects, preferred to {taken.name} by "
                 f"{preference(best, joint):.1f} standard errors"
             )
             steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))

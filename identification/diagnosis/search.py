@@ -135,7 +135,9 @@ def search(
         progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
         test = _tested(joint, case, left, rng)
         p_values.append(test.p_value)
-        steps.append(Step("test", test.loudest, test.p_value, 0.0, "the most surprising candidate"))
+        steps.append(
+            Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
+        )
         if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
             break
         tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
@@ -214,7 +216,7 @@ def _settled(
     joint, rounds = pruned(views, unit, baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
-        progress("rivals, beside the other effects", 0.9)
+        progress("rivals, with the other effects", 0.9)
         joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
     return told_apart(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
 
@@ -257,7 +259,11 @@ def _contest(
     if gain <= 2.0 * finalists[winner].penalty:
         steps.append(
             Step(
-                "stop", finalists[winner].name, p_value, gain, "explains no more than chance would"
+                "stop",
+                finalists[winner].name,
+                p_value,
+                gain,
+                "explains no more than expected by chance",
             )
         )
         return None
@@ -313,5 +319,5 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def _why(rivals: Sequence[Contender]) -> str:
     if not rivals:
-        return "nothing else comes near"
+        return "no other effect fits nearly as well"
     return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)

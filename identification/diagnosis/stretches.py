@@ -85,10 +85,9 @@ def crowded(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
             if share >= LEAST_SHARE and share >= CROWDED * usual:
                 first, last = shortest(trace.time, trace.after**2)
                 lines.append(
-                    f"{trace.recording}: {100.0 * share:.0f} % of the {equation} mismatch that is "
-                    f"left is in it, where "
-                    f"{100.0 * usual:.0f} % of the rows are, most of it from {first:.2f} to "
-                    f"{last:.2f} s"
+                    f"{trace.recording}: contains {100.0 * share:.0f} % of the remaining "
+                    f"{equation} mismatch, but {100.0 * usual:.0f} % of the rows; most of it from "
+                    f"{first:.2f} to {last:.2f} s"
                 )
     return tuple(lines)
 

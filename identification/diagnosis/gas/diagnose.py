@@ -323,9 +323,8 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise: those fitted "
-            "do not pin the gas generator; fit burns with steps between narrow and wide throats "
-            "as well"
+            f"noise: those fitted do not determine the gas generator; "
+            "also fit recordings with steps between narrow and wide throats"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):

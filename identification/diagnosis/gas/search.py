@@ -164,7 +164,7 @@ def _stop(
     ]
     if turned:
         best = min(turned, key=lambda f: f.cost)
-        words = "of the opposite sign fits better than any effect of the catalogue"
+        words = "fits better than any other effect, but with the opposite sign"
         name = best.model.effects[-1].term.name
         return Step("stop", name, p_value, here.cost - best.cost, words)
     gain = here.cost - winner.cost
@@ -173,8 +173,8 @@ def _stop(
     needed = FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL
     if here.model.effects and share < needed:
         words = (
-            f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of what "
-            "is explained already: too little for one more name"
+            f"explains {100.0 * share:.0f} % of the remaining mismatch, and {100.0 * beside:.2g} % "
+            "of the squares explained already: too little for one more effect"
         )
         return Step("stop", winner.model.effects[-1].term.name, p_value, gain, words)
     return None
@@ -205,7 +205,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     )
     p_value = min(1.0, 3.0 * max(min(by_shape, by_size, by_belief), 1e-12))
     loudest = max(tried, key=lambda c: c.surprise).name if tried else ""
-    words = "the most surprising candidate"
+    words = "the most significant candidate"
     if by_belief < min(by_shape, by_size):
         loudest, words = (
             "beliefs",
