@@ -189,7 +189,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert refusal(right, 1.0, 1.0) == ""
     assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
     assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
-    assert "less likely than it began (deviance +20)" in refusal(
+    assert "at a lower likelihood than its start (deviance +20)" in refusal(
         replace(right, likelihood_drop=20.0), 1.0, 1.0
     )
     assert refusal(right, 1.0, 1.2) == ""
