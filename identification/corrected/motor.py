@@ -129,7 +129,7 @@ DRIVE: Mapping[str, Callable[..., Array]] = {
         current_drift,
     )
 }
-"""Effect to the function of its addition to the torque of the logged current."""
+"""Effect name to its function, which returns an addition to the torque of the logged current."""
 VOLTAGE: Mapping[str, Callable[..., Array]] = {
     f.__name__.removesuffix("_voltage"): f
     for f in (
@@ -141,4 +141,4 @@ VOLTAGE: Mapping[str, Callable[..., Array]] = {
         current_drift_voltage,
     )
 }
-"""Effect to the function of its addition to the voltage of the logged current."""
+"""Effect name to its function, which returns an addition to the voltage of the logged current."""

@@ -62,4 +62,4 @@ TRANSMISSION: Mapping[str, Callable[..., Array]] = {
         encoder_slip,
     )
 }
-"""Effect to the function of its addition to motor_angle / i - angle."""
+"""Effect name to its function, which returns an addition to motor_angle / i - angle."""

@@ -17,8 +17,8 @@ from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04
-"""Weight of every other parameter's relative variance relative to the target's, so that none stays
-undetermined.
+"""Weight of the other parameters' relative variances in the criterion, over the target's weight, so
+that none stays undetermined.
 """
 _FLOOR = 1e-12
 

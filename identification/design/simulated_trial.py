@@ -53,9 +53,9 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
     """Return the relative half widths that the joint fit would state at the simulated values, and
     the steepness of the likelihood there.
 
-    Steepness is relative to noise alone, 1 or more; the fit would end about so many standard
-    deviations away. Both are medians over the runs, and infinite if the filter diverges in one of
-    them.
+    Steepness is relative to noise alone, 1 or more; the fit would end about this many standard
+    deviations from the simulated values. Both are medians over the runs, and infinite if the filter
+    diverges in one of them.
 
     Args:
         stages: The design.

@@ -35,8 +35,8 @@ FURTHER_SHARE = 0.4
 the shape error of the first.
 """
 UNCERTAIN = 10.0
-"""Ratio of one more effect's gain, relative to the squares explained already in its equations, to
-the error of the others' regressors, below which it may be the shape error of these ...
+"""Least gain of one more effect, over the squares explained already in its equations, in multiples
+of the other regressors' shape error; a smaller gain may be due to that error ...
 """
 NEARLY_ALL = 0.8
 """... unless it explains this share of the mismatch beyond the noise; below that error itself no

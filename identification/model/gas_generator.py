@@ -94,7 +94,9 @@ class GasGenerator:
 
 
 class Burn(NamedTuple):
-    """One burn: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape (n,)."""
+    """Simulated combustion: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape
+    (n,).
+    """
 
     pressure: Array
     web: Array

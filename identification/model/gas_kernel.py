@@ -82,10 +82,10 @@ def rates(
 
 @compiled
 def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
-    """Integrate one burn over its samples.
+    """Integrate the gas generator over the samples of one recording.
 
     Args:
-        time: Since ignition, s, shape (n,), increasing.
+        time: Time since ignition, s, shape (n,), increasing.
         areas: Throat area at each sample and its first and second derivative with respect to the
             thickness of a deposit, shape (3, n).
         c: Constants of the gas generator.

@@ -163,7 +163,7 @@ def _map(axis: Axes, one: Map) -> None:
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:
-    """Return (factor, unit) to draw with."""
+    """Return conversion factor and displayed unit."""
     return _DRAWN.get(unit, (1.0, unit))
 
 

@@ -19,7 +19,7 @@ HIGHEST_SHARE = 1.0 / 3.0
 be distinguished from a line.
 """
 LEAST_MOTION = 40
-"""Samples in motion, over all recordings of a stage, below which nothing is fitted."""
+"""Least number of moving samples, over all recordings of a stage, for a fit."""
 LOWEST_SHARE = 1e-3
 """Least Stribeck speed tried over the greatest speed recorded."""
 

@@ -106,7 +106,7 @@ def combined_equation(
     from replicates (M32).
 
     Args:
-        point: Point of the sensitivities.
+        point: Point at which the sensitivities are computed.
         z: Instruments from matching half cycles.
         jacobian: d residuals / d x at the point.
         residual: Residuals at the point.

@@ -43,7 +43,7 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
     """Return the instruments of every residual; zero where no other matching segment lasts as long.
 
     Args:
-        point: Point of the sensitivities.
+        point: Point at which the sensitivities are computed.
         jacobian: d residuals / d x at the point.
     """
     count = len(point.free)
@@ -90,7 +90,7 @@ def replicate_instruments(
     inertia.
 
     Args:
-        point: Point of the sensitivities.
+        point: Point at which the sensitivities are computed.
         plain: Instruments from matching half cycles.
         replicates: One or more.
     """

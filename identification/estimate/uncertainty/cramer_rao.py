@@ -67,7 +67,7 @@ def replicate_information(
     (m, p, p).
 
     Args:
-        point: Point of the sensitivities.
+        point: Point at which the sensitivities are computed.
         matching: Sensitivities from matching half cycles without inflation, for ties and for
             samples covered by fewer than two noise realisations.
         replicates: Replicates with at least two noise realisations.
