@@ -102,7 +102,7 @@ class Draws:
         slot = self.slot - self.frames[number].pause
         longest = min(
             _RAMP_TIMES[1], self._reach / speed, 0.25 * slot
-        )  # the least of them is twice there and back
+        )  # the shortest excitation is twice away and back
         shortest = max(_RAMP_TIMES[0], _LEAST_ANGLE / speed)
         away = math.floor(100.0 * min(max(seconds, shortest), longest)) / 100.0
         return Excitation((), 0.0, 0.0, Ramps(speed, max(away, 0.01)))

@@ -100,7 +100,7 @@ def propose(
             search.add(search.draws.random(loaded))
             report("candidates", (number + (k + 1) / wanted) / len(kinds))
     if not search.complete:
-        # An identification cannot start from any of the draws; it can from the present excitations.
+        # An identification cannot start from any of the draws, but from the present excitations.
         for part in present:
             search.add(part)
     for k in range(REFINEMENTS):

@@ -39,8 +39,8 @@ from identification.numerics.compiled import compiled
 
 # Effects that the nominal model omits; zero is off.
 (
-    LAYER_RATE,  # m/s, thickness of the deposit on the throat's rim over time
-    TAPER,  # 1/m, of the grain's diameter over the web
+    LAYER_RATE,  # m/s, growth of the deposit on the throat's rim
+    TAPER,  # 1/m, relative change of the grain's diameter with the web
     EROSION,  # s/m, growth of the burning rate with the gas velocity along the surface
     LEAK,  # m^2
     HEAT_FLOW,  # W, into cold walls

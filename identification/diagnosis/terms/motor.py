@@ -274,8 +274,8 @@ def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
 
 
 def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return a shape whose drop follows the sign of the true current: the sensor's offset may
-    exceed the step.
+    """Return the nominal values and a shape whose drop follows the sign of the true current, as the
+    sensor's offset may exceed the step.
     """
     return nominal, (shape[0], nominal.zero_A)
 
