@@ -1,5 +1,5 @@
-"""Contact force on the valve during a recording: measured, of the gas generator, or of a weight
-(M4).
+"""Contact force on the valve during a recording: measured, or computed from gas pressure or from a
+weight (M4).
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from identification.signals import resample
 def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
-    The `load_force` channel where there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq. 10
-    from the `pressure` channel, zero where the pressure behind the valve is greater; otherwise that
-    of the weight, eq. 17.
+    It is the `load_force` channel if there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq.
+    10 from the `pressure` channel, zero where p_g is below p_c0; otherwise the force of the weight,
+    eq. 17.
 
     Args:
         recording: The recording.
         grid: Times, s, shape (n,).
-        angle: Of the valve at those times, rad, shape (n,).
+        angle: Valve angle at those times, rad, shape (n,).
 
     Raises:
-        RecordingError: A hot firing on a bench whose gas generator is not known.
+        RecordingError: The recording is a hot firing and the bench has no gas generator.
     """
     generator = recording.bench.gas_generator
     if "load_force" in recording.channels:
@@ -34,7 +34,7 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
         return np.full(len(grid), recording.contact_force)
     if generator is None:
         raise RecordingError(
-            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing takes valve and p_c0 of "
+            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing needs valve and p_c0 of "
             f"bench.gas_generator"
         )
     pressure = resample(recording.time, recording.channels["pressure"], grid)
@@ -44,12 +44,11 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
-    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; arguments as of
+    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; arguments as in
     :func:`contact_force`.
 
     Raises:
-        RecordingError: As :func:`contact_force`, or the moment arm of a loaded recording is not
-            known.
+        RecordingError: As in :func:`contact_force`; or a loaded recording has no moment arm.
     """
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm

@@ -1,8 +1,8 @@
 """Settings of the default estimator, as frozen records with their units; (M...) are equations of
 docs/method.md.
 
-:data:`DEFAULT` are the settings of ``rig identify``. Others are for studies and tests: intervals
-were verified with these.
+:data:`DEFAULT` are the settings of ``rig identify``; the intervals were verified with them. Other
+settings are for studies and tests.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ class AcceptanceLimits:
         repeating_share: Greatest repeating share of the correlated noise (M26).
         chi2: Greatest chi-square of the estimating equations of the unloaded fit (M29).
         drop: Greatest drop of the likelihood of the loaded fit, as deviance (M24).
-        error_ratio: Greatest equation error over that of the start values; true values reach 1.14.
+        error_ratio: Greatest ratio of the equation error to the start values'; it reaches 1.14 at
+            true values.
     """
 
     whiteness: float = 0.15
@@ -33,20 +34,21 @@ class AcceptanceLimits:
 
 @dataclass(frozen=True)
 class ReplicateSettings:
-    """How the bias of the likelihood is measured by simulated replicates (M33 to M36).
+    """Settings of the Monte Carlo bias correction by simulated replicates (M33 to M36).
 
     Attributes:
-        pairs: Noises at first, each used with both signs.
-        most_pairs: Noises at most, where the bias is uncertain.
-        uncertain: Error of the bias, in standard errors of the estimate, up to which no more noises
-            are taken.
-        tried: Pairs tried at most, where replicates fail because the filter loses the joint.
+        pairs: Number of noise series at first; each is used with both signs.
+        most_pairs: Greatest number of noise series, where the bias is uncertain.
+        uncertain: Standard error of the bias, in standard errors of the estimate, above which more
+            noise series are simulated.
+        tried: Greatest number of pairs tried; replicates fail where the filter diverges.
         enough: Least number of pairs that succeed; with fewer there is no correction.
         large: Bias, in standard errors, above which the simulation is repeated at corrected values.
-        turns: Simulations at most.
-        unseen: Logged share of the noise variance where the recordings do not show it (M34).
-        headroom: The drive's greatest torque over the greatest in the recordings.
-        farthest: Step, in standard deviations, above which the filter has lost the joint and the
+        turns: Greatest number of such simulations.
+        unseen: Logged share of the noise variance that is assumed where the recordings do not show
+            it (M34).
+        headroom: Assumed torque limit of the drive, over the greatest torque in the recordings.
+        farthest: Step, in standard deviations, above which the filter counts as diverged and the
             replicate is dropped.
     """
 
@@ -67,8 +69,8 @@ class EstimatorSettings:
     """Settings of the default estimator.
 
     Attributes:
-        acceptance: When a refinement is accepted.
-        replicates: How its bias is measured.
+        acceptance: Limits of its acceptance tests.
+        replicates: Settings of its bias correction.
     """
 
     acceptance: AcceptanceLimits = AcceptanceLimits()

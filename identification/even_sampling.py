@@ -1,8 +1,8 @@
 """Even sampling: missing or late samples of a recording are interpolated and marked.
 
-The Kalman filter runs from sample to sample with one period. Cycles that a bus lost, or that were
-late by their own time stamp, are few and short on a sound bench; torque and angle are nearly
-straight between their neighbours. Callers leave out longer gaps.
+The Kalman filter runs from sample to sample with one period. On a sound bench few samples are lost
+or late, and such gaps are short; torque and angle are nearly linear across them. Callers leave out
+longer gaps.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _COUNTED = ("angle", "motor_angle")
 
 
 def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
-    """Return the recording on its even grid and the samples of gaps too long to be used; None
-    where it is uneven.
+    """Return the recording on its even grid and a mask of the samples in gaps too long to use; None
+    where the sampling is uneven.
 
     The grid is fitted to all time stamps, since a median period would drift off it within seconds.
     An even recording is returned unchanged.
@@ -64,7 +64,7 @@ def _grid(
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
     """Return the grid index of each sample, and origin and period of the line through their times.
 
-    Fitted twice, the second time without the samples that are off it.
+    The line is fitted twice, the second time without the samples that are off it.
     """
     index = np.concatenate(
         ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))
@@ -82,7 +82,7 @@ def _grid(
 
 
 def _long(missing: BoolArray) -> BoolArray:
-    """Keep the marks that stand in runs longer than :data:`SHORT_HOLE`."""
+    """Return only the marks in runs longer than :data:`SHORT_HOLE`."""
     edges = np.flatnonzero(np.diff(np.concatenate(([0], missing.astype(np.int64), [0]))))
     out = np.zeros(len(missing), dtype=bool)
     for start, stop in zip(edges[::2], edges[1::2], strict=True):

@@ -2,8 +2,8 @@
 bandwidth.
 
 Torque and regressors must pass the same filter, or every parameter is biased. The filter is a
-symmetric FIR filter, so that the outputs whose window contains a resting sample are known exactly;
-at rest friction balances the drive and obeys no equation.
+symmetric FIR filter, so the outputs touched by a sample at rest are known and can be left out: at
+rest friction follows no equation.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ POSITION_BANDWIDTH = 2.5
 DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
 """Default bandwidth over the sample rate, where encoder quantisation does not require less."""
 SLOW_BANDWIDTH_HZ = 20.0
-"""Bandwidth of slowly sampled recordings, but at most a sixth of their rate; servo motion reaches
-this frequency.
+"""Bandwidth of slowly sampled recordings, up to a sixth of their rate; servo motion has content up
+to this frequency.
 """
 RATE_TOLERANCE = 1e-6
 """Share of the rate by which rounded time stamps may lower it."""
@@ -43,7 +43,7 @@ IRREGULAR, STANDS_OUT = 0.25, 8.0
 over the usual difference.
 """
 LEAST_CLEAN = 0.1
-"""Least share of the samples in motion that remains after those about late or missing samples are
+"""Least share of the moving samples that must remain for those near late or missing samples to be
 removed.
 """
 REST_SAMPLES = 8
@@ -59,7 +59,7 @@ class Prepared:
     Arrays have shape (n,), all through the same filter, SI, at the joint.
 
     Attributes:
-        recording: Where it came from.
+        recording: The recording it was made from.
         time: s.
         angle: rad.
         velocity: rad/s.
@@ -68,11 +68,12 @@ class Prepared:
         constant is known.
         drive_torque: Drive torque alone, N m.
         moment: Contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Samples in motion whose filter window holds no resting sample and none about a late or
-        missing one.
-        bandwidth_Hz: Of all of the above.
-        filter: The filter, for regressors that are not linear in the velocity.
-        raw_velocity: Velocity before that filter, shape (m,), for those regressors.
+        used: Samples in motion whose filter window contains no sample at rest and none near a late
+            or missing one.
+        bandwidth_Hz: Bandwidth of all these series.
+        filter: The filter, to be applied to regressors that are not linear in the velocity.
+        raw_velocity: Velocity before that filter, rad/s, shape (m,), from which such regressors are
+            formed.
         raw_load: Magnitude of the pendulum's torque before that filter, N m, shape (m,).
     """
 
@@ -98,10 +99,11 @@ def uniform_grid(recording: Recording) -> Array:
 
 
 def joint_angle(recording: Recording) -> Array | None:
-    """Return the joint angle by the finer of the two encoders, rad, or None where neither was
+    """Return the joint angle from the finer of the two encoders, rad; None where neither was
     recorded.
 
-    The motor encoder counts through the gear (assumption 5); the joint encoder's zero is used.
+    The motor angle is divided by the gear ratio (assumption 5) and shifted to the joint encoder's
+    zero.
     """
     channels = recording.channels
     joint = channels.get("angle")
@@ -119,9 +121,9 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque
     constant).
 
-    From the torque channel, else the current, else the voltage: I = (U - Ke omega_motor)/R, zero
-    while the power stage is off. A channel that is a mean over the period ending at its time is
-    shifted by half a period.
+    It comes from the torque channel, else from the current, else from the voltage: I = (U - Ke
+    omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
+    ending at its time is shifted by half a period.
 
     Raises:
         RecordingError: No channel gives the torque.
@@ -158,7 +160,7 @@ def torque_unit(recording: Recording) -> str:
 
 
 def drive_channel(recording: Recording) -> str:
-    """Return the name of the logged quantity that the drive's torque is taken from."""
+    """Return the name of the logged quantity from which the drive's torque is computed."""
     if "torque" in recording.channels:
         return torque_word(recording.bench.motion)
     return "current" if "current" in recording.channels else "voltage"
@@ -205,8 +207,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
     """Mark grid samples at which the recording's own samples came too early, too late, or not at
     all.
 
-    In a run in real time a few cycles are late, and about those the joint accelerates faster than
-    the samples resolve. Where sampling is uneven throughout, nothing is marked.
+    In a real-time run a few cycles are late, and near them the joint accelerates faster than the
+    samples resolve. Where sampling is uneven throughout, nothing is marked.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -221,8 +223,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
 
 
 def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
-    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; ``rare`` ones are
-    allowed where few outputs remain.
+    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; if too few remain,
+    ``rare`` ones are allowed.
     """
     every = low_pass.untouched(bad)
     clean = low_pass.untouched(bad | rare)
@@ -230,16 +232,16 @@ def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolAr
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks widened by ``samples`` on either side, over which a filter on position mixes
-    rest and motion.
+    """Return the marks widened by ``samples`` on either side, where a position filter mixes rest
+    and motion.
     """
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 
 
 def default_bandwidth(recording: Recording) -> float:
-    """Choose a bandwidth, Hz: 1/25 of the rate (20 Hz or a sixth of the rate where that is slow),
-    or less where encoder quantisation would dominate the acceleration.
+    """Choose a bandwidth, Hz: 1/25 of the rate (at slow rates 20 Hz or a sixth of the rate), or
+    less where encoder quantisation would dominate the acceleration.
 
     White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12)
     sqrt(2 b / (5 rate)); the bandwidth keeps that below a tenth of the acceleration's own rms,
@@ -273,8 +275,8 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
             and samples whose acceleration the rate cannot resolve are left out.
 
     Raises:
-        RecordingError: A needed channel is missing, the bandwidth is more than the rate can carry,
-            or the recording is shorter than the filter.
+        RecordingError: A needed channel is missing, the bandwidth exceeds half the rate, or the
+            recording is shorter than the filter.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = default_bandwidth(recording)
@@ -318,11 +320,10 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
 
 
 def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz: float) -> None:
-    """Refuse a bandwidth that rate or length cannot bear.
+    """Refuse a bandwidth that the recording's rate or length does not allow.
 
     Raises:
-        RecordingError: It is more than the rate can carry, or the filter is longer than the
-            recording.
+        RecordingError: It exceeds half the rate, or the filter is longer than the recording.
     """
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
@@ -341,7 +342,7 @@ def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz
 def _motion(
     recording: Recording, grid: Array, rate: float, cutoff: float
 ) -> tuple[Array, Array, BoolArray]:
-    """Return angle, velocity (both smoothed) and the resting samples on ``grid``."""
+    """Return angle and velocity on ``grid``, both smoothed, and which samples are at rest."""
     position = joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)
@@ -355,16 +356,16 @@ def _motion(
     velocity = smooth(raw, rate, cutoff)
     if position is None:
         series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-        # Within one step of the channel, rest and motion cannot be distinguished.
+        # A velocity within one step of the channel cannot be distinguished from rest.
         still = np.asarray(np.abs(raw) <= 1.01 * quantum(recording.channels["velocity"]))
     return series, velocity, still
 
 
 def _unresolved(velocity: Array, rate: float) -> BoolArray:
-    """Mark samples where three-point and seven-point differences disagree, as the rate does not
-    resolve the motion.
+    """Mark samples where three-point and seven-point differences disagree: the rate does not
+    resolve the motion there.
 
-    Used where nothing is filtered, on exact channels: around breakaway and stop the speed changes
+    Used on exact channels, where nothing is filtered: near breakaway and stop the speed changes
     within microseconds.
     """
     fine = derivative(velocity, 1.0 / rate)

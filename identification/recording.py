@@ -47,7 +47,7 @@ class Bench:
     Attributes:
         motion: ``rotary`` (rad, N m) or ``linear`` (m, N).
         torque_constant: Km, N m/A at the motor shaft; None where a torque channel is given or the
-        fit is in amperes.
+            fit is in amperes.
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
         inductance: L, H.
@@ -108,15 +108,15 @@ class Pendulum:
 
 @dataclass(frozen=True)
 class Controller:
-    """The position loop a recording was made in: output = clip(kp (command - angle) - kv velocity,
-    limit).
+    """The position loop in which a recording was made: output = clip(kp (command - angle) - kv
+    velocity, limit).
 
     Attributes:
         output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque``
         (N m at the joint).
         position_gain: kp, output per rad.
         velocity_gain: kv, output per rad/s.
-        limit: Greatest magnitude of the output; None where nothing limits it.
+        limit: Greatest magnitude of the output; None if it is not limited.
     """
 
     output: Literal["duty", "voltage", "torque"]
@@ -130,9 +130,9 @@ class Model:
     """Terms fitted beyond the nominal nine parameters, and parameters that are fixed.
 
     Attributes:
-        terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and no
-        finding of a diagnosis.
-        fixed: Parameter name to value, not fitted.
+        terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and a
+            diagnosis does not report it.
+        fixed: Parameters that are not fitted: name to value.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
     """
@@ -154,13 +154,13 @@ class Recording:
             is off).
         bench: The machine.
         stage: ``unloaded`` or ``loaded``.
-        weight_mass: m_w on the lever, kg; none in a hot firing, which is loaded by its `pressure`.
+        weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
         pendulum: A weight that turns with the joint, or None.
-        controller: The loop it was made in, where that is known; only simulations need it.
+        controller: The loop in which it was made, if known; only simulations need it.
         role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
-        sha256: Of that file.
+        sha256: SHA-256 digest of that file.
         notes: Every correction made on reading, as text.
         partial: Whether its run stopped before the end of its command.
     """
@@ -183,8 +183,8 @@ class Recording:
         """Check shapes, names and time.
 
         Raises:
-            RecordingError: On an unknown channel, a length that differs, or time that does not
-                increase.
+            RecordingError: A channel is unknown, its length differs from the time's, or time does
+                not increase.
         """
         if "time" not in self.channels:
             raise RecordingError(f"{self.name}: no channel 'time'")
@@ -225,13 +225,13 @@ class Recording:
 
     @property
     def contact_force(self) -> float:
-        """F'_P of the weight pressing on the valve, N (eq. 17)."""
+        """Contact force F'_P of the weight, N (eq. 17)."""
         return self.bench.contact_force(self.weight_mass)
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings of one bench and what is to be fitted to them."""
+    """Recordings of one bench and the model to be fitted to them."""
 
     recordings: tuple[Recording, ...]
     model: Model = field(default_factory=Model)

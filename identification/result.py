@@ -1,4 +1,4 @@
-"""Results of an estimator: values with their intervals, and everything a report shows."""
+"""Results of an estimator: values with intervals, fit errors, searches and traces for a report."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Parameter:
 class Fit:
     """Torque error at the stated bandwidth.
 
-    Relative is the norm of the residual over the norm of the torque.
+    ``*_relative`` is the norm of the residual over the norm of the torque.
     """
 
     unit: str
@@ -76,15 +76,15 @@ class Convergence:
 
 @dataclass(frozen=True)
 class Starts:
-    """Where the starts of one search ended.
+    """Search ends: final cost of each start of one search.
 
     Attributes:
         stage: ``unloaded`` or ``loaded``.
-        cost: Quantity that was compared.
+        cost: Name of the quantity that was compared.
         ends: Final cost of each start, in the order they were tried.
-        reached: Cost up to which a start has reached the best end.
-        absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above
-            the least end.
+        reached: Cost up to which a start counts as having reached the best end.
+        absolute: Whether ``reached`` is a fixed limit that ends the search; else it is a margin
+            above the least end.
     """
 
     stage: str
@@ -95,7 +95,7 @@ class Starts:
 
     @property
     def best(self) -> int:
-        """How many starts reached the best end."""
+        """Number of starts that reached the best end."""
         return sum(end <= self.reached for end in self.ends)
 
 
@@ -104,15 +104,13 @@ class Profile:
     """Profile likelihood of one parameter, all others optimised at each point.
 
     Attributes:
-        name: Of the parameter.
-        unit: Of ``values``.
-        values: Held, rising, shape (n,).
-        deviance: -2 log likelihood there above the estimate's, shape (n,).
-        low: Lower end of the 90 % range; None where the deviance does not get there within
-        ``values``.
-        high: Upper end, alike.
-        scale: Factor of the likelihood's own deviance, so that its curvature agrees with the
-            interval.
+        name: Name of the parameter.
+        unit: Unit of ``values``.
+        values: Values at which the parameter was held, rising, shape (n,).
+        deviance: Deviance at these values less the deviance at the estimate, shape (n,).
+        low: Lower end of the 90 % range; None where ``values`` do not reach it.
+        high: Upper end of the 90 % range, or None likewise.
+        scale: Factor applied to the deviance, so that its curvature agrees with the interval.
     """
 
     name: str
@@ -124,7 +122,7 @@ class Profile:
     scale: float
 
     def moved(self, by: float) -> Profile:
-        """Return the same about an estimate that was moved."""
+        """Return the profile with its values shifted by ``by``."""
         low, high = (None if end is None else end + by for end in (self.low, self.high))
         return replace(self, values=self.values + by, low=low, high=high)
 
@@ -134,8 +132,8 @@ class Tradeoff:
     """Two parameters that correlate strongly, and the combination that is determined.
 
     Attributes:
-        names: Both.
-        correlation: Of their estimates.
+        names: Names of the two.
+        correlation: Correlation of their estimates.
         statement: Text with the combination that is determined.
     """
 
@@ -162,15 +160,15 @@ class Trace:
 
 @dataclass(frozen=True)
 class Resampled:
-    """Spread of one parameter over bootstrap draws of the motion segments.
+    """Spread of one parameter over bootstrap samples of the motion segments.
 
     Attributes:
-        name: Of the parameter.
-        unit: Its unit.
-        low: Lower end of the central 90 % of the draws; None where too few were solved.
-        high: Upper end.
-        draws: How many were made.
-        solved: How many of them could be solved.
+        name: Name of the parameter.
+        unit: Unit of the parameter.
+        low: Lower end of the central 90 % of the samples; None where too few were solved.
+        high: Upper end, likewise.
+        draws: Number of bootstrap samples.
+        solved: Number of samples whose equations could be solved.
     """
 
     name: str
@@ -181,7 +179,7 @@ class Resampled:
     solved: int
 
     def moved(self, by: float) -> Resampled:
-        """Return the same about an estimate that was moved."""
+        """Return the result with its bounds shifted by ``by``."""
         low, high = (None if end is None else end + by for end in (self.low, self.high))
         return replace(self, low=low, high=high)
 
@@ -191,12 +189,13 @@ class MeasuredNoise:
     """Noise of the measurement, as estimated from the prediction errors.
 
     Attributes:
-        torque: White part of the measured torque's, over one period, rms in ``unit``.
-        correlated: Its correlated part, a first-order process; zero where none was needed.
-        correlation_s: Time over which that is correlated, s.
-        angle_rad: Of the joint angle, beyond its quantisation, rms.
-        encoder_step_rad: Of its quantisation, at the joint.
-        unit: Of the torque.
+        torque: White noise of the measured torque, a mean over one period, rms in ``unit``.
+        correlated: Correlated noise of the torque, a first-order process, rms in ``unit``; zero
+            where none was needed.
+        correlation_s: Correlation time of that process, s.
+        angle_rad: Noise of the joint angle beyond its quantisation, rad rms.
+        encoder_step_rad: Quantisation step of the angle at the joint, rad.
+        unit: Unit of the torque.
     """
 
     torque: float
@@ -216,22 +215,22 @@ class Identification:
         motion: ``rotary`` or ``linear``.
         alpha: Stribeck exponent.
         parameters: Name to estimate with its interval.
-        fit: Error over all recordings.
+        fit: Torque error over all recordings.
         stages: Record of each search.
         warnings: Warnings about the result.
         traces: Signals of every recording.
-        fits_by_recording: Error of every recording.
+        fits_by_recording: Torque error of every recording.
         evaluations: Residual evaluations spent.
         seconds: Wall-clock time spent.
         fitted: Name to the value at the end of the fit, including parameters that are not
             identifiable by themselves; a simulation of the fitted model needs them.
         friction: Rung of :data:`identification.model.ladder.LADDER`.
-        starts: Where the starts of each search ended; empty where there was one start only.
+        starts: Search ends of each search; empty where there was one start only.
         tradeoffs: Pairs of parameters that correlate strongly.
-        least_pinned: Text with the least determined combination of parameters.
-        noise: Of the measurement; None where refined values were not accepted.
-        profiles: Profile likelihoods, where asked for.
-        resampled: Spread over bootstrap draws, where asked for.
+        least_pinned: Text that states the least determined combination of parameters.
+        noise: Noise of the measurement; None where refined values were not accepted.
+        profiles: Profile likelihoods, if requested.
+        resampled: Spread over bootstrap samples, if requested.
     """
 
     method: str
@@ -256,7 +255,9 @@ class Identification:
 
     @property
     def torque_unit(self) -> str:
-        """Unit of the traces' torques, which is not the fit's where that is in volts."""
+        """Unit of the torques in ``traces``; it differs from the fit's unit if the fit is in
+        volts.
+        """
         return self.parameters["Mc"].unit
 
     def values(self) -> dict[str, float]:

@@ -17,13 +17,13 @@ _LEAST_STEPS = 8
 
 
 def quantum(values: Array) -> float:
-    """Return the resolution of a quantised channel: its smallest step, or 0.0 where values look
+    """Return the resolution of a quantised channel, its smallest step; 0.0 if the values look
     continuous.
 
     A channel counts as quantised when its steps are whole multiples of the smallest one within 2 %,
-    as an encoder's are after any scale and offset. Steps of up to 20 units determine the unit,
-    those of up to 400 test it: around a turning point even a smooth curve can have steps of 1, 3
-    and 5 units at first.
+    which holds for an encoder after any scale and offset. Steps of up to 20 units determine the
+    unit and steps of up to 400 units test it, because near a turning point the steps of a smooth
+    curve can also be 1, 3 and 5 units at first.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 1e-9 * float(np.max(steps, initial=0.0))]
@@ -75,7 +75,7 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
 
 @dataclass(frozen=True)
 class Decimator:
-    """One symmetric FIR low-pass with decimation, applied alike to torque and to every regressor.
+    """A symmetric FIR low-pass with decimation, the same for the torque and every regressor.
 
     Attributes:
         taps: Filter, shape (2 half + 1,), sum 1; a single tap means no filtering.
@@ -100,7 +100,9 @@ class Decimator:
         return _decimated(series, self.taps, self.factor).reshape(*values.shape[:-1], -1)
 
     def chosen(self, values: Array, places: NDArray[np.int64]) -> Array:
-        """Return the outputs of these numbers alone, for series of shape (k, m), shape (n, k)."""
+        """Return only the outputs at the indices ``places``, shape (n, k), for series of shape (k,
+        m).
+        """
         if self.half == 0:
             return np.asarray(values[:, :: self.factor][:, places].T)
         return _chosen(
@@ -115,8 +117,8 @@ class Decimator:
 
 @compiled_sums
 def _decimated(series: Array, taps: Array, factor: int) -> Array:
-    """Return every ``factor``-th output of a symmetric FIR filter that the series fills, (k, m) to
-    (k, n).
+    """Return every ``factor``-th output of a symmetric FIR filter whose window lies inside the
+    series, (k, m) to (k, n).
     """
     reach = len(taps)
     out = np.empty((series.shape[0], max(0, (series.shape[1] - reach) // factor + 1)))
@@ -132,8 +134,8 @@ def _decimated(series: Array, taps: Array, factor: int) -> Array:
 
 @compiled_sums
 def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) -> Array:
-    """Return outputs of :func:`_decimated` by their numbers, (k, m) to (n, k); of a series of zeros
-    without a sum.
+    """Return the outputs of :func:`_decimated` at the indices ``places``, (k, m) to (n, k); series
+    of zeros are skipped.
     """
     reach, count = len(taps), len(places)
     out = np.zeros((count, series.shape[0]))
@@ -171,8 +173,8 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
 
 
 def reach(rate: float, bandwidth: float) -> tuple[int, int]:
-    """Return decimation and half length of the low-pass for a bandwidth in Hz, samples; (1, 0)
-    where none is needed.
+    """Return decimation factor and half length, in samples, of the low-pass for a bandwidth in Hz;
+    (1, 0) where no filter is needed.
     """
     if bandwidth >= 0.45 * rate:
         return 1, 0

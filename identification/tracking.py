@@ -16,14 +16,14 @@ REST_SPAN_S = 0.05
 
 @dataclass(frozen=True)
 class Tracking:
-    """Errors of one recording or a part of it.
+    """Tracking errors and effort of one recording or a part of it.
 
     Attributes:
-        rms: Of command less angle, rad.
-        largest: Its greatest magnitude, rad.
-        at_end: Its last value, rad: the steady-state error where the command rests.
-        energy: Electrical energy taken by the motor, the integral of U I, J.
-        waiting: Share of the time in which the joint rested though it was commanded to move.
+        rms: Rms of command less angle, rad.
+        largest: Greatest magnitude of command less angle, rad.
+        at_end: Last value of command less angle, rad: the steady-state error if the command rests.
+        energy: Electrical energy consumed by the motor, the integral of U I, J.
+        waiting: Share of the commanded motion time in which the joint rested.
     """
 
     rms: float
@@ -34,13 +34,15 @@ class Tracking:
 
 
 def tracking_error(recording: Recording) -> Array:
-    """Return command less angle, rad, shape (n,). A target is due one sample after it was sent."""
+    """Return command less angle, rad, shape (n,); each command is compared one sample after it was
+    sent.
+    """
     command = recording.channels["command"]
     return np.asarray(np.concatenate([command[:1], command[:-1]]) - recording.channels["angle"])
 
 
 def resting(recording: Recording) -> Array:
-    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is near
+    """Return 1 where the joint rests, else 0, shape (n,): its mean speed around the sample is near
     zero.
     """
     n = max(1, round(REST_SPAN_S / recording.period))
@@ -52,11 +54,11 @@ def resting(recording: Recording) -> Array:
 
 
 def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tracking:
-    """Judge a recording from ``first`` to ``last`` s after its start.
+    """Return the tracking errors of a recording from ``first`` to ``last`` s after its start.
 
     Raises:
-        KeyError: It lacks command, angle, voltage or current.
-        ValueError: It has no sample in between.
+        KeyError: The recording lacks command, angle, voltage or current.
+        ValueError: The recording has no sample in this interval.
     """
     time = recording.time - recording.time[0]
     part = (time >= first) & (time < last)

@@ -1,14 +1,14 @@
 """The corrected model in plain numpy: nominal friction and every effect of the catalogue, as
 functions of signals.
 
-What is here is exported as source, so it imports nothing but numpy. A function of an effect takes
-the signals ``s`` of one recording, the nominal model and bench constants ``m``, and the effect's
-parameters by the catalogue's names:
+Its modules are exported as source, so they import nothing but numpy. The function of an effect
+takes the signals ``s`` of one recording, the nominal parameters and bench constants ``m``, and the
+effect's parameters by their catalogue names:
 
-torque        what the motion asks of the drive, N m at the joint: J domega/dt + friction + loads
-drive         what the logged current gives, N m at the joint
+torque        torque that the motion requires, N m at the joint: J domega/dt + friction + loads
+drive         torque that the logged current produces, N m at the joint
 transmission  motor_angle / i - angle, rad
-voltage       what the logged current asks of the supply, V
+voltage       voltage that the logged current requires, V
 
-Each returns what it adds to the nominal value.
+Each function returns its addition to the nominal value.
 """

@@ -1,6 +1,4 @@
-"""The signals of a motion from plain arrays, for the model that is exported as a file of its
-own.
-"""
+"""Signals of a motion from plain arrays, for the model that is exported as a separate file."""
 
 from __future__ import annotations
 
@@ -12,7 +10,7 @@ from identification.numerics.arrays import Array
 
 
 def rest_times(time: Array, velocity: Array) -> Array:
-    """Return how long the last rest lasted, s, held until the next one ends, shape (n,)."""
+    """Return the duration of the last rest, s, held until the next rest ends, shape (n,)."""
     out = np.zeros(len(time))
     began = -1
     for k in range(1, len(time)):
@@ -40,24 +38,24 @@ def signals(
     run_start: float = 0.0,
     number: int = 1,
 ) -> dict[str, Any]:
-    """Return the signals of one recording; arrays of shape (n,), SI, at the joint but for current
+    """Return the signals of one recording; arrays of shape (n,), SI, at the joint except current
     and voltage.
 
     Args:
-        m: Numbers of the model.
+        m: Nominal parameters and bench constants.
         time: s, increasing.
         angle: rad.
         velocity: rad/s; zero at rest.
         acceleration: rad/s^2.
         contact_force: F_P, N.
-        weight_mass: On the lever, or of the weight that turns with the joint, kg.
-        current: Logged, A.
-        voltage: Logged, V.
-        supply: V.
-        known: Torque of a weight that turns with the joint, less what its inertia takes, N m.
-        known_inertia: Of that weight about the joint, kg m^2.
-        run_start: s between the first recording's start and this one's.
-        number: Of the recording, from 1.
+        weight_mass: Mass on the lever, or of the weight that turns with the joint, kg.
+        current: Logged current, A.
+        voltage: Logged voltage, V.
+        supply: Supply voltage, V.
+        known: Torque of a weight that turns with the joint, less its inertia torque, N m.
+        known_inertia: Inertia of that weight about the joint, kg m^2.
+        run_start: Time from the first recording's start to this one's, s.
+        number: Number of the recording, from 1.
     """
     one = np.ones(len(time))
     moving = np.maximum.accumulate(np.where(velocity != 0.0, np.arange(len(time)), 0))

@@ -1,5 +1,5 @@
-"""The corrected model as a whole: nominal parameters, effects, and the curve of what has no
-name.
+"""The corrected model: nominal parameters, identified effects, and an empirical curve of the
+rest.
 """
 
 from __future__ import annotations
@@ -33,18 +33,20 @@ PARAMETERS = (
     "offset",
 )
 COORDINATES = {"angle": "angle", "speed": "velocity", "time": "time"}
-"""Coordinates over which a curve can be carried, and the signal each is."""
+"""Coordinates that a curve may have, with the signal of each."""
 
 
 @dataclass(frozen=True)
 class CorrectedModel:
-    """What a diagnosis leaves behind for a simulation.
+    """Result of a diagnosis for simulation: nominal parameters, identified effects, empirical
+    curve.
 
     Attributes:
-        parameters: Nominal ones, name to value; absent ones count as 0.
+        parameters: Nominal parameters, name to value; absent ones count as 0.
         alpha: Stribeck exponent.
-        effects: Name to parameters; those of one recording carry ``recording``, counted from 1.
-        curve: Of what has no name, or None.
+        effects: Name of each effect to its parameters; an effect in one recording has
+            ``recording``, counted from 1.
+        curve: Empirical curve of a mismatch outside the catalogue, or None.
     """
 
     parameters: Mapping[str, float]
@@ -53,8 +55,8 @@ class CorrectedModel:
     curve: Curve | None = None
 
     def numbers(self, recording: Recording) -> dict[str, float]:
-        """Return the nominal parameters and a bench's constants, as the functions take them;
-        unknown ones are 0.
+        """Return the nominal parameters and the bench constants by the names that the functions
+        use; unknown ones are 0.
         """
         bench = recording.bench
         known = {name: float(self.parameters.get(name, 0.0)) for name in PARAMETERS}
@@ -70,7 +72,7 @@ class CorrectedModel:
         return {**known, **self._load(), "alpha": self.alpha, **given}
 
     def _load(self) -> dict[str, float]:
-        """Return the torque that turns with the joint and was found: coefficients of sin, cos, the
+        """Return the identified load torque as a function of angle: coefficients of sin, cos, the
         angle and 1.
         """
         torque, zero = (
@@ -88,20 +90,20 @@ class CorrectedModel:
         }
 
     def torque(self, s: Signals, m: Mapping[str, float]) -> Array:
-        """Return what the motion asks of the drive, N m at the joint, shape (n,)."""
+        """Return the torque that the motion requires, N m at the joint, shape (n,)."""
         total = nominal_torque(s, m) + self._added(TORQUE, s, m)
         return total + carried(self.curve, "torque", s)
 
     def drive(self, s: Signals, m: Mapping[str, float]) -> Array:
-        """Return what the logged current gives, N m at the joint, shape (n,)."""
+        """Return the torque that the logged current produces, N m at the joint, shape (n,)."""
         return np.asarray(s["drive"]) + self._added(DRIVE, s, m)
 
     def twist(self, s: Signals, m: Mapping[str, float]) -> Array:
-        """Return motor_angle / i - angle but for a constant, rad, shape (n,)."""
+        """Return motor_angle / i - angle up to a constant, rad, shape (n,)."""
         return self._added(TRANSMISSION, s, m) + carried(self.curve, "transmission", s)
 
     def voltage(self, s: Signals, m: Mapping[str, float]) -> Array:
-        """Return what the logged current asks of the supply, V, shape (n,)."""
+        """Return the voltage that the logged current requires, V, shape (n,)."""
         return (
             nominal_voltage(s, m) + self._added(VOLTAGE, s, m) + carried(self.curve, "voltage", s)
         )
@@ -116,8 +118,8 @@ class CorrectedModel:
 
 
 def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
-    """Return the empirical curve of one equation at the signals, shape (n,); 0 where there is none
-    for it.
+    """Return the empirical curve at the signals, shape (n,); 0 if it belongs to another equation or
+    is None.
     """
     n = len(np.asarray(s["time"]))
     if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:

@@ -1,9 +1,9 @@
-"""The nominal parameters again, by the default estimator, on recordings from which the effects are
-taken out.
+"""Refit of the nominal parameters, by the default estimator, on recordings from which the effects
+are subtracted.
 
-The search works on equation errors, which cannot see friction's falling branch under load; the
-default estimator refines by prediction errors, but only where nothing is missing. Taking out what
-was found lets it do so.
+The diagnosis works on equation errors, which do not resolve friction's falling branch under load.
+The default estimator refines by prediction errors, but only if no physics is missing; subtracting
+the identified effects makes that possible.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ _REPLACED = ("current", "voltage", "torque")
 def without_effects(
     recordings: Sequence[Recording], model: CorrectedModel, bandwidth_Hz: float
 ) -> list[Recording]:
-    """Return recordings whose torque channel is what the drive would have given without the
-    effects.
+    """Return recordings whose torque channel is the drive torque that would have occurred without
+    the effects.
 
     Raises:
-        RecordingError: A recording that has no torque, or cannot be brought to this bandwidth.
+        RecordingError: A recording has no torque, or does not allow this bandwidth.
     """
     seen = views(recordings, bandwidth_Hz)
     return [
@@ -44,11 +44,11 @@ def refit(
     bandwidth_Hz: float,
     rng: np.random.Generator | None = None,
 ) -> Identification:
-    """Return the nominal model of a dataset without its effects, with intervals, and None where
-    nothing pins it; ``rng`` as of :func:`identify`.
+    """Return the nominal parameters of a dataset without its effects, with intervals; ``rng`` as in
+    :func:`identify`.
 
     Raises:
-        RecordingError: The recordings cannot pin the model.
+        RecordingError: The recordings do not determine the model.
     """
     fitted = without_effects(dataset.part("fit"), model, bandwidth_Hz)
     return identify(dataclasses.replace(dataset, recordings=tuple(fitted)), rng=rng)
@@ -61,7 +61,7 @@ def _without(recording: Recording, view: View, model: CorrectedModel) -> Recordi
     measured = recording.channels
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
-            f"{recording.name}: effects are taken out of a torque or current, and neither was "
+            f"{recording.name}: effects are subtracted from a torque or current, and neither was "
             f"measured"
         )
     raw = measured["torque"] if "torque" in measured else m["ampere_torque"] * measured["current"]

@@ -1,6 +1,6 @@
-"""How far a corrected model is from recordings: the error of each equation at the stated bandwidth.
+"""Errors of a corrected model on recordings: the error of each equation at the stated bandwidth.
 
-Both sides of an equation are formed at the full rate and pass one filter together.
+Both sides of an equation are formed at the full rate and pass the same filter.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ class Predicted:
 
     Attributes:
         equation: ``torque``, ``transmission`` or ``voltage``.
-        recording: Name.
+        recording: Name of the recording.
         role: ``fit`` or ``validate``.
         time: s, shape (n,).
-        measured: In the equation's unit, shape (n,); NaN where it does not apply (at rest, or
-        unpowered).
-        model: Shape (n,), likewise.
+        measured: Measured side in the equation's unit, shape (n,); NaN where the equation does not
+            apply (at rest, or unpowered).
+        model: Model side, shape (n,), likewise.
     """
 
     equation: str
@@ -46,10 +46,10 @@ class Predicted:
 
 
 def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
-    """Return every equation that a recording bears, measured and predicted.
+    """Return every equation that the recording's channels allow, measured and predicted.
 
-    The zero of motor against joint angle is the recording's own, so that ``transmission`` is free
-    of a constant.
+    The offset between motor and joint angle is removed for each recording, so that ``transmission``
+    has no constant.
     """
     s, m, recording = signals_of(view), model.numbers(view.recording), view.recording
     found = [_one(view, "torque", model.drive(s, m), model.torque(s, m), ~view.moving)]

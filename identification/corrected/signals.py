@@ -1,4 +1,4 @@
-"""The signals of one recording as the functions of the corrected model take them."""
+"""Signals of one recording for the functions of the corrected model."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from identification.diagnosis.terms.device import label_kg
 def signals_of(view: View) -> dict[str, Any]:
     """Return the full-rate signals of a view, SI, at the joint unless said; arrays of shape (m,).
 
-    ``drive`` is what the current gives nominally, known loads not taken off; ``number`` counts
-    recordings from 1.
+    ``drive`` is the nominal torque of the current, including the torque against known loads;
+    ``number`` counts recordings from 1.
     """
     nothing = np.zeros(len(view.time))
     return {

@@ -1,4 +1,4 @@
-"""Functions of a series that remember: lag, shift, Dahl friction, play, heat."""
+"""Functions of a series with memory: lag, time shift, Dahl friction, play, winding heat."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from identification.numerics.arrays import Array
 
 
 def lagged(series: Array, time: Array, time_s: float) -> Array:
-    """Return a series through a first-order lag that starts settled, straight from sample to
-    sample, shape (n,).
+    """Return the series after a first-order lag, in steady state at the start, linear between
+    samples, shape (n,).
     """
     out = np.array(series, dtype=float)
     steps = np.diff(time)
@@ -24,13 +24,13 @@ def lagged(series: Array, time: Array, time_s: float) -> Array:
 
 
 def advanced(series: Array, time: Array, time_s: float) -> Array:
-    """Return the values of ``time_s`` later, shape (n,); the ends are held."""
+    """Return the series advanced by ``time_s``, ends held, shape (n,)."""
     return np.asarray(np.interp(time + time_s, time, series))
 
 
 def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
-    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N
-    m, shape (n,).
+    """Return Dahl friction, which reverses over a small travel: dF = k (1 - F sgn(dtheta) / level)
+    dtheta, N m, shape (n,).
 
     ``start`` is the friction at the first sample.
     """
@@ -46,7 +46,7 @@ def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0
 
 
 def play(angle: Array, gap: float) -> Array:
-    """Return how far the driving side of a gap leads the driven one, within +- gap/2, rad, shape
+    """Return the lead of a gap's driving side over its driven side, within +- gap/2, rad, shape
     (n,).
     """
     out = np.zeros(len(angle))
@@ -56,8 +56,8 @@ def play(angle: Array, gap: float) -> Array:
 
 
 def mean_step(current: Array, knee: float) -> Array:
-    """Return the mean of tanh(I / knee) over each sample's period, the current going straight
-    through it, shape (n,).
+    """Return the mean of tanh(I / knee) over each sample's period, for a current that is linear in
+    time, shape (n,).
 
     A knee of 0 is a sharp step. Around a reversal the current changes by more than the knee within
     one period.
@@ -76,8 +76,8 @@ def mean_step(current: Array, knee: float) -> Array:
 
 
 def winding_rise(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
-    """Return the winding's temperature rise, K, shape (n,); before the recording it was warmed as
-    in its mean.
+    """Return the winding's temperature rise, K, shape (n,); it starts at the steady state of the
+    recording's mean power.
     """
     loss = m["R"] * s["current"] ** 2
     before = float(np.mean(loss)) * (1.0 - np.exp(-s["run_time"][0] / time_s))

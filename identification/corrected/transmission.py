@@ -1,4 +1,4 @@
-"""Where motor and joint part: motor_angle / i - angle, which assumption 5 takes to be constant."""
+"""Effects in the transmission: motor_angle / i - angle, which is constant by assumption 5."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from identification.numerics.arrays import Array
 
 
 def backlash(s: Any, m: Any, gap_rad: float) -> Array:
-    """The joint stands until the motor has crossed the gap."""
+    """Backlash: the joint stays at rest until the motor has crossed the gap."""
     return play(s["motor_angle"] / m["i"], gap_rad)
 
 
 def compliance(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """M / k."""
+    """Elastic twist M / k."""
     return np.asarray(s["drive"] / stiffness_Nm_rad)
 
 
 def gear_mesh_ripple(
     s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
 ) -> Array:
-    """A sin(n theta + p)."""
+    """Periodic error A sin(n theta + p)."""
     return np.asarray(amplitude_rad * np.sin(per_turn * s["angle"] + phase_rad))
 
 
 def coupling_hysteresis(s: Any, m: Any, torque_Nm: float, deflection_rad: float) -> Array:
-    """A loop of the deflection, which lags behind the torque and so loses work."""
+    """Hysteresis: the deflection lags behind the torque and dissipates work."""
     behind = s["drive"] - play(s["drive"], 2.0 * torque_Nm)
     return np.asarray(deflection_rad * np.clip(behind / torque_Nm, -1.0, 1.0))
 
 
 def transport_delay(s: Any, m: Any, time_s: float) -> Array:
-    """The joint's encoder tells an old angle."""
+    """Delay of the joint encoder's angle."""
     return np.asarray(s["angle"] - np.interp(s["time"] - time_s, s["time"], s["angle"]))
 
 
 def encoder_eccentricity(s: Any, m: Any, amplitude_rad: float, phase_rad: float) -> Array:
-    """The joint's encoder reads A sin(theta + p) too much."""
+    """Eccentricity: the joint encoder reads A sin(theta + p) too much."""
     return np.asarray(-amplitude_rad * np.sin(s["angle"] + phase_rad))
 
 
 def encoder_slip(s: Any, m: Any, angle_rad: float, at_s: float, recording: float) -> Array:
-    """The joint's encoder slipped once, in one recording counted from 1."""
+    """A single slip of the joint encoder, in one recording, counted from 1."""
     late = s["time"] - s["time"][0] >= at_s
     return np.where(late & (s["number"] == round(recording)), -angle_rad, 0.0)
 
@@ -62,4 +62,4 @@ TRANSMISSION: Mapping[str, Callable[..., Array]] = {
         encoder_slip,
     )
 }
-"""Effect to what it adds to motor_angle / i - angle."""
+"""Effect name to its function, which returns an addition to motor_angle / i - angle."""

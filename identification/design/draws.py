@@ -1,5 +1,5 @@
-"""Candidate excitations: sines and ramps drawn at random, and small changes of those that get a
-share of the time.
+"""Candidate excitations: sines and ramps drawn at random, and small changes of the selected
+ones.
 """
 
 from __future__ import annotations
@@ -13,39 +13,41 @@ import numpy as np
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps, Tone
 
 TRIAL_S, TRIAL_PERIODS = 5.0, 3.0
-"""Least duration of the stage on which an excitation is judged, s and its periods."""
+"""Least duration of the stage on which an excitation is judged, in s and in its periods."""
 MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
 _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
-"""Of a random sine at its middle, rad/s."""
+"""Speed of a random sine at its centre, rad/s."""
 _LEAST_ACCELERATION = 0.25
-"""At its ends, rad/s^2.
+"""Acceleration of a random sine at its ends, rad/s^2.
 
-A lower one keeps the joint near rest for longer, where it sticks and slips.
+With a lower one the joint stays near rest for longer and sticks and slips.
 """
 _LEAST_ANGLE = math.radians(0.3)
-"""Least amplitude: play and presliding, which the nominal model lacks, dominate smaller swings."""
+"""Least amplitude; in smaller motions backlash and presliding, which the nominal model lacks,
+dominate.
+"""
 _HEAVIEST = 0.25
-"""Share of loaded sines that get the heaviest weight whatever the draw."""
+"""Share of loaded sines that always get the heaviest weight."""
 _NEAR = 0.75
-"""Share of sines drawn about where friction falls."""
+"""Share of sines drawn near the falling branch of friction."""
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
-"""Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2:
-at lower ones the joint sticks and slips; at higher ones it passes the falling branch of friction
-within one sample.
+"""Speeds of these sines at the centre, over the Stribeck speed, and accelerations at the ends,
+rad/s^2: at lower ones the joint sticks and slips; at higher ones it passes the falling branch of
+friction within one sample.
 """
 _RAMPS = 0.4
 """Share of ramps among the excitations that are drawn."""
 _RAMP_SPEEDS, _RAMP_TIMES = (1.2, 5.0), (0.15, 1.0)
-"""Their speeds over the Stribeck speed, and times to the far end, s.
+"""Speeds of ramps over the Stribeck speed, and times to the far end, s.
 
-Where friction falls faster than the drive's velocity gain can hold, the joint sticks and slips.
-Just above that speed every sample carries information on the falling branch; samples after a
+Where friction falls faster than the drive's velocity gain can compensate, the joint sticks and
+slips. Just above that speed every sample carries information on the falling branch; samples after a
 breakaway carry most, and short ramps have more of them.
 """
 _SPREAD, _RAMP_SPREAD = 0.2, 0.06
-"""Standard deviation of the logarithm of a refinement's change; and of a ramp's speed."""
+"""Standard deviation of the logarithm of a small change, and of a change of a ramp's speed."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class Draws:
         frames: The stages.
         bounds: Limits of the bench.
         stribeck: Stribeck speeds without and with a load, rad/s.
-        slot: Time that each stage of a design may take at the least, s.
+        slot: Least time of each stage of a design, s.
         rng: Source of all randomness.
     """
 
@@ -67,19 +69,19 @@ class Draws:
     rng: np.random.Generator
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine or ramps under one of the weights: of any speed, or about where friction
-        falls.
+        """Return a sine of any speed, or a sine or ramps near the falling branch of friction, under
+        one of the weights.
         """
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
-        # Load friction, and the information of fast sines on it, grows with the weight; under
-        # lighter weights the drive holds the joint on the falling branch.
+        # Load friction, and the information of fast sines on it, grows with the weight; only under
+        # lighter weights can the drive hold the joint on the falling branch.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
         found = self._ramps(number) if rng.random() < _RAMPS else self._sine(number)
         return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
 
     def _sine(self, number: int) -> Excitation:
-        """Return a sine of any speed and frequency, or about where friction falls."""
+        """Return a sine of any speed and frequency, or one near the falling branch of friction."""
         near = self.rng.random() < _NEAR
         frequency, speed = self._near(self.frames[number].loaded) if near else self._any()
         pace = 2.0 * math.pi * frequency
@@ -88,7 +90,7 @@ class Draws:
         )
 
     def _ramps(self, number: int) -> Excitation:
-        """Return ramps about the least speed at which the drive holds the joint on the falling
+        """Return ramps near the least speed at which the drive can hold the joint on the falling
         branch of friction.
         """
         speed = self.stribeck[self.frames[number].loaded] * _log_uniform(self.rng, *_RAMP_SPEEDS)
@@ -96,17 +98,19 @@ class Draws:
         return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
 
     def _away(self, number: int, speed: float, seconds: float) -> Excitation:
-        """Return ramps at a speed, as long as wanted and as angle and time allow."""
+        """Return ramps at a speed, of the wanted length as far as angle and time allow."""
         slot = self.slot - self.frames[number].pause
         longest = min(
             _RAMP_TIMES[1], self._reach / speed, 0.25 * slot
-        )  # the least of them is twice there and back
+        )  # the shortest excitation is twice away and back
         shortest = max(_RAMP_TIMES[0], _LEAST_ANGLE / speed)
         away = math.floor(100.0 * min(max(seconds, shortest), longest)) / 100.0
         return Excitation((), 0.0, 0.0, Ramps(speed, max(away, 0.01)))
 
     def changed(self, part: Part) -> Part:
-        """Return a small change of an excitation, and now and then the next weight up or down."""
+        """Return a small change of an excitation, sometimes with the next heavier or lighter
+        weight.
+        """
         e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
         weight = e.weight
         changed = (
@@ -134,7 +138,7 @@ class Draws:
         return 0.5 * MARGIN * (self.bounds.angle_max - self.bounds.angle_min)
 
     def _any(self) -> tuple[float, float]:
-        """Return a frequency, Hz, and a speed at the middle, rad/s, logarithmically uniform."""
+        """Return a log-uniform random frequency, Hz, and speed at the centre, rad/s."""
         frequency = _log_uniform(self.rng, _SLOWEST_HZ, min(_FASTEST_HZ, self.bounds.highest_Hz))
         speed = _log_uniform(
             self.rng, _LEAST_SPEED, min(_GREATEST_SPEED, MARGIN * self.bounds.speed)
@@ -142,7 +146,9 @@ class Draws:
         return frequency, max(speed, _LEAST_ACCELERATION / (2.0 * math.pi * frequency))
 
     def _near(self, loaded: bool) -> tuple[float, float]:
-        """Return the same of a sine whose speed at the middle is a few times the Stribeck speed."""
+        """Return frequency and centre speed of a sine whose centre speed is a few times the
+        Stribeck speed.
+        """
         speed = self.stribeck[loaded] * _log_uniform(self.rng, *_NEAR_SPEEDS)
         speed = min(speed, MARGIN * self.bounds.speed)
         acceleration = _log_uniform(self.rng, *_NEAR_ACCELERATIONS)

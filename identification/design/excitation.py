@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from identification.numerics.arrays import Array
 
 _RAMP_ACCELERATION, _LEAST_RAMP_S, _LONGEST_RAMP = 2.0, 0.05, 0.25
-"""Acceleration at which a proposed sine fades in, rad/s^2, the least time that takes, s, and its
-greatest share of the whole: both ramps lie inside.
+"""Fade of a proposed sine: acceleration, rad/s^2, least time, s, and greatest share of the
+duration, which includes both fades.
 """
 
 Tone = tuple[float, float]
@@ -19,7 +19,7 @@ Tone = tuple[float, float]
 
 @dataclass(frozen=True)
 class Ramps:
-    """Constant speed, rad/s, away from the centre for a time, s, and back, again and again."""
+    """Repeated ramps: constant speed, rad/s, away from the centre for a time, s, and back."""
 
     speed: float
     away: float
@@ -27,9 +27,7 @@ class Ramps:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Sines about a centre, or ramps and no sines; the weight on the lever, kg, and their duration,
-    s.
-    """
+    """Sines about a centre or ramps, with the weight on the lever, kg, and the duration, s."""
 
     tones: tuple[Tone, ...]
     weight: float
@@ -40,8 +38,8 @@ class Excitation:
     def fade(self) -> float:
         """Time in which a proposal's sines fade in and out, s.
 
-        It is short because the joint creeps or nearly stops meanwhile, and the filter may diverge
-        there.
+        It is short because the joint creeps or nearly stops during a fade, where the filter may
+        diverge.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
         longest = min(1.0, _LONGEST_RAMP * self.seconds)
@@ -49,19 +47,19 @@ class Excitation:
 
     @property
     def step(self) -> float:
-        """Half a period of a sine, or one ramp away and back, s: it lasts a whole number of
-        them.
+        """Half a period of a sine, or one ramp away and back, s; the duration is a whole number of
+        steps.
         """
         return 2.0 * self.ramps.away if self.ramps else 0.5 / self.tones[0][1]
 
     @property
     def shortest(self) -> float:
-        """The least time it can last, s: two ramps, as one has a single breakaway from rest."""
+        """Least duration, s; ramps need two, as one has a single breakaway from rest."""
         return 2.0 * self.step if self.ramps else self.step
 
     def lasting(self, seconds: float) -> Excitation:
-        """Return the same for as many half periods or ramps as the time has room for: it ends where
-        it began.
+        """Return the excitation with as many half periods or ramps as fit into the time, so that it
+        ends where it began.
         """
         longest = max(math.floor(seconds / self.step + 1e-6) * self.step, self.shortest)
         return replace(self, seconds=round(longest, 3))
@@ -69,10 +67,10 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Frame:
-    """A stage as it is: whether loaded, what is commanded, the time it takes, s, and how commands
-    become joint angles.
+    """A present stage: whether it is loaded, its excitation, its total time, s, and a function that
+    renders an excitation as joint angles.
 
-    ``pause`` is what a stage takes beside its excitation, s.
+    ``pause`` is the time of the stage without its excitation, s.
     """
 
     loaded: bool
@@ -92,8 +90,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the bench allows at the joint, SI: angles, speed, torque, following error; weights that
-    can be hung, kg.
+    """Limits of the bench at the joint, SI: angles, speed, torque, following error, frequency; and
+    the weights that can be hung, kg.
     """
 
     angle_min: float

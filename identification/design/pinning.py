@@ -1,13 +1,13 @@
-"""Intervals that a planned experiment would leave: Fisher information on the nominal model.
+"""Predicted intervals of a planned experiment, from its Fisher information on the nominal model.
 
-The nominal response passes the bench's noise and sensors and enters the residuals that the default
-method minimises. So the information includes the encoder's quantisation, the current's noise, the
-unknown breakaway times, and the samples that the estimator leaves out around them. A motion
-segment's own sensitivities contain the current's noise, and a segment in which the joint almost
-stops by chance would predict an information that other runs do not have. So a stage is simulated
-with several drives and noises, and only products of two such runs count, as in the floor of an
-estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by
-several runs of each (:mod:`identification.design.simulated_trial`).
+The nominal response is recorded with the bench's noise and sensors, and the information is computed
+from the residuals that the default method minimises. So it accounts for the encoder's quantisation,
+the current's noise, the unknown breakaway times, and the samples that the estimator omits around
+them. A motion segment's own sensitivities contain the current's noise, and a segment in which the
+joint almost stops by chance would give an information that other runs do not have. So a stage is
+simulated with several drives and noises, and only products of two different runs are used, as in
+the floor of an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are
+then judged by several simulated runs (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ _CLEAR = 1e-9
 @dataclass(frozen=True)
 class Information:
     """Information of a stage on the nine parameters relative to their values, in the order of
-    NAMES; it adds over stages.
+    NAMES; it is additive over stages.
 
     Attributes:
         normal: Fisher information, shape (9, 9).
-        power: Covariance of the scores by the noise model, shape (9, 9).
+        power: Covariance of the scores from the noise model, shape (9, 9).
         scatter: Covariance of the scores over motion segments, shape (9, 9).
     """
 
@@ -55,15 +55,15 @@ class Information:
     scatter: Array
 
     def times(self, factor: float) -> Information:
-        """Return the information of so many times the stage."""
+        """Return the information of ``factor`` times the stage."""
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def effective(self, weights: Array) -> Information:
-        """Return the information for an estimate in whose error the scores have these weights,
-        shape (9,).
+        """Return the effective information for an estimate whose error weights the scores by
+        ``weights``, shape (9,).
 
-        It is reduced by the ratio of the scores' scatter to that of the noise model, where that
-        exceeds one.
+        It is reduced by the ratio of the scores' observed scatter to their scatter in the noise
+        model, if that exceeds one.
         """
         ratio = float(weights @ self.scatter @ weights) / max(
             float(weights @ self.power @ weights), 1e-300
@@ -76,33 +76,33 @@ NOTHING = Information(*np.zeros((3, len(NAMES), len(NAMES))))
 
 @dataclass(frozen=True)
 class Pinned:
-    """Relative half widths of the 90 % intervals that an experiment leaves; infinite where a
-    parameter is not identifiable.
+    """Relative half widths of the 90 % intervals after an experiment; infinite for a parameter that
+    is not identifiable.
     """
 
     half_widths: Mapping[str, float]
 
     @property
     def weakest(self) -> str:
-        """The parameter with the widest interval for its value."""
+        """The parameter with the widest interval relative to its value."""
         return max(self.half_widths, key=lambda name: self.half_widths[name])
 
     @property
     def worst(self) -> float:
-        """Its relative half width."""
+        """Relative half width of the weakest parameter."""
         return self.half_widths[self.weakest]
 
 
 def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
-    """Return the information of one stage, by runs that are replicates of one another.
+    """Return the information of one stage, from simulated runs that are replicates of one another.
 
     It is :data:`NOTHING` where a run has too few breakaways or the filter does not follow it. It is
-    relative, so that the matrices are well scaled; static limits stand for themselves, not as the
-    rise above the Coulomb level.
+    relative to the values, so that the matrices are well scaled; static limits take the place of
+    the rises.
 
     Args:
-        stage: What is commanded, under which weight.
-        nominals: Of each run, three at least, with a noise of its own.
+        stage: Command and weight of the stage.
+        nominals: Model of each run, three at least; each run has its own noise.
     """
     names = NAMES if stage.weight else SYSTEM_PARAMETERS
     runs = []
@@ -121,8 +121,8 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
 
 
 def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run by replicates of it, with its segments' variance inflation,
-    shape (p, p).
+    """Return the information of a run from its replicates, with variance inflation, shape (p,
+    p).
     """
     point, jacobian = run.point, run.sensitivities
     alike = matching_means(jacobian, instruments(point, jacobian), point.experiment.matching_count)
@@ -131,8 +131,8 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return the covariance of a stage's scores by the noise model and over its motion segments,
-    breakaway times eliminated, each of shape (p, p).
+    """Return the covariance of a stage's scores from the noise model, and over its motion segments;
+    breakaway times are eliminated, shape (p, p) each.
     """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
@@ -156,10 +156,10 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
 
 
 def _bounded(information: Array, power: Array) -> Array:
-    """Return information by replicates, clipped between none and that of a stage's own
-    sensitivities.
+    """Return the information from replicates, clipped between zero and the information of the
+    stage's own sensitivities.
 
-    Products of two noises have neither bound: with few matching half cycles chance makes them
+    Products of two runs have neither bound: with few matching half cycles they can by chance be
     negative, or far greater than the stage's own information.
     """
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
@@ -173,10 +173,10 @@ def _bounded(information: Array, power: Array) -> Array:
 
 
 def likelihood_slope(point: Point) -> float:
-    """Return how steep the likelihood is at a point.
+    """Return the steepness of the likelihood at a point.
 
-    Where noise decides what the joint does next, the errors of the filter, which is linear about
-    its prediction, have a mean. Values other than those simulated are then far likelier, and the
+    Where noise decides whether the joint stops or moves on, the errors of the linearised filter
+    have a nonzero mean. Values other than the simulated ones are then far likelier, and the
     information of such a stage is wrong. Steepness is the squared slope of the log likelihood in
     the parameters, in the metric of their information, over their number: chi-squared, about 1
     under noise alone. The inertia does not count, as it is not estimated by likelihood.
@@ -194,13 +194,15 @@ def likelihood_slope(point: Point) -> float:
 
 
 def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
-    """Return the squared norm of some unknowns' scores in the metric of their information."""
+    """Return the squared norm of the scores of the unknowns at ``places``, in the metric of their
+    information.
+    """
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
 
 
 def _turn(names: Sequence[str], nominal: Nominal) -> Array:
-    """Return the map from relative changes of named parameters to the search's coordinates
+    """Return the matrix from relative changes of named parameters to the search's coordinates
     (logarithms, rises).
     """
     turn = np.eye(len(names))
@@ -214,7 +216,7 @@ def _turn(names: Sequence[str], nominal: Nominal) -> Array:
 
 
 def weights_of_scores(informations: Sequence[Information], target: str, loaded: bool) -> Array:
-    """Return the weights of the scores in the error of one parameter's estimate from several
+    """Return the weights of the scores in the error of the ``target``'s estimate from several
     stages, shape (9,).
     """
     count = len(NAMES) if loaded else len(SYSTEM_PARAMETERS)
@@ -228,16 +230,16 @@ def weights_of_scores(informations: Sequence[Information], target: str, loaded: 
 
 
 def effective(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
-    """Return the effective information of several stages on one parameter, estimated from all of
-    them.
+    """Return the effective information of each stage on the ``target``, estimated from all
+    stages.
     """
     weights = weights_of_scores(informations, target, loaded)
     return [i.effective(weights) for i in informations]
 
 
 def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
-    """Return the intervals that stages together leave: of all nine parameters, or of five where
-    none of them is ``loaded``.
+    """Return the intervals from all stages together: of all nine parameters if any is ``loaded``,
+    else of five.
     """
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]

@@ -1,13 +1,13 @@
-"""The excitation, within a bench's limits and in the same time, that leaves the narrowest interval
-of the least determined parameter.
+"""Proposal of an excitation, within a bench's limits and in the same time, that minimises the
+interval of the least determined parameter.
 
-Informations of stages add and grow with time. So many sines and ramps are judged once on short
-stages, and a convex problem shares the time among them (:mod:`identification.design.shares`). The
-few that get a share replace the stages: one sine alone leaves parameters that trade off, which a
-slow one beside a fast one, or a light weight beside a heavy one, separates. Each is also judged
-with softer and stiffer drives, since stick-slip depends on the loop. The best few designs are then
-simulated with those drives and noise, and the best one that the default method identifies is
-proposed.
+The information of stages is additive and proportional to time. Therefore many sines and ramps are
+each judged once on a short stage, and a convex problem shares the time among them
+(:mod:`identification.design.shares`). The few that get a share replace the stages: after one sine
+alone parameters trade off, and a slow and a fast sine, or a light and a heavy weight, separate
+them. Each is also judged with softer and stiffer drives, since stick-slip depends on the loop. The
+best few designs are then simulated with those drives and noise, and the best one that the default
+method identifies is proposed.
 """
 
 from __future__ import annotations
@@ -25,36 +25,38 @@ from identification.design.simulated import Nominal, PlannedStage, with_drives
 from identification.design.simulated_trial import attained, expected
 
 CANDIDATES = (60, 200)
-"""Random excitations judged for unloaded and for loaded stages, which have a weight to choose as
-well.
+"""Number of random excitations judged for unloaded and for loaded stages; the latter have a choice
+of weights as well.
 """
 REFINEMENTS, TOGETHER = 24, 10
-"""How often small changes of those that get a share are tried afterwards, and how many each
-time.
-"""
+"""Number of rounds of small changes of the selected excitations, and changes per round."""
 TRIALS = 3
-"""Most designs that are simulated and identified before half-time designs are tried."""
+"""Greatest number of designs that are simulated and identified before half-time designs are
+tried.
+"""
 CONFIRMED = 2.0
-"""Ratio of the attained to the expected merit below which no other design is simulated."""
+"""Ratio of attained to expected merit below which no further design is simulated."""
 NOISES = 3
-"""Noises with which a design is simulated and identified; the worst result counts."""
+"""Number of noise series with which a design is simulated and identified; the worst result
+counts.
+"""
 WHOLE_SEED = 100
-"""First seed of these noises; those of the drives are numbered from 0."""
+"""First seed of these noise series; seeds of the drives start at 0."""
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """The present excitation's intervals, the proposal, and the intervals of the proposal.
+    """A proposed excitation, with the intervals of the present and of the proposed one.
 
     Attributes:
         weakest: The parameter whose interval is to be narrowed.
         present: Intervals of the present excitation, by simulation.
-        stages: The proposal; the present excitation where nothing better was found.
-        pinned: Intervals of the proposal by simulation, the default method's among them.
+        stages: The proposal; the present excitation if nothing better was found.
+        pinned: Intervals of the proposal by simulation and identification with the default method.
         promised: Intervals of the proposal predicted by its Fisher information.
-        judged: Excitations simulated.
-        identified: Whole experiments that were simulated and identified by the default method.
+        judged: Number of excitations simulated.
+        identified: Number of whole experiments simulated and identified by the default method.
     """
 
     weakest: str
@@ -77,13 +79,13 @@ def propose(
     """Search for the excitation that narrows one parameter's relative interval most.
 
     Args:
-        frames: The stages; their total time stays, and so do unloaded and loaded ones.
+        frames: The present stages; the total time and the load conditions stay the same.
         nominal: The model.
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with the label of a step and the share that is done.
-        weakest: That parameter; the one with the widest relative interval where it is None or has
-            no part in these stages.
+        weakest: The parameter; if None, or if these stages do not involve it, the one with the
+            widest relative interval.
     """
     report = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
@@ -98,7 +100,7 @@ def propose(
             search.add(search.draws.random(loaded))
             report("candidates", (number + (k + 1) / wanted) / len(kinds))
     if not search.complete:
-        # An identification cannot start from any of the draws; it can from the present excitations.
+        # An identification cannot start from any of the draws, but from the present excitations.
         for part in present:
             search.add(part)
     for k in range(REFINEMENTS):
@@ -119,16 +121,16 @@ def propose(
 def _best_confirmed(
     designs: Iterable[Design], search: Search, now: Pinned, report: Progress
 ) -> tuple[Pinned, Design | None, int]:
-    """Return the best of some designs that the default method identifies, its intervals, and how
-    many were simulated.
+    """Return the intervals of the best design that the default method identifies, the design, and
+    the number of designs simulated.
 
-    It is the first whose simulated trials confirm the expected intervals; where none does, the one
-    with the best attained intervals.
+    The best is the first design whose simulated trials confirm the expected intervals; if none
+    does, the one with the best attained intervals.
     """
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
-    # Where the likelihood is steep at the simulated values the estimate ends beside them, so such
-    # widths are multiplied by the steepness.
+    # Where the likelihood is steep at the simulated values, the estimate ends away from them, so
+    # such widths are multiplied by the steepness.
     ranked = sorted(
         (p for p in judged if search.merit(p[0]) < search.merit(now)),
         key=lambda p: search.merit(p[0]) * p[1],
@@ -147,7 +149,9 @@ def _best_confirmed(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Pinned:
-    """Return the intervals of the worst of a few simulated trials, up to the first that fails."""
+    """Return the intervals of the worst of a few simulated trials; the first that fails ends
+    them.
+    """
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):
         found.append(attained(stages, search.nominals[0], np.random.default_rng(seed)))

@@ -1,4 +1,4 @@
-"""Search for sines, ramps and weights, and for their shares of the time, that together minimise the
+"""Search for a set of sines, ramps and weights, and their shares of the time, that minimises the
 interval of one parameter.
 """
 
@@ -29,31 +29,33 @@ from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 
 DESIGNS = 8
-"""Designs that are judged as wholes, at most."""
+"""Greatest number of designs that are judged as a whole."""
 PARTS = 7
-"""Stages of a design, at most."""
+"""Greatest number of stages of a design."""
 _LONGER = 1.3
-"""Duration over that for which the filter was tested on an excitation, above which it is tested
-again.
+"""Ratio of an excitation's duration to the duration on which the filter was tested, above which it
+is tested again.
 """
 _OTHER_NOISES = (1000, 1001)
-"""Seeds of further noises for that test: the filter may diverge with one noise in six."""
+"""Seeds of further noise series for that test: the filter may diverge with one series in six."""
 _SUPPORT = 12
-"""Excitations with the greatest shares, from which those of a design are chosen."""
+"""Number of excitations, those with the greatest shares, from which a design is chosen."""
 LEAST_S = 3.0
 """Least duration of a proposed stage."""
 _FOLLOWING_MARGIN = 0.5
-"""Share of the limit of the following error, which depends on the assumed drive loop."""
+"""Share of the following-error limit that may be used; the error depends on the assumed drive
+loop.
+"""
 _STARTING_ACCELERATION = 0.5
-"""Least acceleration of one unloaded sine, rad/s^2, about that of Figure 10: with less the equation
-error does not find the inertia.
+"""Least acceleration of one unloaded sine, rad/s^2, about the value of Figure 10: with less the
+equation error does not find the inertia.
 """
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, its information per second, and the duration for which the
-    filter was seen to follow it, s.
+    """An excitation on a short stage, its information per second, and the longest duration, s, on
+    which the filter was tested not to diverge.
     """
 
     part: Part
@@ -61,7 +63,7 @@ class Candidate:
     followed_s: float = 0.0
 
     def like(self, part: Part) -> bool:
-        """Return whether a part has this excitation, for whatever time."""
+        """Return whether a part has this excitation, of any duration."""
         return (
             replace(part, excitation=replace(part.excitation, seconds=self.part.excitation.seconds))
             == self.part
@@ -70,7 +72,9 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Design:
-    """Stages that together take the whole time, and the intervals by their information."""
+    """Stages that together fill the total time, and the intervals predicted by their
+    information.
+    """
 
     parts: tuple[Part, ...]
     predicted: Pinned
@@ -84,7 +88,7 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
 def predicted(
     frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str
 ) -> Pinned:
-    """Return the intervals that fixed stages leave, by their information."""
+    """Return the intervals of fixed stages, predicted by their information."""
     informations = [
         stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts
     ]
@@ -95,10 +99,10 @@ def predicted(
 def halved(
     design: Design, frames: Sequence[Frame], nominals: Sequence[Nominal], target: str
 ) -> Design:
-    """Return a design in half of the time, beside the present excitation in the other half.
+    """Return the design in half of the time, with the present excitation in the other half.
 
-    With the present excitation the searches of an identification reach the right basin where a
-    design alone does not lead there.
+    With the present excitation the searches of an identification reach the right basin, to which a
+    design alone may not lead.
     """
     parts, left = [], 0.0
     for number, frame in enumerate(frames):
@@ -123,22 +127,22 @@ class Search:
     rng: np.random.Generator
     target: str
     now: float
-    """The target's relative half width by the present excitation, which no other parameter's should
-    exceed.
+    """Relative half width of the target with the present excitation; no other parameter's should
+    exceed it.
     """
     pool: list[Candidate] = field(default_factory=list)
     count: int = 0
 
     def merit(self, pins: Pinned) -> float:
-        """Return the target's relative half width, more where another's exceeds what it is now; the
-        less the better.
+        """Return the merit to minimise: the target's relative half width, increased if another
+        parameter's exceeds ``now``.
         """
         return pins.half_widths[self.target] * max(
             1.0, pins.worst / max(self.now, pins.half_widths[self.target])
         )
 
     def add(self, part: Part) -> None:
-        """Judge an excitation on a short stage and keep it where it has information."""
+        """Judge an excitation on a short stage and keep it if it has information."""
         rate = self._rate(part)
         if rate is not None:
             self.pool.append(Candidate(part, rate))
@@ -150,18 +154,18 @@ class Search:
 
     @property
     def _room(self) -> int:
-        """Stages that a design may have."""
+        """Number of stages that a design may have."""
         return max(len({f.loaded for f in self.frames}), min(PARTS, int(self._total / LEAST_S)))
 
     @cached_property
     def draws(self) -> Draws:
-        """What excitations come from."""
+        """Random generator of excitations."""
         values = self.nominals[0].values
         stribeck = values["omega_sf"], values.get("omega_sL", values["omega_sf"])
         return Draws(self.frames, self.bounds, stribeck, self._total / self._room, self.rng)
 
     def changed(self, count: int) -> list[Part]:
-        """Return small changes of excitations that get a share; none where a kind of stage has no
+        """Return small changes of excitations that have a share; none if a kind of stage has no
         excitation.
         """
         if not self.complete:
@@ -173,8 +177,8 @@ class Search:
         ]
 
     def designs(self) -> list[Design]:
-        """Return the best design, and those without one of its longest excitations, the one with
-        the least merit value first.
+        """Return the best design and variants without one of its longest excitations, sorted by
+        merit, best first.
         """
         best = self._design(list(self.pool))
         if best is None:
@@ -187,14 +191,14 @@ class Search:
         return ranked
 
     def _longest(self, chosen: Sequence[Candidate]) -> list[Candidate]:
-        """Return candidates by their shares of the time, the greatest first."""
+        """Return candidates sorted by their shares of the time, greatest first."""
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations; None where a kind of stage has
+        """Return the best design from a pool, and its excitations; None if a kind of stage has
         none.
 
-        An excitation that the filter does not follow in its whole stage leaves the pool for good.
+        An excitation on whose whole stage the filter diverges is removed from the pool permanently.
         """
         while self._complete(pool):
             designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
@@ -210,8 +214,8 @@ class Search:
         return None
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
-        """Return whether the filter follows an excitation for its whole time, with noises other
-        than those it was judged by.
+        """Return whether the filter follows an excitation for its whole duration, with other noise
+        series than those it was judged with.
         """
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:
@@ -224,8 +228,8 @@ class Search:
 
     @property
     def complete(self) -> bool:
-        """Whether there is an excitation for every kind of stage, and an unloaded one to start
-        from.
+        """Whether the pool has an excitation for every kind of stage, and an unloaded one from
+        which identification can start.
         """
         return self._complete(self.pool)
 
@@ -236,11 +240,11 @@ class Search:
         )
 
     def _starts(self, candidate: Candidate) -> bool:
-        """Return whether an unloaded stage leaves the fall of friction fast enough for
-        identification to start from.
+        """Return whether identification can start from this unloaded stage: its motion leaves the
+        falling branch of friction fast enough.
 
-        On the falling branch the equation error takes acceleration for friction, and with little
-        acceleration it finds no inertia.
+        On the falling branch the equation error confuses inertia torque with friction, and with
+        little acceleration it finds no inertia.
         """
         if not candidate.part.excitation.tones:
             return False
@@ -262,11 +266,11 @@ class Search:
         return self._shared(pool)[0]
 
     def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
-        """Return smaller and smaller selections of a pool; each step leaves out the excitation
-        that costs least merit.
+        """Return successively smaller selections of a pool; each step removes the excitation whose
+        loss costs least merit.
 
-        Selections go from as many stages as a design may have to as few as make one. Each
-        excitation gets its least time, whatever its share.
+        Selections range from the greatest to the least possible number of stages. Each excitation
+        gets at least its least time.
         """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
@@ -289,28 +293,28 @@ class Search:
         return self.frames[candidate.part.frame].loaded
 
     def _reached(self, chosen: Sequence[Candidate]) -> float:
-        """Return the merit of sharing the whole time among these, pauses aside."""
+        """Return the merit of sharing the whole time among these candidates, without pauses."""
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         parts = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
         return self.merit(pinned(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
-        """Return the least share of the time of each as one stage of several, its pause included,
-        shape (n,).
-        """
+        """Return the least share of the time of each candidate, its pause included, shape (n,)."""
         shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
         least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
         return np.asarray(least / max(self._total, float(np.sum(least))))
 
     def _timed(self, chosen: Sequence[Candidate]) -> Design:
-        """Share the whole time among a few excitations, each rounded down to half periods."""
+        """Return the design that shares the whole time among a few excitations, each rounded down
+        to half periods.
+        """
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         spans = total * shares
         parts: dict[int, Part] = {}
         informations, left = [], 0.0
-        # What rounding leaves of the time goes to the next, the longest last.
+        # Time left over by rounding goes to the next excitation, the longest last.
         for k in np.argsort(spans, kind="stable").tolist():
             part, pause = chosen[k].part, self.frames[chosen[k].part.frame].pause
             room = float(spans[k]) + left
@@ -325,8 +329,8 @@ class Search:
         )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return an excitation's information per second; None where it breaks a limit or has
-        none.
+        """Return an excitation's information per second; None if it breaks a limit or has no
+        information.
         """
         b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
@@ -342,7 +346,7 @@ class Search:
         return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
 
     def _within_limits(self, stage: PlannedStage, nominal: Nominal) -> bool:
-        """Return whether a drive stays within the limits, by a margin."""
+        """Return whether the response of a drive stays within the limits by a margin."""
         b, response = self.bounds, stage_response(stage, nominal)
         return (
             response.peak_speed < MARGIN * b.speed

@@ -1,8 +1,9 @@
-"""Shares of the time among many excitations that minimise the variance of one parameter.
+"""Optimal shares of the time among many excitations, which minimise the variance of one parameter.
 
-Informations add and grow with time, so the variance of a parameter is convex in the shares of time.
-The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7 (1978) 1379)
-needs no step length and leaves few excitations with a share: those that complement one another.
+Information is additive and proportional to time, so the variance of a parameter is convex in the
+shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7
+(1978) 1379) needs no step length and gives a share to few excitations, which complement one
+another.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04
-"""Weight of every other parameter's relative variance beside the target's, so that none is left
-open.
+"""Weight of the other parameters' relative variances in the criterion, over the target's weight, so
+that none stays undetermined.
 """
 _FLOOR = 1e-12
 
@@ -28,11 +29,10 @@ def best_shares(
     """Return each excitation's share of the time, shape (n,); they sum to 1.
 
     Args:
-        rates: Information of each per second.
+        rates: Information of each excitation per second.
         target: The parameter whose variance is minimised.
-        loaded: Whether the load's four are unknown as well.
-        least: Shares that they get in any case, shape (n,), of sum 1 at most; None where they get
-            none.
+        loaded: Whether the four load parameters are unknown as well.
+        least: Least shares, shape (n,), of sum 1 at most; None for zero.
     """
     count = len(NAMES) if loaded else NAMES.index("mu_c")
     normals = np.array([rate.normal[:count, :count] for rate in rates])
@@ -54,11 +54,11 @@ def best_shares(
 def shared(
     informations: Sequence[Information], target: str, loaded: bool, least: Array | None = None
 ) -> tuple[Array, list[Information]]:
-    """Return the best shares of excitations, shape (n,), and the effective information of each on
+    """Return the optimal shares of excitations, shape (n,), and each one's effective information on
     the target at these shares.
 
-    The effective information depends on the weights of the scores in the target's estimate, and
-    these on the shares; so the two are computed in turn.
+    The effective information depends on the weights of the scores in the target's estimate, and the
+    weights on the shares; so both are computed in alternation.
     """
     counts = list(informations)
     for _ in range(_TURNS):

@@ -1,5 +1,5 @@
-"""A planned experiment simulated on the nominal model: motion, log, and the fit at the simulated
-values.
+"""Simulation of a planned experiment on the nominal model: motion, recording, and sensitivities at
+the simulated values.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from identification.simulate.servo_loop import Loop, Response, respond, usual_lo
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Velocity gains of further drives that a proposal must suit, over the nominal one's: where that is
-assumed, and where recordings show it.
+"""Velocity gains, over the nominal gain, of further drives that a proposal must suit: if the drive
+loop is assumed, and if it is known from recordings.
 """
 
 
@@ -35,7 +35,7 @@ class Sensors:
     """Sampling, quantisation and noise of the bench's log.
 
     Attributes:
-        period: Of the log, s.
+        period: Sample period of the log, s.
         joint_step: Joint angle of one step of the finer encoder, rad.
         torque_noise: Noise of the torque as logged, a mean over the period, N m rms at the joint.
     """
@@ -47,7 +47,7 @@ class Sensors:
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and
+    """One stage of an experiment with all its repeats: commanded joint angles, rad, shape (n,), and
     the weight, kg.
     """
 
@@ -57,11 +57,11 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the
-    greatest torque, N m.
+    """The model on which an experiment is planned: the nine parameters by name, SI, the bench, its
+    sensors, and the greatest torque, N m.
 
-    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia;
-    ``stiffness`` is the velocity gain over that one's.
+    ``loop`` is the drive loop known from recordings; None if it is assumed from the inertia.
+    ``stiffness`` multiplies its velocity gain.
     """
 
     values: Mapping[str, float]
@@ -83,8 +83,8 @@ class Nominal:
 
 
 def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
-    """Return a model with its own drive, a softer and a stiffer one; a proposal has to suit all of
-    them.
+    """Return copies of the model with its own, a softer and a stiffer drive; a proposal has to suit
+    all of them.
     """
     beside = ASSUMED if nominal.loop is None else SEEN
     return tuple(
@@ -101,11 +101,11 @@ def stage_response(
     """Return the nominal bench's response to one stage.
 
     Args:
-        stage: What is commanded, under which weight.
+        stage: Command and weight.
         nominal: The model.
-        rng: Of the torque's noise; None for the same noise in every stage of one length, so that
-        designs compare.
-        share: Of the noise that is in the torque itself.
+        rng: Random generator of the torque noise; None for the same noise in every stage of one
+            length, which makes designs comparable.
+        share: Share of the noise that is in the torque itself.
     """
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
     chance = rng or np.random.default_rng(NOISE_SEED)
@@ -118,12 +118,12 @@ def stage_response(
 def recorded(
     number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator
 ) -> Recording:
-    """Return the log of a stage, with half of the noise's power in the torque itself and half in
-    its measurement.
+    """Return the simulated recording of a stage, with half of the noise power in the torque itself
+    and half in its measurement.
 
-    How a drive shares it depends on its current loop, which is not known. The drive's own channels
-    are logged as well: without them the default method cannot find the loop and omits the bias
-    correction, which needs it.
+    The true share depends on the drive's current loop, which is not known. The drive's own channels
+    are included: without them the default method cannot estimate the loop and omits the bias
+    correction.
     """
     sensors, bench = nominal.sensors, nominal.bench
     response = stage_response(stage, nominal, rng, math.sqrt(0.5))
@@ -152,15 +152,16 @@ def at_the_truth(
     noise: int,
     whole: bool = True,
 ) -> Replicate | None:
-    """Return a run of some stages and the fit at the simulated values; None where the filter does
-    not follow.
+    """Return a simulated run of some stages with its sensitivities at the simulated values; None
+    where the filter diverges.
 
     Args:
-        stages: What is commanded, under which weights.
+        stages: Commands and weights.
         nominal: The model.
-        names: Of the parameters that would be fitted.
+        names: Names of the parameters that would be fitted.
         noise: Seed of the noise.
-        whole: Whether the noise's level is estimated, as in a whole experiment, or the nominal one.
+        whole: Whether the noise level is estimated, as in a whole experiment; else it is the
+            nominal one.
     """
     rng = np.random.default_rng(noise)
     motions = [motion(recorded(k, s, nominal, rng)) for k, s in enumerate(stages)]
@@ -189,7 +190,9 @@ def at_the_truth(
 def followed(
     stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]
 ) -> bool:
-    """Return whether the filter follows a stage in every drive with each of several noises."""
+    """Return whether the filter follows a stage with every drive and each of several noise
+    series.
+    """
     return all(
         at_the_truth([stage], n, names, noise, whole=False) is not None
         for noise in noises

@@ -1,10 +1,10 @@
-"""Simulated trials of a proposed experiment: simulated on the nominal model with noise, and
-identified.
+"""Simulated trials of a proposed experiment: simulation on the nominal model with noise, and
+identification.
 
 Fisher information is a linearisation at one point; under a heavy weight the joint breaks away
-within one sample, and there the information may be ten times the attained one. So the best few
-designs, the present one among them, are simulated with a few noises and get the intervals that the
-default method states at the simulated values.
+within one sample, and the predicted information may be ten times the attained one. So the best few
+designs, with the present one, are simulated with a few noise series, and are judged by the
+intervals that the default method states for them.
 """
 
 from __future__ import annotations
@@ -24,13 +24,12 @@ from identification.recording import Dataset, RecordingError
 
 
 def attained(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
-    """Return the relative half widths that the default method attains on a simulated run of the
-    nominal bench.
+    """Return the relative half widths that the default method attains on one simulated run.
 
-    Where a value is farther from the simulated one than its half width, the distance replaces it:
-    the interval is too narrow, or of a wrong basin. It is infinite for parameters that are not
-    identifiable, and for all where the refined values are refused, since the design was made for
-    these.
+    Where an estimate is farther from the simulated value than its half width, the distance replaces
+    the half width: the interval is too narrow, or the estimate is in a wrong basin. The half width
+    is infinite for parameters that are not identifiable, and for all parameters if the refined
+    values are not accepted, since the design was made for these.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf))
@@ -54,13 +53,13 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
     """Return the relative half widths that the joint fit would state at the simulated values, and
     the steepness of the likelihood there.
 
-    Steepness is over that of noise alone, 1 or more; the fit would end about so many standard
-    deviations away. Both are medians over the runs, and infinite where the filter does not follow
-    one of them.
+    Steepness is relative to noise alone, 1 or more; the fit would end about this many standard
+    deviations from the simulated values. Both are medians over the runs, and infinite if the filter
+    diverges in one of them.
 
     Args:
         stages: The design.
-        nominals: Of each run, three at least, with a noise of its own.
+        nominals: Model of each run, three at least; each run has its own noise.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf)), math.inf

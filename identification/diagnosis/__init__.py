@@ -1,1 +1,1 @@
-"""Locate the mismatch, say what physics was left out, model it, show the fit improve."""
+"""Diagnosis of missing physics: locate the mismatch, identify its cause, correct the model."""

@@ -1,15 +1,16 @@
-"""What a diagnosis must beat: greedy selection by BIC, and sparse regression, on the nominal
-model's mismatch.
+"""Baseline methods for comparison with the diagnosis: greedy selection by BIC, and sparse
+regression, on the nominal model's mismatch.
 
-Both see what the search sees: the same equations, whitened rows, nominal tangent taken out, and the
-same regressors at the same trial shapes, with the physical signs of their coefficients. They lack
-what the search adds: tests by blocks, joint refits with continuous shapes, adequacy, and rivals.
+Both use the same data as the search: the same equations, whitened rows with the nominal tangent
+projected out, and the same regressors at the same trial shapes, with the physical signs of their
+coefficients. They lack the search's block-wise tests, joint refits with continuous shapes, test of
+adequacy, and rivals.
 
 Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
 461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
 3932), which the discrepancy models of Kaheman et al. (arXiv:1909.08574) and de Silva et al. (Front.
-Artif. Intell. 3 (2020) 25) use; the threshold by cross-validation over recordings, the sparsest
-within one standard error of the best.
+Artif. Intell. 3 (2020) 25) use. The threshold is chosen by cross-validation over recordings: the
+sparsest solution within one standard error of the best.
 """
 
 from __future__ import annotations
@@ -27,24 +28,24 @@ from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
 MOST_STEPS = 40
-"""Groups that greedy selection may take."""
+"""Greatest number of groups that greedy selection takes."""
 FOLDS = 4
 RIDGE = 1e-3
-"""Over the unit norm of the regressors: keeps neighbouring shapes solvable."""
+"""Ridge, relative to the unit norm of the regressors, which keeps neighbouring shapes solvable."""
 LEAST_THRESHOLD = 3.0
-"""Norm of a contribution over the noise of one row at which the path begins: less comes by
-chance.
+"""Norm of a contribution, over the noise of one row, at which the path begins; smaller ones occur
+by chance.
 """
 THRESHOLDS = 20
-"""Steps of the path, up to the strongest contribution there is."""
+"""Number of thresholds on the path, up to the strongest contribution."""
 MOST_ROUNDS = 10
-"""Solutions at one threshold."""
+"""Greatest number of iterations at one threshold."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """One effect at one trial shape: its columns, and which coefficients must be positive to be
-    physical.
+    """One effect at one trial shape: its columns, and the indices of coefficients that must be
+    positive.
     """
 
     name: str
@@ -55,13 +56,13 @@ class Group:
 
 @dataclass(frozen=True)
 class Library:
-    """All regressors by their inner products, at unit norm.
+    """Inner products of all regressors, scaled to unit norm.
 
     Attributes:
-        groups: In order of the columns.
+        groups: Groups in the order of the columns.
         gram: Inner products over each fold, shape (f, p, p).
-        moment: With the mismatch, shape (f, p).
-        power: Square sum of the mismatch over each fold, shape (f,).
+        moment: Inner products with the mismatch, shape (f, p).
+        power: Sum of squares of the mismatch over each fold, shape (f,).
         rows: Number of whitened rows.
     """
 
@@ -76,7 +77,7 @@ def library(joint: Joint, terms: Sequence[Term]) -> Library:
     """Return the regressors that the search screens on the nominal model's mismatch.
 
     Args:
-        joint: The nominal model alone.
+        joint: Fit of the nominal model alone.
         terms: Effects.
     """
     stack = joint.stack
@@ -118,8 +119,8 @@ def library(joint: Joint, terms: Sequence[Term]) -> Library:
 
 
 def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return whitened regressors with the tangent taken out; none where the nominal model absorbs
-    one of them.
+    """Return whitened regressors with the tangent projected out; empty if one is collinear with the
+    nominal model.
     """
     out: dict[str, Array] = {}
     before: Array | float = 0.0
@@ -134,7 +135,7 @@ def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _folds(stack: Stack) -> np.ndarray:
-    """Return the fold of each recording by its index: recordings in turn, -1 where one has no
+    """Return the fold of each recording by its index, assigned in turn; -1 for a recording without
     rows.
     """
     recordings = sorted({v.index for e in stack.equations for v in e.views})
@@ -144,9 +145,7 @@ def _folds(stack: Stack) -> np.ndarray:
 
 
 def greedy_bic(given: Library) -> tuple[str, ...]:
-    """Return effects in the order in which they were selected; none where the criterion never
-    falls.
-    """
+    """Return effects in the order of selection; empty if the criterion never falls."""
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     power = float(given.power.sum())
     named: dict[str, None] = {}
@@ -169,9 +168,10 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
 
 
 def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
-    """Return the square sum that each group explains.
+    """Return the sum of squares that each group explains.
 
-    It is 0 where what is selected absorbs the group, or a coefficient has an unphysical sign.
+    It is 0 if the group is collinear with the selected groups, or a coefficient has an unphysical
+    sign.
     """
     gains = np.zeros(len(groups))
     widths = np.array([g.columns.stop - g.columns.start for g in groups])
@@ -197,8 +197,8 @@ def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
 
 
 def sparse(given: Library) -> tuple[str, ...]:
-    """Return effects by the power of what they contribute, the greatest first; none where all are
-    thresholded away.
+    """Return effects sorted by the power of their contribution, greatest first; empty if all are
+    below the threshold.
     """
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     greatest = math.sqrt(max(_gains(gram, moment, given.groups), default=0.0))
@@ -231,8 +231,8 @@ def sparse(given: Library) -> tuple[str, ...]:
 
 
 def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
-    """Return coefficients, shape (p,), at rising thresholds, each begun from the groups that the
-    one before left.
+    """Return coefficients, shape (p,), at rising thresholds; each starts from the groups that
+    remain at the previous one.
     """
     left = list(groups)
     coefficients = np.zeros(len(moment))

@@ -1,6 +1,4 @@
-"""Where a diagnosis begins: the nominal parameters as the default estimator has them, fitted to all
-equations.
-"""
+"""Start of a diagnosis: the default estimator's nominal parameters, fitted to all equations."""
 
 from __future__ import annotations
 
@@ -19,35 +17,40 @@ from identification.prepare import default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
 FALLING, FALLS = (0.02, 0.3), 3
-"""Quantiles of the speed between which friction's fall is tried, and how many."""
+"""Quantiles of the speed between which Stribeck speeds are tried, and their number."""
 WORTH_RAISING = 0.7
-"""Squares left over those from the estimate's own start, below which a supposed fall is taken.
+"""Ratio of the remaining squares to those of the fit from the estimate, below which an assumed fall
+of friction is accepted.
 
-On simulated rigs whose fall was hidden it was 0.06 to 0.6; a few per cent can be had by a wrong
-one.
+In simulated trials in which an injected effect masked the fall the ratio was 0.06 to 0.6; a wrong
+fall can gain a few per cent.
 """
 GREATEST_BANDWIDTH_HZ = 25.0
-"""Above this hardly any effect of the catalogue adds to what is below, and noise does."""
+"""Greatest bandwidth; above it effects add hardly any signal, but noise."""
 UNBURDENED: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
 }
-"""Rung of friction under a load to what is left of it where no load is declared."""
+"""Rung with load-dependent friction to the rung without it, used if no load is declared."""
 NEAR_FLOOR = 1.5
-"""Mean square of the mismatch over that of the noise, below which it counts as explained."""
+"""Ratio of the mean-square mismatch to the noise's, below which the mismatch counts as
+explained.
+"""
 
 
 def common_bandwidth(recordings: Sequence[Recording]) -> float:
-    """Return the bandwidth of every error, Hz: the least of what each recording bears."""
+    """Return the common bandwidth of all errors, Hz: the least of the recordings' default
+    bandwidths.
+    """
     return min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in recordings))
 
 
 def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
-    """Return views of the recordings to fit, and the nominal model's fit of them.
+    """Return views of the recordings to fit, and the fit of the nominal model to them.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be
-            granted.
+        RecordingError: The recordings do not determine the nominal model, or do not support a
+            declared term.
     """
     fitted = dataset.part("fit")
     start = estimated(dataset, fitted, bandwidth_Hz)
@@ -56,11 +59,10 @@ def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Join
 
 
 def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
-    """Fit the nominal model from the estimate and, where that leaves more than noise, from rises of
-    friction as well.
+    """Fit the nominal model, starting from the estimate and, if that leaves more than noise, from
+    assumed rises of friction as well.
 
-    What is missing can hide the fall of friction from an estimate, and no step of a fit brings it
-    back.
+    Missing physics can mask the fall of friction in an estimate, and no step of a fit recovers it.
     """
     return or_raised(here, unit, fit(here, unit, start), start, model.fixed)
 
@@ -68,15 +70,15 @@ def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Jo
 def or_raised(
     here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
 ) -> Joint:
-    """Return a fit, or one with the same effects that began from a supposed fall of friction and
-    leaves far less.
+    """Return the fit, or one with the same effects that starts from an assumed fall of friction, if
+    that leaves far less.
 
     Args:
         here: Recordings.
-        unit: Of the torque.
-        first: The fit; where it leaves no more than noise nothing else is tried.
-        start: Nominal values that it began from.
-        fixed: Names of nominal parameters that are not asked for.
+        unit: Unit of the torque.
+        first: The fit; if it leaves no more than noise, no other is tried.
+        start: Nominal values from which it started.
+        fixed: Names of nominal parameters that are not estimated.
     """
     if _squares(first) < NEAR_FLOOR:
         return first
@@ -86,16 +88,16 @@ def or_raised(
 
 
 def or_kept(here: Sequence[View], unit: str, first: Joint) -> Joint:
-    """Return a fit, or one begun anew from a supposed fall of friction whose constants keep what
-    the first's do not.
+    """Return the fit, or a feasible one that starts from an assumed fall of friction, if the first
+    is infeasible.
 
-    A rise under load that falls to nothing on the way, where hardly any row is slow enough to tell,
-    never comes back.
+    A rise under load that becomes zero during a fit, because few rows are slow enough to determine
+    it, does not recover.
 
     Args:
         here: Recordings.
-        unit: Of the torque.
-        first: The fit; where its constants keep what it promises nothing else is tried.
+        unit: Unit of the torque.
+        first: The fit; if it is feasible, no other is tried.
     """
     if not broken(first):
         return first
@@ -107,23 +109,23 @@ def or_kept(here: Sequence[View], unit: str, first: Joint) -> Joint:
 
 
 def _falls(here: Sequence[View]) -> list[float]:
-    """Return speeds that friction is tried to fall by, rad/s."""
+    """Return trial Stribeck speeds of the assumed fall, rad/s."""
     speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
     low, high = np.quantile(speed, FALLING)
     return [float(omega) for omega in np.geomspace(low, high, FALLS)]
 
 
 def _squares(joint: Joint) -> float:
-    """Return the mean square of the torque's mismatch over the noise's; 0 without a row of it."""
+    """Return the mean-square torque mismatch over the noise's; 0 without torque rows."""
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 
 
 def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: float) -> Nominal:
-    """Return the nominal parameters of some of a dataset's recordings by variable projection.
+    """Estimate the nominal parameters from some of a dataset's recordings by variable projection.
 
     Raises:
-        RecordingError: A stage without motion, or loaded recordings alone.
+        RecordingError: A stage has no motion, or all recordings are loaded.
     """
     prepared = [prepare(r, bandwidth) for r in recordings]
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]

@@ -1,4 +1,4 @@
-"""Blocks of time that all equations share, within which what is missing may correlate."""
+"""Blocks of time, common to all equations, within which the mismatch may be correlated."""
 
 from __future__ import annotations
 
@@ -15,13 +15,15 @@ from identification.recording import Array
 
 LEAST_BLOCK_S = 1.0
 GREATEST_BLOCK_S = 3.0
-"""What is missing correlates over whole strokes; longer blocks would leave too few to see it."""
+"""The mismatch is correlated over whole half cycles, but with longer blocks too few would
+remain.
+"""
 
 
 def gather_of(
     equations: Sequence[Equation], block: np.ndarray, blocks: int
 ) -> tuple[sparse.csr_matrix, ...]:
-    """Return a matrix for each equation that sums its rows by block, shape (blocks, n_e)."""
+    """Return for each equation the matrix that sums its rows by block, shape (blocks, n_e)."""
     out, start = [], 0
     for equation in equations:
         count = len(equation.residual)
@@ -60,8 +62,8 @@ def in_blocks(
 
 
 def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:
-    """Number blocks of time that all equations share: ten correlation times of the worst residual,
-    within limits.
+    """Number blocks of time that all equations share, and return their count. A block is ten
+    correlation times of the most correlated residual, within limits.
     """
     length = LEAST_BLOCK_S
     for equation, residual in zip(equations, residuals, strict=True):

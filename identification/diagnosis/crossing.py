@@ -1,10 +1,11 @@
-"""What tells a gap from a coupling's hysteresis: the torque that passes while one side moves and
-the other stands.
+"""Discrimination of backlash from coupling hysteresis by the torque that is transmitted while one
+side moves and the other rests.
 
-Where friction holds the valve until the loop is closed both move alike, to within the encoders. But
-a gap is crossed without torque, T = J_r domega_m/dt, and a loop with one that rises: T = J_r
-domega_m/dt + w (s + u), where J_r is the rotor's inertia, w the torque that closes the loop, s the
-direction, and u from -1 to 1 how far it has come.
+If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
+equal within the encoders' resolution. But a gap is crossed without torque, T = J_r domega_m/dt, and
+a hysteresis loop with a rising torque, T = J_r domega_m/dt + w (s + u). Here J_r is the rotor's
+inertia, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in the
+loop.
 """
 
 from __future__ import annotations
@@ -34,25 +35,25 @@ from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")
 INNER = 0.6
-"""Share of the way that counts, about its middle: at the flanks torque has begun to pass."""
+"""Central share of a crossing that is used: near the flanks torque is already transmitted."""
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 LEAST_CROSSINGS = 10
 CARRIED = 0.06
-"""Torque that closes the loop, over that of the motion, from which it is no gap."""
+"""Ratio of the loop's closing torque to the torque of the motion, from which it is not a gap."""
 SLACK = 0.02
-"""Standard deviation of that share where there is a gap, as measured on simulated rigs."""
+"""Standard deviation of that ratio for a gap, from simulated trials."""
 
 
 @dataclass(frozen=True)
 class Crossing:
-    """What the crossings of a gap say.
+    """Torque estimated from the crossings of a gap.
 
     Attributes:
-        inertia: Of the rotor at the joint, kg m^2.
-        torque: That closes the loop, N m; about zero for a gap.
-        share: Of the torque of the motion.
-        error: Standard error of the share, by crossings, and what a gap itself came to.
+        inertia: Inertia of the rotor at the joint, kg m^2.
+        torque: Torque that closes the loop, N m; about zero for a gap.
+        share: Ratio of this torque to the torque of the motion.
+        error: Standard error of the share: scatter over crossings and :data:`SLACK` combined.
     """
 
     inertia: float
@@ -62,14 +63,14 @@ class Crossing:
 
 
 def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -> Crossing | None:
-    """Return what the torque does while a gap of this size is crossed; None where too few crossings
-    last long enough.
+    """Return the torque while a gap of this size is crossed; None if too few crossings last long
+    enough.
 
     Args:
-        views: On the valve's side.
-        nominal: Of which a gap under a weight needs friction and inertia.
-        gap: rad; twice the deflection of a loop.
-        rotor: The rotor's inertia at the joint, as far as it is known, kg m^2.
+        views: Recordings, with motion of the valve's side.
+        nominal: Nominal values; under a weight their friction and inertia are needed.
+        gap: Width of the gap, or twice the deflection of a loop, rad.
+        rotor: Assumed inertia of the rotor at the joint, kg m^2.
     """
     parts, torques, moving = [], [], []
     for view in views:
@@ -95,13 +96,13 @@ def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -
 def _columns(
     view: View, nominal: Nominal, gap: float, rotor: float
 ) -> tuple[Array, list[tuple[int, int]]]:
-    """Return (regressors of the drive's torque, shape (m, 2)) and from where to where each crossing
-    lasts.
+    """Return regressors of the drive's torque, shape (m, 2), and first sample and end of each
+    crossing.
     """
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
     way = lead(view, nominal, gap, rotor) / (0.5 * gap)
-    # A joint that falls closes a loop by its weight, not by the motor's way.
+    # The weight of a falling joint closes a loop, not the motor's motion.
     held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
     inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
     turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
@@ -110,10 +111,10 @@ def _columns(
 
 
 def _quick_acceleration(view: View) -> Array:
-    """Return the motor's acceleration at the joint within a few samples, hardly filtered, rad/s^2.
+    """Return motor acceleration referred to the joint, by differences over few samples, rad/s^2.
 
-    A crossing of ten samples is over before a filter shows it; what the filter takes from the rotor
-    passes for torque.
+    A crossing lasts ten samples, which a filter does not resolve: the acceleration that it removes
+    would appear as transmitted torque.
     """
     motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
     padded = np.pad(motor, span, mode="edge")
@@ -131,8 +132,8 @@ def told_apart(
     terms: Sequence[Term],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Decide between a gap and a coupling's loop, where one of them was named, by what passes
-    during a crossing.
+    """Decide between backlash and coupling hysteresis, if one was identified, by the torque during
+    crossings; return fit and rounds.
     """
     named = [e for e in joint.effects if e.term.name in PAIR]
     by_name = {t.name: t for t in terms}
@@ -140,7 +141,7 @@ def told_apart(
         return joint, rounds
     own = min(named, key=lambda e: PAIR.index(e.term.name))
     if len(named) > 1:
-        # A gap and a loop in one transmission add up to what one of them alone could be.
+        # A gap and a loop in one transmission together look like a larger one of either.
         joint = fit(
             views,
             unit,
@@ -163,7 +164,7 @@ def told_apart(
     )
     rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
     if seen is None:
-        note = "no crossing lasts long enough to tell a gap from a loop"
+        note = "no crossing lasts long enough to distinguish a gap from a hysteresis loop"
     else:
         note = (
             f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's "
@@ -182,15 +183,15 @@ def told_apart(
 def _preference(
     views: Sequence[View], own: Added, joint: Joint, beside: Joint, seen: Crossing | None
 ) -> float:
-    """Return how far the other of the pair is preferred to the one that was named, in standard
-    errors.
+    """Return by how many standard errors the other effect of the pair is preferred to the
+    identified one.
 
     Args:
         views: Recordings.
-        own: The one that was named.
-        joint: Fit with it.
-        beside: Fit with the other in its place, which is its last effect.
-        seen: What the crossings say; None where none lasts long enough.
+        own: The identified effect.
+        joint: Fit with this effect.
+        beside: Fit with the other effect in its place, as the last effect.
+        seen: Torque from the crossings; None if none lasts long enough.
     """
     loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
     prefers_loop = (
@@ -198,7 +199,7 @@ def _preference(
     )
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _falls(views, joint.nominal):
-        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's
+        # Under such a weight the two differ in the angles too: combine both tests by Stouffer's
         # sum.
         prefers_other = (prefers_other - preference(joint, beside)) / (
             1.0 if seen is None else math.sqrt(2.0)
@@ -207,8 +208,8 @@ def _preference(
 
 
 def _gap_and_rotor(effect: Added) -> tuple[float, float]:
-    """Return how far one side moves alone, rad, and the inertia of the rotor, kg m^2, as a gap or a
-    loop says.
+    """Return the travel of one side alone, rad, and the inertia of the rotor, kg m^2, from the
+    shape of a gap or a loop.
     """
     if effect.term.name == "backlash":
         return Gap(*effect.shape).width, Gap(*effect.shape).rotor
@@ -216,11 +217,11 @@ def _gap_and_rotor(effect: Added) -> tuple[float, float]:
 
 
 def _empty(views: Sequence[View], torque: float) -> float:
-    """Return how far a loop is preferred to a gap, in standard errors, by the torque (N m) that the
-    angles give it.
+    """Return by how many standard errors a loop with this closing ``torque`` (N m), fitted to the
+    angles, is preferred to a gap.
 
-    Never above zero: a loop that closes without torque is a gap with one number more; of one that
-    closes with some the angles have judged already.
+    The result is never above zero: a loop that closes without torque is a gap with one more
+    parameter; one that closes with torque has been judged by the angles already.
     """
     usual = float(
         np.median(
@@ -231,11 +232,11 @@ def _empty(views: Sequence[View], torque: float) -> float:
 
 
 def _falls(views: Sequence[View], nominal: Nominal) -> bool:
-    """Whether a weight turns with the joint throughout that in motion is more than its friction
-    holds.
+    """Whether in all recordings a weight turns with the joint, and its torque in motion exceeds
+    friction.
 
-    Where it does so in some recordings only, the crossings in the others tell more than any model
-    of a fall.
+    If only some recordings have such a weight, the crossings in the others are more informative
+    than a model of the falling joint.
     """
     if not all(v.burdened for v in views):
         return False
@@ -252,11 +253,12 @@ def _other(
     rotor: float,
     twist: float,
 ) -> Added:
-    """Return the other of the pair, as large as the one that was named; the loop with the torque
-    that was seen.
+    """Return the other effect of the pair, with the size of the identified one; a loop gets the
+    torque from the crossings.
 
-    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one,
-    ``rotor``, kg m^2; a gap's from a shaft that twists by ``twist``, rad/(N m), for each count.
+    A loop's fit starts from the rotor inertia estimated from the crossings, or from an assumed one,
+    ``rotor``, kg m^2; a gap's fit starts from a shaft compliance of ``twist``, rad/(N m), per
+    count.
     """
     counts = 0.5 * TWIST_COUNTS[1]
     if own.term.name != "backlash":
@@ -265,6 +267,6 @@ def _other(
     if seen is None or seen.torque <= 0.0:
         return Added(term, loop, (1.0,))
     loop = loop._replace(torque=seen.torque, rotor=seen.inertia if seen.inertia > 0.0 else rotor)
-    # Of the torque a crossing says more than the angles do; what else a shape says is sought.
+    # Crossings determine the torque better than the angles; the other shape entries are fitted.
     sought = {k: reach for k, reach in term.refine.items() if Loop._fields[k] != "torque"}
     return Added(replace(term, refine=sought), loop, (1.0,))

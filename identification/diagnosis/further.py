@@ -1,9 +1,8 @@
-"""Which effect to try beside those already named, where one equation's mismatch would drown
-another's.
+"""Selection of the next effects to try, if the mismatch of one equation dominates another's.
 
-Encoders see a gap a thousand times more sharply than the current sees friction. What a regressor
-that only resembles its physics leaves in the one equation is then far more, in squares, than all
-that is missing in the other.
+Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
+approximate regressor in the one equation then has far larger squares than all missing physics in
+the other.
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import Term
 
 FINALISTS = 4
-"""Effects that are fitted jointly before one of them is taken."""
+"""Greatest number of effects that are fitted jointly before one of them is selected."""
 RIVAL_SHARE = 0.3
-"""Score over the best one's, below which an effect is no finalist."""
+"""Least score of a finalist, over the best score."""
 
 
 def groups(
@@ -28,18 +27,18 @@ def groups(
     ranked: Sequence[Candidate],
     missing: Callable[[str], bool],
 ) -> Iterator[list[Candidate]]:
-    """Yield finalists, to be tried one group after another until one of them is taken.
+    """Yield groups of finalists, to be tried in turn until one effect is selected.
 
-    The first effect is the one that explains most. Of further ones those come first that explain,
-    of what is left beyond the noise where they show, the share that makes one more name. None
-    counts that shows only where nothing is missing, or that could not be kept.
+    For the first effect the score alone decides. For further effects those come first that explain
+    a sufficient share of the mismatch beyond the noise in their equations. Effects are omitted that
+    appear only in equations where nothing is missing, or that would be removed again.
 
     Args:
-        baseline: The nominal model.
-        joint: With the effects so far.
-        terms: Of the candidates, by name.
+        baseline: Fit of the nominal model.
+        joint: Fit with the effects so far.
+        terms: Terms of the candidates, by name.
         ranked: The best candidate of each effect, best first.
-        missing: Whether anything is missing in an equation of this name.
+        missing: Function from an equation's name to whether anything is missing in it.
     """
     if not joint.effects:
         yield _finalists(ranked)

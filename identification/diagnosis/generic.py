@@ -1,5 +1,5 @@
-"""Families of regressors without a name: they notice what no effect of the catalogue looks like,
-and locate it.
+"""Generic families of regressors, which detect and locate a mismatch that resembles no effect of
+the catalogue.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ BINS = 8
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Something the mismatch may depend on.
+    """A coordinate on which the mismatch may depend.
 
     Attributes:
-        name: As in the report.
-        unit: Of its values, as shown.
-        values: View to values at the full rate, shape (m,), or None where the recording has none.
-        by_direction: Whether the two directions of motion are told apart.
+        name: Name in the report.
+        unit: Displayed unit of its values.
+        values: Function from a view to values at the full rate, shape (m,); None if the recording
+            lacks them.
+        by_direction: Whether the two directions of motion are separated.
     """
 
     name: str
@@ -50,7 +51,7 @@ COORDINATES = (
 
 
 def edges(values: Array, bins: int = BINS) -> Array:
-    """Return bin edges with about equally many samples each, shape (b + 1,); fewer where values
+    """Return edges of bins with about equal numbers of samples, shape (b + 1,); fewer if values
     repeat.
     """
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
@@ -60,8 +61,7 @@ def families(equation: Equation) -> Iterator[tuple[str, Array]]:
     """Yield (name, regressors, shape (n, k)): an indicator for every bin of every coordinate and
     direction.
 
-    Their values are taken from the filtered coordinates: where nothing is to be named, the edges
-    may be soft.
+    Bins are assigned from the filtered coordinates: generic families do not need sharp edges.
     """
     sense = equation.rows(lambda v: v.sense)[:, 0]
     for coordinate in COORDINATES:

@@ -1,5 +1,5 @@
-"""How well a joint fit tells what it found: intervals by blocks of time, and which nominal
-parameters are pinned.
+"""Uncertainty of a joint fit: intervals of effects from blocks of time, and identifiability of
+nominal parameters.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from identification.estimate.uncertainty.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 
 COARSE, PLACE_RAD = 0.02, 0.01
-"""What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle
-as such, rad.
+"""Errors of parameters due to approximate regressors in simulated trials, 90 %: as a share of a
+size; of an angle, rad.
 """
 
 
@@ -27,9 +27,9 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
     of time.
 
-    Widened by what the regressors' own errors came to on simulated rigs, which no scatter shows.
+    Intervals include the errors of approximate regressors, which do not show in the scatter.
 
-    The units are left empty; the catalogue knows them.
+    Units are left empty; the catalogue has them.
     """
     if not joint.effects:
         return ()
@@ -65,7 +65,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 
 def _coarseness(name: str, value: float) -> float:
-    """Return by how much a regressor, which only resembles the physics, may put a parameter off."""
+    """Return the error of a parameter due to its approximate regressor."""
     if name.startswith("per_"):
         return 0.0
     return (
@@ -76,8 +76,8 @@ def _coarseness(name: str, value: float) -> float:
 
 
 def pinned(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter's 90 % interval is narrower than half its value (its rise, its
-    log) a side.
+    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
+    (half its rise; for a Stribeck speed, 0.5 in the logarithm).
     """
     nominal = joint.nominal
     torque = next(e for e in joint.equations if e.name == "torque")
@@ -106,7 +106,7 @@ def pinned(joint: Joint, name: str) -> bool:
 
 
 def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the parameters after a small step along each direction of a fit
+    """Return the effect's parameters after a small step along each direction of the fit
     (:func:`directions`).
     """
     moves = []

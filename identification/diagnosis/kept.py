@@ -1,5 +1,5 @@
-"""Which of the effects added are kept: what each is worth beside the others, and whether a rival
-does as well.
+"""Removal and replacement of added effects: the worth of each given the others, and comparison with
+rivals.
 """
 
 from __future__ import annotations
@@ -27,32 +27,30 @@ from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 
 EXCESS = 1.5
-"""Mean square of the mismatch over that of the noise, up to which the noise may have been taken too
-small.
+"""Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the
+cause.
 """
 FURTHER_SHARE = 0.4
-"""Share of what is left beyond the noise that one more effect must explain; less is the first one's
-own shape.
+"""Share of the mismatch beyond the noise that one more effect must explain; a smaller share may be
+the shape error of the first.
 """
 UNCERTAIN = 10.0
-"""Gain of one more effect over what is explained already where it shows, over the error of the
-others' regressors, below which it is the shape of what came before...
+"""Least gain of one more effect, over the squares explained already in its equations, in multiples
+of the other regressors' shape error; a smaller gain may be due to that error ...
 """
 NEARLY_ALL = 0.8
-"""... unless it explains this share of what is left beyond the noise; below that error itself
-nothing is told.
+"""... unless it explains this share of the mismatch beyond the noise; below that error itself no
+effect is accepted.
 """
 LEAST_FURTHER = UNCERTAIN * ROUGH
 SURE = float(stats.norm.isf(0.01))
-"""Standard errors by which an effect must be worth keeping where without it nothing is left beyond
-the noise. There it must be worth :data:`UNCERTAIN` times the error of the others as well, unless
-they are exact: below that and below the noise is where regressors err.
+"""Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
+remains. Its gain must then also be :data:`UNCERTAIN` times the error of the others, unless they are
+exact, because errors of regressors lie below both limits.
 """
 
 MOST_GROWN = 3.0
-"""Most that a joint fit makes of the gain that an effect's regressors promise, where that is looked
-at before.
-"""
+"""Greatest ratio of the gain in a joint fit to the gain predicted by an effect's regressors."""
 
 
 def pruned(
@@ -63,8 +61,8 @@ def pruned(
     rounds: list[Round],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Take out effects that explain too little of what is left without them, the least of them
-    first.
+    """Remove effects that explain too little of the mismatch that remains without them, the least
+    first; return fit and rounds.
     """
     while len(joint.effects) > 1:
         trials = []
@@ -79,9 +77,8 @@ def pruned(
         if worth >= 1.0:
             break
         note = (
-            f"explains {100.0 * share:.0f} % of what is left beyond the noise without it, where "
-            f"{100.0 * needed:.0f} % "
-            "make one more name"
+            f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it; "
+            f"{100.0 * needed:.0f} % are needed for one more effect"
         )
         steps.append(Step("remove", name, None, without.cost - joint.cost, note))
         joint = without
@@ -90,8 +87,8 @@ def pruned(
 
 
 def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[float, float]:
-    """Return the share of what is left beyond the noise that one effect explains, and the share
-    that it must.
+    """Return the share of the mismatch beyond the noise that one effect explains, and the share
+    that it must explain.
     """
     parts = _touched(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
@@ -104,11 +101,10 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
 
 
 def hopeless(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
-    """Whether one more effect would be taken out again after the fit: it is not worth keeping by
-    what it promises.
+    """Whether one more effect would be removed again after the fit, judged by its predicted gain.
 
-    Nothing is left beyond the noise where it shows, and it explains less than the error of the
-    effects before it, or is not sure.
+    This is so if no mismatch beyond the noise remains in its equations, and it explains less than
+    the regressor error of the earlier effects or is not significant.
     """
     parts = _touched(joint, term)
     if _beyond_noise(joint, parts) > 1.0:
@@ -120,25 +116,27 @@ def hopeless(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) ->
 
 
 def _least(beside: Joint, term: Term) -> float:
-    """Return the gain, over what others explain, below which an effect is their error where nothing
-    else is left.
+    """Return the relative gain below which an effect may be the regressor error of the others, if
+    nothing else is left.
     """
     error = _error(beside, term)
     return UNCERTAIN * error if error > EXACT else error
 
 
 def _error(beside: Joint, term: Term) -> float:
-    """Return what the regressors of other effects leave to this one, over what they explain."""
+    """Return the regressor error of the other effects, relative to the squares that they
+    explain.
+    """
     return max((e.term.shape_error for e in beside.effects if alike(e.term, term)), default=EXACT)
 
 
 def needed_share(others: float, error: float = ROUGH) -> float:
-    """Return the share of what is left that one more effect must explain; infinite where nothing
-    would do.
+    """Return the share of the remaining mismatch that one more effect must explain; infinite if
+    none is acceptable.
 
     Args:
-        others: Its gain over what the others explain in its equations.
-        error: Of the others' regressors, over the same.
+        others: Gain of the effect over the squares that the others explain in its equations.
+        error: Error of the others' regressors, over the same squares.
     """
     if others < error:
         return math.inf
@@ -154,10 +152,10 @@ def revisited(
     dropped: Sequence[Added],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Hold every effect against its rivals again, now that the others are in the model: what was
-    missing misled.
+    """Compare every effect with its rivals again, with all other effects in the model; return fit
+    and rounds.
 
-    What was taken out again is a rival of all that stayed and show in the same equation.
+    Removed effects are rivals of all kept effects in the same equation.
     """
     for place, taken in enumerate(rounds):
         others = tuple(e for e in joint.effects if e.term.name != taken.name)
@@ -176,7 +174,7 @@ def revisited(
         chosen, best = sound[simplest([j for _, j in sound], [numbers(e) for e, _ in sound])]
         if chosen is not own:
             note = (
-                f"beside the others, preferred to {taken.name} by "
+                f"with the other effects, preferred to {taken.name} by "
                 f"{preference(best, joint):.1f} standard errors"
             )
             steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
@@ -191,22 +189,20 @@ def revisited(
 
 
 def alike(one: Term, other: Term) -> bool:
-    """Whether two effects show in the same equation; what shows in another is beside an effect, not
-    instead of it.
-    """
+    """Whether two effects appear in the same equation and so can replace each other."""
     return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
 
 
 def left_beyond_noise(joint: Joint, term: Term) -> float:
-    """Return the sum of whitened squares beyond the noise that is left where an effect shows."""
+    """Return the sum of whitened squares beyond the noise that remains in an effect's equations."""
     return _beyond_noise(joint, _touched(joint, term))
 
 
 def judging(joint: Joint, term: Term) -> list[str]:
-    """Return the equations by which an effect is judged, of those that it touches.
+    """Return the names of the equations by which an effect is judged.
 
-    A breakaway is one number for a rest, and its noise that of an instant within a sample: it
-    judges no model but one that shows nowhere else.
+    A breakaway gives one number per rest, with the noise of an instant within a sample. Breakaways
+    judge only effects that appear in no other equation.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
     return [name for name in names if name != "breakaway" or len(names) == 1]

@@ -1,5 +1,5 @@
-"""The linear problem inside a joint fit: what coefficients, nominal values and shapes ask for at
-one point.
+"""The linear least-squares problem within a joint fit: coefficients, and steps of nominal values
+and shapes.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
 FACTOR = 4.0
-"""Full reach of an entry that is a scale."""
+"""Factor that corresponds to the full reach of a scale entry."""
 STEP = 1e-3
-"""Step of numerical derivatives by shape, over the reach."""
+"""Step of numerical derivatives with respect to shape, over the reach."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Added:
 
 
 def sized(effect: Added) -> Mapping[int, float]:
-    """Return the continuous entries of a shape that says how large the effect is."""
+    """Return the continuous entries of a shape that determines the effect's size; else none."""
     return effect.term.refine if effect.term.size is not None else {}
 
 
@@ -46,8 +46,8 @@ def displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
 
 
 def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
-    """Return (whitened columns of free coefficients, what coefficients that are known
-    contribute).
+    """Return the whitened columns of free coefficients, and the contribution of known
+    coefficients.
     """
     free: list[Array] = []
     known = np.zeros(len(stack.residual))
@@ -61,8 +61,8 @@ def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
 
 
 def directions(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives of the model by every coefficient and continuous shape entry,
-    shape (n, g).
+    """Return whitened derivatives of the model with respect to every coefficient and continuous
+    shape entry, shape (n, g).
     """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
@@ -83,14 +83,15 @@ class Solved:
     """The linear problem solved at one point.
 
     Attributes:
-        shapes: Step of the shapes that say how large their effect is, over their reach.
-        straight: Step of the nominal parameters that the torque is linear in, their speeds as they
-        are.
-        bend: Step with the Stribeck speeds free to first order, of which only theirs count.
-        effects: With coefficients.
-        residual: Whitened rows less everything, the speeds free to first order.
-        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To
-            first order a speed that is far off promises what no step keeps.
+        shapes: Step of the shapes that determine their effect's size, over their reach.
+        straight: Step of the nominal parameters in which the torque is linear, with the Stribeck
+            speeds held.
+        bend: Step with the Stribeck speeds free to first order, of which only the speeds' steps are
+            used.
+        effects: Effects with coefficients.
+        residual: Whitened residual with the speeds free to first order.
+        cost: Sum of whitened squares with the speeds held, the value of this point: for a speed far
+            off, the first-order prediction is not attained by a step.
     """
 
     straight: Array
@@ -102,13 +103,13 @@ class Solved:
 
 
 def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solved:
-    """Solve for coefficients, and for steps of all that the model is not linear in, static levels
-    within their limits.
+    """Solve for coefficients and for steps of the nonlinear parameters, with static levels within
+    their limits.
 
     Args:
-        stack: At the point.
-        effects: There.
-        held: Nominal parameters that stay as they are.
+        stack: Stack at the point.
+        effects: Effects at the point.
+        held: Nominal parameters that are held.
     """
     stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
@@ -136,7 +137,7 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
 
 
 def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
-    """Return effects with their coefficients, known or found, in that order."""
+    """Return effects with their coefficients, known or from ``found``."""
     placed, at = [], 0
     for effect in effects:
         if effect.term.size is not None:
@@ -151,18 +152,18 @@ def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, 
 def _followed(
     stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]
 ) -> Array:
-    """Return the step of :func:`_step` where effects change with the nominal values that they are
-    built from.
+    """Return the step of :func:`_step` for effects whose regressors change with the nominal values.
 
-    Their coefficients move with it: a ripple of a current that grows needs a smaller share of it.
+    Their coefficients change with the step: a ripple relative to a larger current needs a smaller
+    coefficient.
     """
     nominal, step = stack.nominal, np.zeros(len(stack.nominal.free))
     equation = next(e for e in stack.equations if e.name == "torque")
     use = [k for k, name in enumerate(nominal.free) if name not in without]
     columns = [equation.tangent[:, use]]
     for k, column in zip(use, columns[0].T.copy(), strict=True):
-        # As far as changes the torque by its noise: what follows may depend on the sign of what it
-        # follows.
+        # The step changes the torque by its noise, as regressors may depend on the sign of nominal
+        # values.
         length = equation.sigma * len(column) ** 0.5 / max(float(np.linalg.norm(column)), 1e-300)
         unit = np.zeros(len(nominal.free))
         unit[k] = length
@@ -183,8 +184,8 @@ def _followed(
 
 
 def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives by the shapes that say how large their effect is, shape (n,
-    g).
+    """Return whitened derivatives with respect to the shapes that determine their effect's size,
+    shape (n, g).
     """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
@@ -197,7 +198,9 @@ def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
 
 
 def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
-    """Return coefficients of columns beside what the stack absorbs, and the residual."""
+    """Return the coefficients of columns, with everything that the stack absorbs projected out, and
+    the residual.
+    """
     left = stack.projected(target[:, None])[:, 0]
     columns = stack.projected(free)
     scale = np.linalg.norm(columns, axis=0)
@@ -207,7 +210,7 @@ def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
 
 
 def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
-    """Return the step of the nominal parameters that whitened rows ask for; zero for names in
+    """Return the least-squares step of the nominal parameters for whitened rows; zero for names in
     ``without``.
     """
     free = stack.nominal.free

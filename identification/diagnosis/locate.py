@@ -1,6 +1,4 @@
-"""Where the mismatch shows: its mean over each coordinate, with bands that allow for looking
-everywhere.
-"""
+"""Location of the mismatch: its mean over each coordinate, with simultaneous bands."""
 
 from __future__ import annotations
 
@@ -23,21 +21,23 @@ BINS = 16
 LEAST_ROWS = 5
 DRAWS = 499
 AS_MUCH = 0.8
-"""Share of an effect's own coordinate over the best one's, from which on the two explain the
-same.
+"""Ratio of the share of an effect's own coordinate to the best share, from which the own coordinate
+is reported.
 """
 OWN_RECORDING = 2.0
-"""Mean square of a recording's mismatch over the noise, from which on the mismatch shows in it."""
+"""Ratio of a recording's mean-square mismatch to the noise's, from which the mismatch counts as
+present in it.
+"""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A coordinate of some rows.
+    """A coordinate with its values on some rows.
 
     Attributes:
-        name: Of the coordinate.
-        unit: Of its values.
-        values: Of each row, shape (n,).
+        name: Name of the coordinate.
+        unit: Unit of its values.
+        values: Value at each row, shape (n,).
     """
 
     name: str
@@ -48,14 +48,14 @@ class Axis:
 def maps(
     stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator
 ) -> tuple[Map, ...]:
-    """Return the mismatch of one equation over every coordinate, the greatest share first.
+    """Return maps of one equation's mismatch over every coordinate, greatest share first.
 
     Args:
-        stack: Which knows blocks and rows.
+        stack: Stack with blocks and rows.
         equation: The equation.
-        before: Its mismatch in its own unit before correction, shape (n,).
-        after: The same after, shape (n,).
-        rng: For the bands.
+        before: Mismatch before correction, in the equation's unit, shape (n,).
+        after: Mismatch after correction, shape (n,).
+        rng: Random generator for the bands.
     """
     block = stack.block[stack.part(equation.name)]
     sense = equation.rows(lambda v: v.sense)[:, 0]
@@ -78,9 +78,9 @@ def maps(
 
 
 def location(equation: Equation, found: Map | None, before: Array) -> Location:
-    """Return where the mismatch lies along the coordinate of a map, and in which recordings.
+    """Return the location of the mismatch: ranges of a map's coordinate, and recordings.
 
-    Where there are too few rows for any map, only the recordings are known.
+    With too few rows for a map, only the recordings are known.
     """
     power = {v.index: before[equation.owner == v.index] for v in equation.views}
     names = tuple(
@@ -95,8 +95,8 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
 
 
 def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
-    """Return the map over an effect's own coordinate where it explains about as much as any, else
-    the best one.
+    """Return the map over an effect's own coordinate if it explains about as much as the best map,
+    else the best map.
     """
     own = next((m for m in drawn if m.coordinate == coordinate), None)
     best = drawn[0] if drawn else None
@@ -106,7 +106,7 @@ def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
 
 
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
-    """Return the stretches of a map's coordinate in which the mismatch is beyond its band."""
+    """Return the ranges of a map's coordinate in which the band excludes zero."""
     outside = (found.low > 0.0) | (found.high < 0.0)
     half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
     stretches: list[tuple[float, float]] = []
@@ -120,8 +120,8 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the best map's mean as an empirical curve of what is missing, which has one sign for
-    both directions.
+    """Return the mean of the best map as an empirical curve of the mismatch; only maps without
+    dependence on direction can be used.
     """
     found = next((m for m in drawn if not m.against_motion), None)
     if found is None:
@@ -145,17 +145,17 @@ def mapped(
     blocks: int,
     rng: np.random.Generator,
 ) -> Map | None:
-    """Return the mismatch over one coordinate with simultaneous bands; None where that has too few
-    values.
+    """Return the map of the mismatch over one coordinate with simultaneous bands; None if the
+    coordinate has too few values.
 
     Args:
-        equation: Whose mismatch.
+        equation: The equation.
         axis: The coordinate.
         before: Mismatch before correction, shape (n,).
-        after: The same after, shape (n,).
-        block: Of each row, shape (n,).
-        blocks: How many there are.
-        rng: For the bands.
+        after: Mismatch after correction, shape (n,).
+        block: Block of each row, shape (n,).
+        blocks: Number of blocks.
+        rng: Random generator for the bands.
     """
     values = axis.values
     grid = edges(values, BINS)

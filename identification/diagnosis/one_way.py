@@ -1,8 +1,8 @@
-"""Whether a name holds for one way of motion only: no effect of the catalogue is larger one way
-than the other.
+"""Test whether an identified effect holds for one direction of motion only; no effect of the
+catalogue has a size that depends on direction.
 
-Those that are about a direction (asymmetric friction) are as large both ways themselves: what would
-differ between the two is friction, which the constants have.
+Asymmetric friction, too, has the same size in both directions; what differs is the friction, which
+the constants describe.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from identification.diagnosis.kept import NEARLY_ALL
 
 
 def one_way(joint: Joint) -> tuple[str, ...]:
-    """Return effects of a fit that, let differ between the two ways, explain nearly all that is
-    left of the torque.
+    """Return the effects that, with separate coefficients for the two directions, explain nearly
+    all of the remaining torque mismatch.
 
-    Empty where no more is left than the noise may be.
+    Empty if no more than noise is left.
     """
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
@@ -30,8 +30,8 @@ def one_way(joint: Joint) -> tuple[str, ...]:
 
 
 def _gains(joint: Joint) -> Iterator[tuple[str, float]]:
-    """Yield effects that show in the torque, and the whitened squares that coefficients of each way
-    would explain.
+    """Yield the name of each effect in the torque equation, and the whitened squares that separate
+    coefficients for the directions would explain.
     """
     torque = next(e for e in joint.equations if e.name == "torque")
     ahead = torque.rows(lambda v: v.sense) > 0.0

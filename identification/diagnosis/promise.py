@@ -1,8 +1,8 @@
-"""Whether a fit's constants keep what it promises.
+"""Feasibility of a fit: comparison of the predicted and the attained residual.
 
-A fit is worth what is left once everything that the torque is linear in is free, to first order.
-Constants have limits, and friction may not rise where it falls: what such a step promises is then
-nobody's prediction.
+A fit is judged by the residual that its linear step predicts. But constants have limits, and static
+friction may not be below Coulomb friction; a residual that is predicted beyond these limits cannot
+be attained.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
 UNKEPT = 1.5
-"""Mean square of the torque's mismatch with the constants that a fit ended at over that which it
-promises, from which on it is no model. With right names it was 1.00 to 1.03 on eight simulated
-rigs; 490 000 where friction had to rise.
+"""Ratio of the attained to the predicted mean-square torque mismatch, from which a fit is
+infeasible. With the right effects it was 1.00 to 1.03 in eight simulated trials; it was 490 000
+where friction had to increase with speed.
 """
 
 
 def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[float, float]:
-    """Return the mean square of the torque's mismatch over the noise's, as promised and as kept.
+    """Return the predicted and the attained mean-square torque mismatch, over the noise's.
 
     Args:
-        stack: At the nominal values that the fit ended at.
-        effects: With their coefficients.
-        residual: Whitened rows that the fit leaves with the constants free, shape (n,).
+        stack: Stack at the nominal values at the end of the fit.
+        effects: Effects with their coefficients.
+        residual: Whitened residual of the fit with the constants free, shape (n,).
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     rest = equation.residual.copy()
@@ -37,7 +37,7 @@ def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[fl
         columns = stack.columns(effect.term, effect.shape).get("torque")
         if columns is not None:
             rest -= columns @ np.array(effect.coefficients)
-    # The rotor's share of the inertia is no constant of the model.
+    # The rotor's share of the inertia is not a constant of the model.
     other = equation.tangent[:, [name not in stack.nominal.free for name in equation.names]]
     rest -= other @ np.linalg.lstsq(other, rest, rcond=None)[0]
     return float(np.mean(residual[stack.part("torque")] ** 2)), float(
@@ -46,11 +46,12 @@ def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[fl
 
 
 def risen(stack: Stack, effects: Sequence[Added]) -> float:
-    """Return the mean square of the torque's mismatch over the noise's with the rises of friction
-    toward rest held.
+    """Return the mean-square torque mismatch, over the noise's, with the rises of friction toward
+    rest held.
 
-    All else that the torque is linear in is free. What real machines do at the slowest speeds asks
-    for rises that no bench has, of which the effects named are no part.
+    All other parameters in which the torque is linear are free. The behaviour of real machines at
+    the slowest speeds may require impossible rises, for which the identified effects are not the
+    cause.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
@@ -66,7 +67,7 @@ def risen(stack: Stack, effects: Sequence[Added]) -> float:
 
 
 def unkept(promised: float, kept: float) -> bool:
-    """Whether what the constants keep falls short of what was promised; never where it is hardly
-    more than noise.
+    """Whether a fit is infeasible: its attained mismatch exceeds the predicted one; never if it
+    hardly exceeds the noise.
     """
     return kept > UNKEPT * max(promised, 1.0)

@@ -1,8 +1,8 @@
-"""The noise measured again once an effect is named: what moves quickly passed for noise while
-nothing explained it.
+"""Re-estimation of the noise after an effect is identified, since fast unexplained effects were
+counted as noise.
 
-A torque that swings seven times a motor turn, a hundred times a turn of the joint, differs from row
-to row as noise does. With the noise five times too large nothing else is ever missing.
+A torque with seven periods per motor turn, or a hundred per turn of the joint, differs from row to
+row as noise does. With a noise five times too large no other effect can be detected.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 QUICK = ("cogging", "torque_ripple", "gear_mesh_ripple")
-"""Effects that swing from row to row as far as they swing at all."""
+"""Effects that may vary by their full amplitude from row to row."""
 QUIETER = 0.5
-"""Noise over what it was taken for, below which it is taken anew.
+"""Ratio of new to old noise estimate, below which the new one is used.
 
-On simulated benches strong waves leave 0.13 to 0.2. On a real motor's single turn it was 0.55 after
-its cogging, and what stood out of it was in no catalogue.
+On simulated benches strong waves gave 0.13 to 0.2. On a single turn of a real motor it was 0.55
+after its cogging, and the rest was outside the catalogue.
 """
 
 
 def quieter(views: Sequence[View], unit: str, baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
-    """Return the nominal model's fit and one with effects, both over the noise that the latter
-    leaves if that is less.
+    """Return the fits of the nominal model and with effects, both with the noise estimated from the
+    latter if that is lower.
 
-    Asked after a quick effect alone: what moves slowly was never in the differences that the noise
-    is measured by.
+    Used only after a fast effect: slow ones do not affect the differences from which the noise is
+    estimated.
 
     Args:
         views: Recordings.
-        unit: Of the torque.
-        baseline: The nominal model's fit.
-        joint: With every effect named so far.
+        unit: Unit of the torque.
+        baseline: Fit of the nominal model.
+        joint: Fit with every effect identified so far.
     """
     if joint.effects[-1].term.name not in QUICK:
         return baseline, joint
@@ -51,8 +51,8 @@ def quieter(views: Sequence[View], unit: str, baseline: Joint, joint: Joint) -> 
 
 
 def _measured(equation: Equation, left: Array) -> float:
-    """Return the noise of an equation's rows as what is left of them has it, no more than it was
-    taken for.
+    """Return the noise of an equation estimated from its remaining mismatch, at most the present
+    estimate.
     """
     if equation.name == "breakaway":
         return equation.sigma
@@ -65,8 +65,8 @@ def _measured(equation: Equation, left: Array) -> float:
 
 
 def _over(baseline: Joint, shares: dict[str, float]) -> Joint:
-    """Return the nominal model's fit, whose equations share nothing, over noise that is these
-    shares of what it was.
+    """Return the fit of the nominal model with the noise of each equation multiplied by its share;
+    the equations have no common parameters.
     """
     residual = baseline.residual.copy()
     for name, share in shares.items():

@@ -1,8 +1,8 @@
-"""Whether what a name leaves of the torque goes by what was since the last reversal: then it is
-another effect.
+"""Test whether the remaining torque mismatch is hysteretic: then the identified effect is the wrong
+one.
 
-A torque that remembers its travel follows the angle between reversals, as a weight or a spring
-does, and is named as one of them for most of it. What is left starts anew at each reversal.
+A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,
+and most of it is explained by one of them. The remaining mismatch starts anew at each reversal.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Joint
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
-"""In one sine the two go together."""
+"""Coordinates of hysteresis; in a single sine they are equivalent."""
 MOST_OF = 1.0 / 3.0
-"""Share of what is left beyond the noise that a coordinate explains, from which on it is said to go
-by that.
+"""Share of the mismatch beyond the noise that a coordinate must explain for the mismatch to count
+as dependent on it.
 """
 
 
 def remembered(joint: Joint) -> bool:
-    """Whether more than noise is left of the torque, and goes by what was since reversal more than
-    by anything else.
+    """Whether more than noise is left of the torque, and depends on travel or time since reversal
+    more than on any other coordinate.
 
-    Friction at the lowest speeds, of which real machines leave more than noise, goes by torque,
-    speed or rest.
+    Unmodelled friction at the lowest speeds, as in real machines, depends on torque, speed or rest
+    instead.
     """
     rows = joint.residual[joint.stack.part("torque")]
     if float(rows @ rows) <= NEAR_FLOOR * len(rows):

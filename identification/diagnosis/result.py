@@ -1,4 +1,4 @@
-"""What a diagnosis returns: the verdict with its evidence, and everything a report shows."""
+"""Result of a diagnosis: the verdict with its evidence, and all data of a report."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from identification.recording import Array
 
 
 class Verdict(Enum):
-    """The four ends of a diagnosis."""
+    """The four outcomes of a diagnosis."""
 
     NOTHING_MISSING = "nothing_missing"
     NAMED = "named"
@@ -30,9 +30,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that was considered instead; ``why_not`` is empty where the data cannot reject
-    it.
-    """
+    """An alternative effect; ``why_not`` is empty if the data do not reject it."""
 
     name: str
     confidence: float
@@ -41,15 +39,15 @@ class Rival:
 
 @dataclass(frozen=True)
 class Location:
-    """Where the mismatch shows.
+    """Coordinate, ranges and recordings in which the mismatch shows.
 
     Attributes:
         coordinate: ``speed``, ``angle``, ``load``, ``direction``, ``time``, ``temperature``,
             ``time since reversal``, ``travel since reversal``, ``rest time`` or ``frequency``.
-        unit: Of the ranges.
-        ranges: Stretches of the coordinate in which the mismatch is beyond its band.
+        unit: Unit of the ranges.
+        ranges: Ranges of the coordinate in which the mismatch is significant.
         share_of_mismatch: Share of the mismatch's power that a curve over this coordinate explains.
-        recordings: Names of those in which it shows.
+        recordings: Names of the recordings in which the mismatch shows.
     """
 
     coordinate: str
@@ -61,18 +59,19 @@ class Location:
 
 @dataclass(frozen=True)
 class Effect:
-    """One named effect.
+    """One identified effect.
 
     Attributes:
         name: Stable name of the catalogue.
-        alias_group: Names that these recordings cannot tell from it, itself included.
-        confidence: That this name, rather than a rival, is right; 0 to 1.
-        statement: The finding in a plain sentence, with its size and what it does to the error.
-        assumption_broken: Which assumption of the paper it breaks.
-        where: Where it shows.
-        parameters: By the catalogue's names.
-        rivals: The nearest ones, best first.
-        separating_experiment: What would split the alias group, or confirm the name.
+        alias_group: Names of effects that these recordings do not distinguish from it, including
+            itself.
+        confidence: Probability that this effect, and not a rival, is right; 0 to 1.
+        statement: The finding in a plain sentence, with parameters.
+        assumption_broken: Assumption of the paper that it breaks.
+        where: Location of the mismatch.
+        parameters: Estimates by the catalogue's parameter names.
+        rivals: Nearest rivals, best first.
+        separating_experiment: Recording that would split the alias group, or confirm the effect.
     """
 
     name: str
@@ -88,8 +87,8 @@ class Effect:
 
 @dataclass(frozen=True)
 class Fit:
-    """Errors of one equation before and after, one bandwidth throughout; None where nothing was set
-    aside.
+    """Rms errors of one equation before and after correction, at one bandwidth; ``validate_*`` are
+    None without validation recordings.
     """
 
     equation: str
@@ -117,16 +116,17 @@ class Map:
 
     Attributes:
         equation: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
-        coordinate: As in :class:`Location`.
-        unit: Of the coordinate.
-        residual_unit: Of the mismatch.
+        coordinate: Coordinate, as in :class:`Location`.
+        unit: Unit of the coordinate.
+        residual_unit: Unit of the mismatch.
         centre: Centres of the bins, shape (b,).
-        mean: Mean mismatch in each before correction, shape (b,).
+        mean: Mean mismatch in each bin before correction, shape (b,).
         low: Lower band around ``mean``, shape (b,).
         high: Upper band, shape (b,).
-        after: Mean mismatch in each after correction, shape (b,).
+        after: Mean mismatch in each bin after correction, shape (b,).
         share: Share of the mismatch's power that the curve explains.
-        against_motion: The mismatch was taken times the direction of motion, as friction acts.
+        against_motion: Whether the mismatch was multiplied by the direction of motion, like
+            friction.
     """
 
     equation: str
@@ -144,10 +144,9 @@ class Map:
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth empirical curve of what is missing, to be carried in a simulation where no name
-    fits.
+    """An empirical curve of a mismatch outside the catalogue, for simulations.
 
-    ``value`` over ``grid``, both shape (g,); between points it is linear, outside constant.
+    ``value`` over ``grid``, both shape (g,); linear between points, constant outside.
     """
 
     equation: str
@@ -160,9 +159,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search, as it happened: what was tested, added or taken out again, and
-    why.
-    """
+    """One step of the search: a test, an added or a removed effect, with the reason."""
 
     action: str
     name: str
@@ -189,21 +186,22 @@ class Diagnosis:
     """Result of one diagnosis.
 
     Attributes:
-        verdict: One of four.
+        verdict: The verdict.
         statement: The verdict in a plain sentence.
-        effects: In order of importance; empty where nothing is missing or no name fits.
-        fit: Of the equation in which the mismatch is found (the torque's where nothing is missing).
-        fits: Of every equation that the recordings bear.
+        effects: Identified effects in order of importance; empty if nothing is missing or no effect
+            fits.
+        fit: Errors of the equation with the mismatch (the torque's if nothing is missing).
+        fits: Errors of every equation that the recordings allow.
         parameters: Nominal parameters of the corrected model, name to value.
         parameter_shift: Nominal parameters before and after.
-        p_value: Of the test that anything is missing at all.
-        location: Where the mismatch is greatest, whether or not it has a name.
+        p_value: p-value of the test whether anything is missing.
+        location: Location of the greatest mismatch, identified or not.
         curve: The empirical curve of an outside_catalogue verdict.
-        maps: For the report.
-        steps: How the search went.
-        traces: For the report.
-        warnings: What the reader must know.
-        seconds: Time spent.
+        maps: Maps of the mismatch for the report.
+        steps: Steps of the search.
+        traces: Mismatch in time for the report.
+        warnings: Warnings for the reader.
+        seconds: Computing time, s.
     """
 
     verdict: Verdict

@@ -1,6 +1,4 @@
-"""The search: is anything missing, which effect explains it best, what else, and is each still
-needed at the end.
-"""
+"""Forward selection of effects by test, with rivals, then removal of those no longer needed."""
 
 from __future__ import annotations
 
@@ -46,16 +44,16 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Search:
-    """How the search ended.
+    """Result of the search.
 
     Attributes:
-        baseline: The nominal model alone.
-        final: With every effect kept.
-        rounds: One for each effect kept.
-        p_value: Of the test that anything is missing.
-        p_after: Of the test that anything more is missing.
-        loudest: Generic family, or effect, with the least chance after all (name, gain).
-        steps: As it went.
+        baseline: Fit of the nominal model alone.
+        final: Fit with every kept effect.
+        rounds: Selection step of each kept effect.
+        p_value: p-value of the test whether anything is missing.
+        p_after: p-value of the test whether anything more is missing.
+        loudest: Generic family or effect with the least p-value at the end.
+        steps: Steps of the search.
     """
 
     baseline: Joint
@@ -69,13 +67,13 @@ class Search:
 
 @dataclass(frozen=True)
 class _Case:
-    """What the whole search is about.
+    """Inputs of the whole search.
 
     Attributes:
         views: Recordings.
-        unit: Of the torque.
-        terms: Name to the effects to choose from.
-        fixed: Nominal parameters that are not asked for.
+        unit: Unit of the torque.
+        terms: Effects to choose from, by name.
+        fixed: Nominal parameters that are not estimated.
     """
 
     views: tuple[View, ...]
@@ -86,13 +84,13 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Test:
-    """Of whether anything is missing.
+    """Result of a test whether anything is missing.
 
     Attributes:
         trials: Effects of the catalogue at trial shapes.
-        unnamed: Families without a name.
-        p_value: Of the test.
-        loudest: Name of the most surprising of all.
+        unnamed: Generic families.
+        p_value: p-value of the test.
+        loudest: Name of the most significant candidate.
     """
 
     trials: tuple[Candidate, ...]
@@ -113,18 +111,18 @@ def search(
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each.
 
-    One more effect is judged at the end, beside the others: what seems to explain little of the
-    rest may leave nothing of it together with the next one.
+    Each effect is judged at the end together with the others: two effects may explain everything
+    together though one alone explains little.
 
     Args:
         views: Recordings.
-        unit: Of the torque.
-        baseline: The nominal model's fit of them.
+        unit: Unit of the torque.
+        baseline: Fit of the nominal model.
         terms: Effects to choose from.
-        rng: Of the tests by sign flips.
-        progress: Told what is being done.
-        until: Names, the first of which to be added ends the search.
-        fixed: Nominal parameters that are not asked for.
+        rng: Random generator for the sign flips.
+        progress: Called with the current step.
+        until: Names of effects; the search ends when one of them is added.
+        fixed: Nominal parameters that are not estimated.
     """
     case = _Case(tuple(views), unit, {t.name: t for t in terms}, fixed)
     joint = baseline
@@ -137,7 +135,9 @@ def search(
         progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
         test = _tested(joint, case, left, rng)
         p_values.append(test.p_value)
-        steps.append(Step("test", test.loudest, test.p_value, 0.0, "the most surprising candidate"))
+        steps.append(
+            Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
+        )
         if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
             break
         tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
@@ -161,7 +161,7 @@ def _tested(joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Gene
     unnamed = tuple(generic(joint.stack))
     every = (*trials, *unnamed)
     by_size = max(excess(joint), 1e-12)
-    # No draw of the flips could be rarer than this.
+    # Sign flips cannot give a smaller p-value than this.
     by_flips = 1.0 if by_size < 1.0 / (1 + DRAWS) else chance(every, joint.stack.blocks, rng)
     loudest = max(every, key=lambda c: c.surprise).name if every else ""
     return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
@@ -179,15 +179,15 @@ def _taken(
     tell: Callable[[Sequence[Candidate]], None],
     steps: list[Step],
 ) -> tuple[Joint, Round] | None:
-    """Return the model with the best further effect, or None where none will do.
+    """Return the fit with the best further effect, or None if none is acceptable.
 
     Args:
-        case: What the search is about.
-        fits: Of the nominal model, and with the effects taken so far.
-        test: The test that asks for one more.
-        rng: Of the tests of single equations.
-        tell: Told which effects are being fitted.
-        steps: Gains what was done.
+        case: Inputs of the search.
+        fits: Fits of the nominal model, and with the effects selected so far.
+        test: Test by which one more effect is needed.
+        rng: Random generator for the tests of single equations.
+        tell: Called with the effects being fitted.
+        steps: Steps so far; the new step is appended.
     """
     baseline, joint = fits
     best = _best_of_each(test.trials)
@@ -209,12 +209,14 @@ def _settled(
     progress: Progress,
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Try to remove each effect, then its rivals beside the others; return what is kept."""
+    """Try to remove each effect, then to replace it by its rivals; return the final fit and
+    rounds.
+    """
     (baseline, before), views, unit = fits, case.views, case.unit
     joint, rounds = pruned(views, unit, baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
-        progress("rivals, beside the other effects", 0.9)
+        progress("rivals, with the other effects", 0.9)
         joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
     return told_apart(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
 
@@ -226,8 +228,8 @@ def _contest(
     p_value: float,
     steps: list[Step],
 ) -> tuple[Joint, Round] | None:
-    """Fit finalists jointly with what is named already; return the model with the best, or None
-    where none will do.
+    """Fit each finalist jointly with the selected effects; return the fit with the best, or None if
+    none is acceptable.
     """
     if not finalists:
         return None
@@ -257,7 +259,11 @@ def _contest(
     if gain <= 2.0 * finalists[winner].penalty:
         steps.append(
             Step(
-                "stop", finalists[winner].name, p_value, gain, "explains no more than chance would"
+                "stop",
+                finalists[winner].name,
+                p_value,
+                gain,
+                "explains no more than expected by chance",
             )
         )
         return None
@@ -266,7 +272,7 @@ def _contest(
 
 
 def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
-    """Return the fit with a candidate beside what is named already."""
+    """Return the fit with a candidate and the selected effects."""
     baseline, joint = fits
     added = Added(
         case.terms[candidate.name],
@@ -275,7 +281,7 @@ def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joi
     )
     tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
     if added.term.follows and tried.nominal.flat:
-        # What is built from the fall of friction may have hidden it from the nominal fit.
+        # An effect that depends on the fall of friction may have masked it in the nominal fit.
         tried = or_raised(case.views, case.unit, tried, joint.nominal, case.fixed)
     return or_kept(case.views, case.unit, tried)
 
@@ -287,11 +293,11 @@ def _missing(
     rng: np.random.Generator,
     name: str,
 ) -> bool:
-    """Whether anything is missing in one equation, by the test that the whole model is put to."""
+    """Whether anything is missing in one equation, by the same test as for the whole model."""
     judged = len(joint.equations)
     if 2.0 * judged * excess(joint, name) <= LEVEL:
         return True
-    # A family without a name carries its equation's in front.
+    # The name of a generic family starts with its equation's.
     own = [
         c
         for c in candidates
@@ -313,5 +319,5 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 def _why(rivals: Sequence[Contender]) -> str:
     if not rivals:
-        return "nothing else comes near"
+        return "no other effect fits nearly as well"
     return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)

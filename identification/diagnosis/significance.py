@@ -1,4 +1,6 @@
-"""Whether anything is missing from a fit, by its size and by sign flips of whole blocks."""
+"""Tests whether anything is missing from a fit: by the size of the mismatch and by sign flips of
+whole blocks.
+"""
 
 from __future__ import annotations
 
@@ -15,28 +17,26 @@ from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
 LEVEL = 0.01
-"""Of the test that anything is missing, and that anything more is."""
+"""Significance level of the tests whether anything is missing, or anything more."""
 LEAST_SHARE = 0.01
-"""Power of a contribution over that of the noise, in the equations where it shows, below which it
-does not matter.
-"""
+"""Power of a contribution, over the noise power in its equations, below which it is negligible."""
 RARE = 6.0
 RARE_BLOCKS = 0.01
-"""Share of blocks in which a row beyond that may be chance: on simulated benches that hide nothing
-there is none.
+"""Share of blocks in which a row beyond that may occur by chance; without injected effects
+simulated benches have none.
 """
 EXCESS_OF_ONE = 2.0
-"""Mean square of the torque's mismatch in one recording over the noise's, up to which nothing is
-said of it. What is met in a few strokes of one recording has too few blocks for flips of their
-signs.
+"""Ratio of the mean-square torque mismatch in one recording to the noise's, up to which it counts
+as noise. This test is needed since an effect in a few half cycles of one recording has too few
+blocks for sign flips.
 """
 DRAWS = 999
 FLAT = 1e-6
-"""Determinant of a variance over its trace's square, below which its inverse is taken with care."""
+"""Determinant of a variance over its squared trace, below which the pseudo-inverse is used."""
 
 
 def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape that these recordings can show."""
+    """Yield every effect at every trial shape for which these recordings give a candidate."""
     for term in terms:
         for shape in term.shapes(context):
             candidate = stack.term(term, shape)
@@ -45,7 +45,7 @@ def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[
 
 
 def generic(stack: Stack) -> Iterator[Candidate]:
-    """Yield the families without a name, in every equation."""
+    """Yield the generic families in every equation."""
     for equation in stack.equations:
         for name, columns in families(equation):
             candidate = stack.independent(f"{equation.name} over {name}", equation.name, columns)
@@ -59,12 +59,12 @@ def chance(
     rng: np.random.Generator,
     least: float = LEAST_SHARE,
 ) -> float:
-    """Return the p-value of the most surprising of all candidates that matter, by flipping signs of
-    whole blocks.
+    """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
+    blocks.
 
-    The same flips serve all candidates, so that what they share counts once and how many there are
-    is allowed for. One that explains less than ``least`` of the noise is no finding however sure:
-    it is left out of what is seen, and stays among what might have been.
+    The same flips are used for all candidates, which accounts for their number and correlation. A
+    candidate that explains less than ``least`` of the noise is irrelevant even if significant: it
+    is omitted from the observed statistics, but not from those under flips.
     """
     if not candidates:
         return 1.0
@@ -72,8 +72,8 @@ def chance(
     seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
     if seen == -np.inf:
         return 1.0
-    # A surprise grows with the statistic: of candidates with as many numbers that of the greatest
-    # will do.
+    # Significance grows with the statistic: among candidates with equally many coefficients only
+    # the greatest is needed.
     greatest: dict[int, Array] = {}
     for candidate in candidates:
         degrees, drawn = candidate.blocks.shape[1], flipped(candidate, flips)
@@ -85,8 +85,8 @@ def chance(
 
 
 def flipped(candidate: Candidate, flips: Array) -> Array:
-    """Return the statistic under flips of sign, shape (draws, b), computed as the one that was
-    seen, shape (draws,).
+    """Return the statistic under sign flips of shape (draws, b), computed as the observed one,
+    shape (draws,).
     """
     sums, weights = candidate.blocks, candidate.weights
     if not len(weights):
@@ -127,8 +127,8 @@ def flipped(candidate: Candidate, flips: Array) -> Array:
 
 
 def _over_two(score: Array, variance: Array) -> Array:
-    """Return scores of two numbers, shape (d, 2), over their variance, (d, 2, 2): most trial shapes
-    are waves.
+    """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
+    trial shapes are waves, with two coefficients.
     """
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T
@@ -141,16 +141,16 @@ def _over_two(score: Array, variance: Array) -> Array:
 
 
 def excess(joint: Joint, only: str = "") -> float:
-    """Return the p-value of the mean square of the mismatch being no more than :data:`EXCESS` times
-    the noise's.
+    """Return the p-value of the hypothesis that the mean-square mismatch is at most :data:`EXCESS`
+    times the noise's.
 
-    Over all equations, or in the one of the name ``only``.
+    It covers all equations, or only the equation named ``only``.
 
-    It needs no candidate: what looks like nothing in the catalogue, nor like anything smooth, is
-    noticed by its size. Rows beyond :data:`RARE` times the noise count as that, so that a few of
-    them are not taken for physics; and a row counts as half an observation, as neighbours share the
-    filter. Where such rows come in block after block, as they do after every reversal on a joint
-    that springs before it slips, it is how many blocks that counts.
+    It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
+    detected by its size. Rows beyond :data:`RARE` times the noise are clipped there, so that a few
+    outliers are not taken for physics; a row counts as half an observation, as neighbours share the
+    filter. If outliers recur in many blocks, as after every reversal with presliding, the number of
+    these blocks is tested.
     """
     chances = []
     for equation in joint.equations:
@@ -168,16 +168,18 @@ def excess(joint: Joint, only: str = "") -> float:
 
 
 def _beyond(powers: Array, limit: float) -> float:
-    """Return the chance of such a mean square, were the noise's ``limit``; 1 without rows."""
+    """Return the probability of at least this mean square if the noise's were ``limit``; 1 without
+    rows.
+    """
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
 
 
 def _recurring(residual: Array, block: np.ndarray) -> float:
-    """Return the chance of so many blocks with a row beyond :data:`RARE`, were one in a hundred to
-    have any.
+    """Return the probability of at least so many blocks with a row beyond :data:`RARE`, if one in a
+    hundred blocks has any.
 
-    1 where all of it is no more than :data:`EXCESS` times the noise's power.
+    The result is 1 if the whole mismatch has at most :data:`EXCESS` times the noise power.
     """
     if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
         return 1.0

@@ -1,8 +1,8 @@
-"""All equations stacked and whitened, what the nominal model absorbs taken out, and candidates
-scored against the rest.
+"""All equations stacked and whitened, with the nominal tangent projected out, and candidates scored
+against the remaining mismatch.
 
-Scores are sums over blocks of time, so that what is correlated within a block counts once (wild
-cluster bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
+Scores are sums over blocks of time, which accounts for correlation within blocks (wild cluster
+bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
 """
 
 from __future__ import annotations
@@ -24,35 +24,36 @@ from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
 ABSORBED = 1e-3
-"""Share of a regressor's norm left after projection, below which the nominal model absorbs it."""
+"""Share of a regressor's norm after projection, below which it is collinear with the nominal
+model.
+"""
 FEW = 4
-"""Regressors up to which the variance is that of the residual after the fit."""
+"""Number of regressors up to which the variance is computed from the residual after the fit."""
 ROUNDING = 1e-9
-"""Norm below which a part of an orthonormal column is a rounding error."""
+"""Norm below which a part of an orthonormal column is rounding error."""
 NOMINAL_IN = ("torque", "breakaway")
-"""Equations in which regressors that follow the nominal values do so."""
+"""Equations in which regressors may depend on the nominal values."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 LEAST_ACTIVE = 3.0
-"""Blocks in which a regressor must be active (inverse participation)."""
+"""Least number of blocks in which a regressor must be active (inverse participation ratio)."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one shape, as far as the stack has anything to say about it.
+    """One effect at one shape, scored against the stack.
 
     Attributes:
-        name: Of the term, or of a generic family.
-        shape: Its nonlinear parameters.
-        coefficients: Least squares, in the term's own units, shape (k,).
+        name: Name of the term, or of a generic family.
+        shape: Nonlinear parameters of the effect.
+        coefficients: Least-squares coefficients, in the term's units, shape (k,).
         gain: Sum of whitened squares it explains.
-        penalty: What chance would explain (Takeuchi), same unit.
-        statistic: Its square over its variance by blocks after the fit; about chi square with k
-            degrees where nothing is missing.
+        penalty: Expected gain by chance (Takeuchi), in the same unit.
+        statistic: Squared score over its variance by blocks after the fit; about chi-square with k
+            degrees of freedom if nothing is missing.
         blocks: Score by block, shape (b, k).
-        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty where
-        there are many.
-        share: Power of its contribution over that of the noise, over the rows of the equations
-            where it shows.
+        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty for
+            many regressors.
+        share: Power of its contribution over the noise power, in the rows of its equations.
     """
 
     name: str
@@ -67,18 +68,18 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Gain beyond chance."""
+        """Gain beyond that expected by chance."""
         return self.gain - 2.0 * self.penalty
 
     @property
     def surprise(self) -> float:
-        """-log of the chance of such a statistic."""
+        """-log of the probability of at least this statistic."""
         return surprise(self.statistic, len(self.coefficients))
 
     @property
     def preference(self) -> float:
-        """How far the data prefer it to nothing, in standard errors of the gain by blocks; infinite
-        without weights.
+        """Preference of the data for the effect over none, in standard errors of the gain by
+        blocks; infinite without weights.
         """
         if not len(self.weights):
             return math.inf
@@ -89,27 +90,27 @@ class Candidate:
 
 
 def surprise(statistic: Array | float, degrees: int) -> float:
-    """Return -log of the chance of a chi square beyond ``statistic``."""
+    """Return -log of the probability of a chi-square beyond ``statistic``."""
     with np.errstate(divide="ignore"):
         return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
 class Stack:
-    """Whitened rows of all equations with everything that is granted projected out.
+    """Whitened rows of all equations, with the nominal tangent and granted columns projected out.
 
     Attributes:
-        equations: In order of the stack.
-        nominal: At which they stand.
+        equations: Equations in the order of the stack.
+        nominal: Nominal values of the equations.
         basis: Orthonormal columns of each equation's tangent.
-        granted: Orthonormal columns of what else is granted (effects already named), shape (n, g).
+        granted: Orthonormal columns of effects already selected, shape (n, g).
         residual: Whitened residual after projection, shape (n,).
         block: Block of each row, shape (n,).
         blocks: Number of blocks.
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
         cache: Regressors that do not depend on the nominal values, by term and shape; shared
             between stacks of the same recordings.
-        own: Those that do.
+        own: Regressors that depend on the nominal values, likewise.
     """
 
     equations: tuple[Equation, ...]
@@ -133,11 +134,10 @@ class Stack:
         return slice(0, 0)
 
     def only(self, names: Collection[str]) -> Stack:
-        """Return the rows in which regressors of these equations can differ from zero once all is
-        projected out.
+        """Return the part of the stack in which regressors of these equations can be nonzero after
+        projection.
 
-        What is granted may tie equations together; where nothing does, most rows need not be looked
-        at.
+        Granted columns may couple equations; without coupling most rows can be omitted.
         """
         wanted = tied(names, self._granted_in)
         key = frozenset(e.name for e in self.equations if e.name in wanted)
@@ -153,7 +153,7 @@ class Stack:
 
     @cached_property
     def _granted_in(self) -> list[set[str]]:
-        """The equations in which each granted column shows."""
+        """Equations in which each granted column is nonzero."""
         shown = {
             e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING
             for e in self.equations
@@ -184,7 +184,7 @@ class Stack:
         kept = (
             self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
         )
-        # What adds to the drive's torque does so in motion and at breakaway alike.
+        # Torque and breakaway use the same columns, which are computed once.
         once = cache(_made)
         found = {
             equation.name: kept[equation.name]
@@ -200,7 +200,7 @@ class Stack:
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
-        """Return regressors as whitened rows of the whole stack, nothing projected, shape (n,
+        """Return regressors as whitened rows of the whole stack, without projection, shape (n,
         k).
         """
         width = max(c.shape[1] for c in columns.values())
@@ -211,7 +211,9 @@ class Stack:
         return out
 
     def projected(self, whitened: Array) -> Array:
-        """Take out what the nominal model and the granted effects absorb."""
+        """Return whitened columns with the nominal tangent and the granted columns projected
+        out.
+        """
         out = whitened.copy()
         for equation, basis in zip(self.equations, self.basis, strict=True):
             rows = self.part(equation.name)
@@ -221,8 +223,8 @@ class Stack:
         return out
 
     def without(self, names: Collection[str]) -> Stack:
-        """Return the stack with the torque's tangent short of these names; the residual stays as it
-        is.
+        """Return the stack without these names in the torque's tangent; the residual is not
+        changed.
         """
         basis = [
             _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
@@ -244,8 +246,8 @@ class Stack:
     def candidate(
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
     ) -> Candidate | None:
-        """Score regressors; None where they are absorbed, hardly active, or ask for an unphysical
-        sign.
+        """Return the score of regressors; None if they are collinear with the nominal model, hardly
+        active, or have an unphysical sign.
         """
         if not columns:
             return None
@@ -289,8 +291,8 @@ class Stack:
         )
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
-        """Score regressors of one equation of which some may be absorbed: the directions that are
-        left count.
+        """Return the score of one equation's regressors, some of which may be absorbed; the
+        remaining directions are scored.
         """
         number = next(k for k, e in enumerate(self.equations) if e.name == equation)
         rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
@@ -313,12 +315,12 @@ class Stack:
         )
 
     def term(self, term: Term, shape: Shape) -> Candidate | None:
-        """Score one effect at one shape."""
+        """Return the score of one effect at one shape, or None."""
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
 
 
 def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
-    """Return these equations and all those that ties bind to them, one through another."""
+    """Return these equations and all that ``ties`` connect to them, directly or through others."""
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
         found = found.union(*joined)
@@ -333,8 +335,8 @@ def _made(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
 def bound(
     term: Term, equation: str, nominal: Nominal, shape: Shape, made: Callable[..., Array] = _made
 ) -> Callable[[View], Array]:
-    """Return regressors of one equation as a function of the view alone; ``made`` may remember what
-    it has made.
+    """Return regressors of one equation as a function of the view only; ``made`` may be a cached
+    maker.
     """
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
@@ -343,14 +345,14 @@ def bound(
 
 
 def wald(score: Array, sums: Array) -> float:
-    """Return the score's square over its variance by blocks."""
+    """Return the squared score over its variance by blocks."""
     variance = sums.T @ sums
     return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
 
 
 def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
-    """Stack equations at the nominal values; ``like`` lends blocks and cache of the same
-    recordings.
+    """Stack equations at the nominal values; blocks and cache are taken from ``like``, a stack of
+    the same recordings.
     """
     basis = []
     residuals = []
@@ -369,9 +371,7 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
 
 
 def _lengths(columns: Array) -> Array:
-    """Return the norm of each column; numpy's own takes a pass over all rows for every step of
-    it.
-    """
+    """Return the norm of each column, in one pass; numpy's needs several."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 
@@ -382,7 +382,7 @@ def _orthonormal(tangent: Array) -> Array:
 
 
 def granting(stack: Stack, regressors: Array) -> Stack:
-    """Return the stack with whitened regressors, shape (n, g), taken out as well."""
+    """Return the stack with whitened regressors, shape (n, g), projected out as well."""
     columns = stack.projected(regressors)
     q, r = np.linalg.qr(columns)
     diagonal = np.abs(np.diag(r))

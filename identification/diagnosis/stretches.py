@@ -1,4 +1,4 @@
-"""Stretches of single recordings in which something is wrong that no map over all of them shows."""
+"""Findings in intervals of single recordings, which maps over all recordings do not show."""
 
 from __future__ import annotations
 
@@ -11,37 +11,37 @@ from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
 LONG_S = 0.3
-"""Rests shorter than this say nothing: while torque rises fast, a rest outlasts the torque that
-ends it.
+"""Least duration of a rest; in shorter ones, under fast-rising torque, the torque exceeds the
+static limit before motion is visible.
 """
 WITHSTOOD = 1.5
-"""Torque of a rest over the greatest at which a rest of any other recording ended, from which on it
-is told.
+"""Ratio of a rest's torque to the greatest torque at the end of a rest in any other recording, from
+which it is reported.
 """
 LEAST_BREAKAWAYS = 12
 LEAST_SHARE, CROWDED = 0.25, 3.0
-"""Share of the mismatch that is left, and that share over the share of the rows, from which on a
-recording is told.
+"""Share of the remaining mismatch, and its ratio to the share of the rows, from which a recording
+is reported.
 """
 MOST_OF_IT = 0.8
-"""Share of a recording's mismatch that lies in the stretch that is named."""
+"""Share of a recording's mismatch that the reported interval contains."""
 
 
 def standing(views: Sequence[View], unit: str) -> tuple[str, ...]:
-    """Say where a joint stands under more torque than a rest withstood in any other recording.
+    """Return a text for each rest under more torque than any rest of other recordings withstood.
 
-    Friction at rest is no equation, only a limit: what breaks it does not show in the mismatch. A
-    drive that protects itself goes on logging the torque that it was asked for.
+    Friction at rest gives a limit, not an equation, so its violation does not show in the mismatch.
+    A drive that switches its torque off may still log the requested torque.
 
     Args:
         views: All recordings.
-        unit: Of the torque.
+        unit: Unit of the torque.
     """
     return tuple(line for view in views for line in _standing(view, views, unit))
 
 
 def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
-    # Friction at rest grows with the load, so that lighter recordings set no limit.
+    # Friction at rest grows with the load, so recordings with less load give no limit.
     others = [
         v
         for v in views
@@ -69,10 +69,11 @@ def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
 
 
 def crowded(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
-    """Say in which recordings, and when, most of the mismatch lies that the final model leaves.
+    """Return a text for each recording that contains most of the final model's mismatch, with the
+    interval.
 
     Args:
-        traces: Of the recordings that were fitted.
+        traces: Mismatch of the recordings that were fitted.
     """
     lines = []
     for equation in dict.fromkeys(t.equation for t in traces):
@@ -84,16 +85,17 @@ def crowded(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
             if share >= LEAST_SHARE and share >= CROWDED * usual:
                 first, last = shortest(trace.time, trace.after**2)
                 lines.append(
-                    f"{trace.recording}: {100.0 * share:.0f} % of the {equation} mismatch that is "
-                    f"left is in it, where "
-                    f"{100.0 * usual:.0f} % of the rows are, most of it from {first:.2f} to "
-                    f"{last:.2f} s"
+                    f"{trace.recording}: contains {100.0 * share:.0f} % of the remaining "
+                    f"{equation} mismatch, but {100.0 * usual:.0f} % of the rows; most of it from "
+                    f"{first:.2f} to {last:.2f} s"
                 )
     return tuple(lines)
 
 
 def shortest(time: Array, power: Array) -> tuple[float, float]:
-    """Return the shortest stretch with :data:`MOST_OF_IT` of the power, s."""
+    """Return start and end, s, of the shortest interval with the share :data:`MOST_OF_IT` of the
+    power.
+    """
     total = np.concatenate(([0.0], np.cumsum(power)))
     ends = np.searchsorted(total, total[:-1] + MOST_OF_IT * total[-1])
     starts = np.flatnonzero(ends < len(total))
@@ -103,6 +105,6 @@ def shortest(time: Array, power: Array) -> tuple[float, float]:
 
 
 def _runs(marks: np.ndarray) -> list[tuple[int, int]]:
-    """Return (first, one past the last) of each run of marked samples."""
+    """Return the first sample and the sample after the last of each run of marked samples."""
     edges = np.flatnonzero(np.diff(np.concatenate(([False], marks, [False])).astype(np.int8)))
     return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]

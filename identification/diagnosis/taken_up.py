@@ -1,8 +1,8 @@
-"""Effects that the nominal constants take up whole, so that no recording of this kind can show
+"""Effects that are collinear with the nominal model, so that no recording of this kind can show
 them.
 
-A gear that passes 80 % of the torque, and friction is all its load, is a bench whose constants are
-all 1/0.8 as large.
+For example, if friction is the only load, a gear with 80 % efficiency is equivalent to constants
+larger by 1/0.8.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from identification.diagnosis.terms.term import Context, Term
 
 
 def taken_up(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
-    """Return the names of effects of which the nominal tangent leaves nothing, whatever their size.
+    """Return the names of effects that the nominal tangent absorbs completely, whatever their size.
 
-    Only effects of one shape are asked: what has several does not fit into the nominal model's with
-    all of them. Breakaways are not: their tangent allows for lateness, which no effect does.
+    Only effects with one shape are tested; of several shapes, not all can be collinear with the
+    nominal model. Breakaways are not tested, since their tangent includes lateness.
 
     Args:
-        baseline: The nominal model's fit.
-        terms: Of the effects that were sought.
+        baseline: Fit of the nominal model.
+        terms: Terms of the effects that were tried.
     """
     context = Context(baseline.equations[0].views, baseline.nominal)
     stack = baseline.stack

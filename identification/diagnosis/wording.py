@@ -1,9 +1,10 @@
-"""Findings in plain sentences, with values and intervals in units that engineers read.
+"""Findings as plain sentences, with values and intervals in common engineering units.
 
-A sentence of the catalogue names parameters in braces. After the colon stands the unit to print
-(``{gap_rad:deg}``; with ``abs`` before it the size without its sign), or two words to choose from
-by sign (``{torque_Nm:?higher/lower}``). ``{recordings}`` names the recordings in which the effect
-shows, ``{channel}`` the logged quantity that the drive's torque is taken from.
+A sentence of the catalogue has parameters in braces. A colon is followed by the unit to print
+(``{gap_rad:deg}``; with ``abs`` before it, the magnitude is printed), or by two words of which the
+sign selects one (``{torque_Nm:?higher/lower}``). ``{recordings}`` is replaced by the recordings in
+which the effect shows, ``{channel}`` by the logged quantity from which the drive's torque is
+computed.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from identification.diagnosis.entries.entry import Entry
 from identification.diagnosis.result import Estimate
 
 COUNT = "1/turn"
-"""Unit that a sentence says in words."""
+"""Unit that the sentence states itself."""
 _DEG = math.degrees(1.0)
 _FACTORS: Mapping[tuple[str, str], float] = {
     ("rad", "deg"): _DEG,
@@ -45,13 +46,13 @@ def sentence(
     recordings: Sequence[str] = (),
     channel: str = "current",
 ) -> str:
-    """Return the finding of one effect with its parameters, values first and 90 % intervals behind.
+    """Return the finding of one effect with its parameters, as values followed by 90 % intervals.
 
     Args:
         entry: Row of the catalogue.
         estimates: Parameter name to estimate; every name in the sentence is there.
-        recordings: Names of those in which it shows.
-        channel: Logged quantity that the drive's torque is taken from.
+        recordings: Names of the recordings in which it shows.
+        channel: Logged quantity from which the drive's torque is computed.
 
     Raises:
         KeyError: The sentence names a parameter without an estimate.
@@ -76,7 +77,7 @@ def finding(
 ) -> str:
     """Return the sentence with the effect's name and the assumption it breaks.
 
-    Args: as of :func:`sentence`.
+    Args: as in :func:`sentence`.
 
     Raises:
         KeyError: The sentence names a parameter without an estimate.
@@ -94,8 +95,8 @@ def readable(estimate: Estimate, unit: str = "") -> str:
     """Return value, unit and 90 % interval, such as ``0.42 deg (0.39 to 0.45)``.
 
     Args:
-        estimate: In its own unit.
-        unit: To print; one that the estimate's own cannot be turned into is ignored.
+        estimate: Estimate in its own unit.
+        unit: Unit to print; ignored if the estimate's unit cannot be converted to it.
     """
     factor = _FACTORS.get((estimate.unit, unit))
     shown = unit if factor else estimate.unit
@@ -121,8 +122,8 @@ def _field(estimate: Estimate, form: str) -> str:
 
 
 def _places(width: float) -> int | None:
-    """Decimals that show an interval of this width by one figure or two; None for sizes that need
-    exponents.
+    """Return the decimals that show an interval of this width by one or two digits; None for sizes
+    that need exponents.
     """
     exponent = math.floor(math.log10(width))
     places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)

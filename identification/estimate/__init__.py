@@ -1,1 +1,1 @@
-"""From recordings to parameters: the pipelines of ``rig identify``."""
+"""Estimation of parameters from recordings: the pipelines of ``rig identify``."""

@@ -1,4 +1,4 @@
-"""The default method: variable projection, then prediction errors where those are accepted
+"""The default method: variable projection, then refinement by prediction errors if it is accepted
 (docs/method.md).
 """
 
@@ -49,20 +49,18 @@ def identify(
     """Identify the nine parameters in two stages (five where nothing is loaded).
 
     Args:
-        dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once
-        at the end.
-        bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what
-        each bears.
-        rng: Draws the noises of the simulated replicates and the segments of the bootstrap; seed 0
-            where it is None.
-        progress: Called with a stage's name and the share done.
-        profile: Whether to profile the likelihood of every parameter as well, which takes several
-        times as long.
-        draws: Bootstrap draws, 0 for none.
-        settings: Of the estimator.
+        dataset: Recordings and the declared model; ``validate`` recordings are scored once at the
+            end.
+        bandwidth_Hz: Bandwidth of torque and regressors; None chooses the least of the recordings'
+            default bandwidths.
+        rng: Random generator for the simulated replicates and the bootstrap; None for seed 0.
+        progress: Called with the name of a step and the share done.
+        profile: Whether to compute profile likelihoods as well, which takes several times as long.
+        draws: Number of bootstrap samples, 0 for none.
+        settings: Settings of the estimator.
 
     Raises:
-        RecordingError: The recordings cannot pin the model; the message says what is missing.
+        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
     started = perf_counter()
     tell = progress or silent
@@ -100,8 +98,8 @@ def identification(
     """Return the result of the default method.
 
     Args:
-        dataset: What was identified.
-        prepared: Every recording with its pieces; traces are those of the first.
+        dataset: The dataset that was identified.
+        prepared: Every recording with its pieces; traces show the first piece.
         found: The estimate, with all stages and warnings.
     """
     model, values = dataset.model, found.values
@@ -129,7 +127,7 @@ def identification(
 
 
 def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared]]:
-    """Return the unloaded ones and the loaded ones."""
+    """Split prepared recordings into the unloaded and the loaded."""
     unloaded, loaded = (
         [p for p in prepared if p.recording.stage == stage] for stage in ("unloaded", "loaded")
     )
@@ -137,7 +135,7 @@ def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared
 
 
 def _unresolved(active: Sequence[Prepared]) -> list[str]:
-    """Say which recordings the equation error cannot use."""
+    """Return a warning for each recording that the equation error cannot use."""
     return [
         f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz"
         for p in active
@@ -153,7 +151,7 @@ def _asked(
     rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
-    """Return profiles and bootstrap as far as asked for, and why not where there are none."""
+    """Return the requested profiles and bootstrap, and warnings where they cannot be computed."""
     if found.taken is None:
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
@@ -161,15 +159,14 @@ def _asked(
         return (
             (),
             (),
-            [f"no {what}: of the prediction errors alone, which were not taken"] if what else [],
+            [f"no {what}: only for prediction errors, which were not accepted"] if what else [],
         )
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    # Both are about the maximum of the likelihood; they are shifted as the estimate was.
+    # Both are centred at the maximum of the likelihood; they are shifted as the estimate was.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # With the covariance that is stated, which includes replicates and the uncertainty of the
-        # bias.
+        # Use the stated covariance, which includes replicates and the uncertainty of the bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
@@ -182,11 +179,12 @@ def _asked(
 def solve_stages(
     unloaded: Sequence[Prepared], loaded: Sequence[Prepared], model: Model, tell: Progress
 ) -> tuple[dict[str, float], list[Convergence]]:
-    """Solve both stages by variable projection; return all values by name and how each search went.
+    """Solve both stages by variable projection; return all values by name and the record of each
+    search.
 
     Raises:
-        RecordingError: A stage without motion, or loaded recordings alone, which cannot tell system
-            from load friction.
+        RecordingError: A stage has no motion, or only loaded recordings are given, which do not
+            separate system and load friction.
     """
     values: dict[str, float] = {}
     stages: list[Convergence] = []
@@ -198,7 +196,7 @@ def solve_stages(
         missing = [n for n in SYSTEM_PARAMETERS if n not in model.fixed]
         if missing:
             raise RecordingError(
-                "no unloaded recording to fit: system and load friction cannot be told apart at "
+                "no unloaded recording to fit: system and load friction cannot be separated at "
                 "one load; record an "
                 f"unloaded stage, or fix {', '.join(missing)}"
             )
@@ -233,8 +231,8 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names that the data are asked for: not fixed, and not a Stribeck term that is
-    absent.
+    """Return the names of the parameters to be estimated: those not fixed, without absent Stribeck
+    terms.
     """
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}

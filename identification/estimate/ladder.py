@@ -1,8 +1,8 @@
 """The friction ladder: every rung fitted to one dataset and scored on its validation recordings.
 
-Intervals are over recordings: those to fit and those to score are drawn with replacement, the same
-draws for every rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within
-a recording are too correlated to count as independent.
+Intervals are bootstrapped over recordings: those to fit and those to score are drawn with
+replacement, with the same draws for every rung (Efron and Tibshirani, An Introduction to the
+Bootstrap, ch. 8). Samples within a recording are too correlated to be drawn independently.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from identification.simulate.closed_loop import replay
 from identification.simulate.score import compare, pooled
 
 REPLICATES = 100
-"""Draws of the bootstrap."""
+"""Number of bootstrap draws."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """A figure and its 90 % interval over recordings."""
+    """A value and its 90 % interval over recordings."""
 
     value: float
     low: float
@@ -41,13 +41,14 @@ class Rung:
     """One model of the ladder.
 
     Attributes:
-        friction: Its name.
-        result: The fit to all recordings to fit.
-        train: Torque error on them, in the fit's unit.
-        scored: Torque error on the recordings set aside; None without any.
-        angle: Angle error of the simulated loop there (or on the fitted ones), rad (m); None
-        without a controller.
-        best: Share of the draws in which this rung has the least torque error on what was scored.
+        friction: Name of the rung.
+        result: The fit to all recordings with role ``fit``.
+        train: Torque error on these, in the fit's unit.
+        scored: Torque error on the recordings with role ``validate``; None without any.
+        angle: Angle error of the simulated loop on the validation recordings (without any, on the
+            fitted ones), rad (m); None without a controller.
+        best: Share of the draws in which this rung has the least torque error on the scored
+            recordings.
     """
 
     friction: str
@@ -66,14 +67,14 @@ def climb(
     replicates: int = REPLICATES,
     progress: Progress | None = None,
 ) -> tuple[Rung, ...]:
-    """Fit and score every rung that the recordings can bear.
+    """Fit and score every rung that the recordings support.
 
     Args:
-        dataset: Unloaded recordings; rungs that bear a load need a pendulum.
-        bandwidth_Hz: Of torque and regressors; None chooses as the identification does.
-        rng: Draws the recordings, and the noises of simulated replicates.
-        replicates: Draws.
-        progress: Called with what is being done and the share done.
+        dataset: Unloaded recordings; rungs with load-dependent friction need a pendulum.
+        bandwidth_Hz: Bandwidth of torque and regressors; None chooses as the identification does.
+        rng: Random generator for the drawn recordings and the simulated replicates.
+        replicates: Number of draws.
+        progress: Called with the name of the step and the share done.
 
     Raises:
         RecordingError: A recording is loaded, or cannot be fitted.
@@ -119,12 +120,12 @@ def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
     """Return the recordings to fit.
 
     Raises:
-        RecordingError: A recording is loaded, or none is to be fitted.
+        RecordingError: A recording is loaded, or none has role ``fit``.
     """
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(
-            f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out"
+            f"{loaded[0]}: the ladder is of the unloaded friction; remove loaded recordings"
         )
     to_fit = dataset.part("fit")
     if not to_fit:

@@ -1,7 +1,7 @@
-"""The default method on recordings too long for memory: the same two steps, piece by piece.
+"""The default method on recordings too long for memory, piece by piece.
 
-The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only
-the velocity stays at the full rate. The prediction errors pass over the pieces
+The equation error is decimated to 2.5 times its bandwidth as usual, without loss of information;
+only the velocity is kept at the full rate. The prediction errors pass over the pieces
 (:mod:`identification.estimate.likelihood.long_refinement`).
 """
 
@@ -42,12 +42,12 @@ from identification.recording import Dataset, Recording
 from identification.result import Identification
 
 LONG_SAMPLES = 200_000
-"""Samples to fit, over all recordings, above which memory is bounded; below, all of them at once
-are quicker.
+"""Number of samples to fit, over all recordings, above which the estimation runs piece by piece;
+below, it is faster in one piece.
 """
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
-"""Samples before the end of a piece in which a rest to cut at is looked for."""
+"""Samples before the end of a piece within which a rest is sought for the cut."""
 
 
 def identify_any_length(
@@ -63,7 +63,7 @@ def identify_any_length(
     :func:`default.identify`.
 
     Raises:
-        RecordingError: The recordings cannot pin the model; the message says what is missing.
+        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
     fitted = dataset.part("fit")
     if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
@@ -78,8 +78,8 @@ def identify_any_length(
     found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
     if profile or draws:
         limit = (
-            f"no profiles or bootstrap: they are of recordings of {LONG_SAMPLES} samples together "
-            f"at most; cut them "
+            f"no profiles or bootstrap: they need recordings of at most {LONG_SAMPLES} samples "
+            f"together; cut them "
             "shorter"
         )
         found = replace(found, warnings=(*found.warnings, limit))
@@ -87,8 +87,8 @@ def identify_any_length(
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at rest where it rests; channels are
-    views.
+    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at a rest if there is one; channels
+    are views.
     """
     n, start = len(recording.time), 0
     found = []
@@ -104,12 +104,12 @@ def pieces(recording: Recording) -> list[Recording]:
 def identify_long(
     dataset: Dataset, *, bandwidth_Hz: float | None = None, progress: Progress | None = None
 ) -> Identification:
-    """Identify piece by piece; memory beside the recordings themselves grows by 14 bytes a sample.
+    """Identify piece by piece; memory in addition to the recordings grows by 14 bytes per sample.
 
-    Traces are those of the first piece of each recording.
+    Traces cover the first piece of each recording only.
 
     Raises:
-        RecordingError: The recordings cannot pin the model; the message says what is missing.
+        RecordingError: The recordings do not determine the model; the message says what is missing.
     """
     started = perf_counter()
     tell = progress or silent
@@ -147,8 +147,8 @@ def identify_long(
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return where to cut before ``near``: the middle of the last rest there, or ``near``
-    itself.
+    """Return the sample at which to cut: the middle of the last rest shortly before ``near``, or
+    ``near``.
     """
     window = slice(near - _SEARCH_SAMPLES, near)
     angle = joint_angle(

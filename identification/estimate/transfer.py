@@ -1,4 +1,4 @@
-"""Transfer of an identification: its error on other recordings, of another day, unit, mass or
+"""Transfer of an identification: its error on other recordings, such as another day, unit, mass or
 load.
 """
 
@@ -21,16 +21,16 @@ from identification.result import Fit, Identification, Parameter
 
 @dataclass(frozen=True)
 class Moved:
-    """One parameter on both.
+    """One parameter, identified on the first and on the other recordings.
 
     Attributes:
-        name: Of the parameter.
-        unit: SI.
-        first: On the recordings it was identified on.
-        second: On the others alone.
-        difference: Second less first; None where either is not identifiable.
-        joint: Half width of the 90 % interval of that difference, both taken as independent.
-        moved: Whether the difference is greater.
+        name: Name of the parameter.
+        unit: Unit, SI.
+        first: Estimate from the first recordings.
+        second: Estimate from the other recordings alone.
+        difference: Second less first; None if either is not identifiable.
+        joint: Half width of the 90 % interval of that difference, with both estimates independent.
+        moved: Whether the difference exceeds this half width.
     """
 
     name: str
@@ -44,14 +44,14 @@ class Moved:
 
 @dataclass(frozen=True)
 class Transfer:
-    """A model carried over.
+    """Result of applying a fitted model to other recordings.
 
     Attributes:
-        fit: Torque error of the carried model on the other recordings.
-        own: Of the model identified on them.
-        floor: Their noise floor; None where nothing in them is done twice.
-        by_recording: Torque error of the carried model, recording by recording.
-        parameters: What moved.
+        fit: Torque error of the transferred model on the other recordings.
+        own: Torque error of the model identified on the other recordings.
+        floor: Noise floor of the other recordings; None if no motion is repeated in them.
+        by_recording: Torque error of the transferred model on each recording.
+        parameters: Comparison of each parameter.
         other: The identification of the other recordings.
     """
 
@@ -69,20 +69,20 @@ def transfer(
     other: Dataset,
     rng: np.random.Generator | None = None,
 ) -> Transfer:
-    """Score a fitted model on other recordings, and compare it with what they say alone.
+    """Score a fitted model on other recordings, and compare it with an identification of these.
 
-    The other recordings are identified with the same model and bandwidth; those that their own
-    campaign sets aside stay set aside.
+    The other recordings are identified with the same model and bandwidth; their validation
+    recordings are not fitted.
 
     Args:
-        first: The fit to carry over.
-        dataset: What it was fitted to; its declared model counts for both.
-        other: Recordings it has not seen.
-        rng: Of the identification of these; seed 0 where it is None.
+        first: The fit to transfer.
+        dataset: Dataset of this fit; its declared model applies to both.
+        other: Other recordings.
+        rng: Random generator for the identification of these; None for seed 0.
 
     Raises:
-        RecordingError: The other recordings cannot bear the model, or hold one that it was fitted
-            to.
+        RecordingError: The other recordings do not support the model, or include one to which it
+            was fitted.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
     recordings = other.part("fit")
@@ -118,7 +118,7 @@ def transfer(
 
 
 def moved(first: Parameter, second: Parameter) -> Moved:
-    """Compare one parameter on both."""
+    """Compare two estimates of one parameter."""
     halves = (_half_width(first), _half_width(second))
     if first.value is None or second.value is None or halves[0] is None or halves[1] is None:
         return Moved(first.name, first.unit, first, second, None, None, None)

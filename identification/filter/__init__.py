@@ -1,3 +1,3 @@
-"""Recordings and model to prediction errors: motion segments, Kalman filter, noise, likelihood,
+"""Prediction errors of a model on recordings: motion segments, Kalman filter, noise, likelihood,
 breakaway times.
 """

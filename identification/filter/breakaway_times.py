@@ -11,7 +11,7 @@ from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber, huber_weight
 
 ROUNDS = 4
-"""Steps of a breakaway time."""
+"""Gauss-Newton steps of a breakaway time."""
 LONGEST_STEP_MS = 2.0
 
 
@@ -37,11 +37,11 @@ class Reduced:
 def optimise_breakaway_times(
     point: Point, threshold: float = np.inf, rounds: int = ROUNDS
 ) -> Point:
-    """Return the point of least Huber cost of each segment over its breakaway time, the parameters
-    held.
+    """Return the point at which each breakaway time minimises its segment's Huber cost; the
+    parameters are held.
 
-    By Gauss-Newton with one step length per segment: a step that raises its segment's cost is
-    undone and shortened.
+    Gauss-Newton with one step length per segment: a step that raises its segment's cost is undone
+    and shortened.
     """
     count, m = len(point.free), point.breakaways
     owners = point.owners
@@ -70,7 +70,9 @@ def optimise_breakaway_times(
 
 
 def search_breakaway_times(point: Point, threshold: float) -> Point:
-    """Return the point at the best of the minima of each breakaway time, the parameters held."""
+    """Return the point at the best local minimum of each breakaway time; the parameters are
+    held.
+    """
     there, moved = (
         optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
     )

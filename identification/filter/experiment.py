@@ -22,16 +22,16 @@ from identification.numerics.arrays import Array
 from identification.recording import Model
 
 _FORGOTTEN = math.pi**2 / 3.0
-"""Exponent of the part of the quantisation error that noise of the angle leaves the same at every
-reading (M20): the first harmonic of that error, averaged over noise of variance v, falls by exp(-(2
-pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3
-(1956) 266).
+"""Exponent of the share of the quantisation error that is the same in every reading despite noise
+of the angle (M20). Averaged over noise of variance v, the first harmonic of that error falls by
+exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit
+Theory 3 (1956) 266).
 """
 _LEAST_SHARED = 30000.0
 """Integration steps above which a second thread saves time."""
 
 _Part = list[tuple[int, slice]]
-"""Some of the segments: number of the recording and rows of its table."""
+"""A subset of the segments: pairs of recording number and rows of its table."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class Experiment:
 
     Attributes:
         motions: Recordings with their segments.
-        statics: Fixed static levels: place of the Coulomb level, place of the rise, value.
+        statics: Fixed static levels: index of the Coulomb level, index of the rise, value.
     """
 
     motions: tuple[Motion, ...]
@@ -64,7 +64,7 @@ class Experiment:
         return np.concatenate([*inside, np.arange(self.breakaways)])
 
     def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
-        """Return the number, over all recordings, of the segment of each sample inside one."""
+        """Return the segment number, over all recordings, of each sample inside a segment."""
         offset = sum(len(other.table) for other in self.motions[:j])
         owner = np.zeros(len(m.time), dtype=np.int64)
         for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
@@ -91,8 +91,7 @@ class Experiment:
 class Filter:
     """Runs the Kalman filter over all recordings of an experiment, in buffers of its own.
 
-    It keeps nothing between runs but the number of them: each returns copies. It serves one caller
-    at a time.
+    Between runs it keeps only their number; each run returns copies. Not thread-safe.
 
     Args:
         experiment: The recordings.
@@ -134,13 +133,15 @@ class Filter:
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
         """Return the filtered correlated noise of the torque, N m, one array per recording;
-        meaningful inside segments. Arguments as of :meth:`run`.
+        meaningful inside segments. Arguments as in :meth:`run`.
         """
         self.run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
 
     def _filter(self, part: _Part, p: Array, times: Sequence[Array], noise: Noise) -> None:
-        """Filter some segments; another thread may filter the others meanwhile."""
+        """Filter a subset of the segments; another thread may filter the others at the same
+        time.
+        """
         for j, rows in part:
             m = self.experiment.motions[j]
             variance = m.angle_variance + noise.angle**2
@@ -160,7 +161,7 @@ def _joined(values: Sequence[Array], inside: Sequence[NDArray[np.bool_]]) -> Arr
 
 
 def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:
-    """Return two sets of segments that take about equal time.
+    """Split the segments into two sets of about equal computing time.
 
     The second set is empty where a second thread would not save time. A segment that does not start
     from rest continues the one before it and stays with it.

@@ -1,16 +1,17 @@
 """One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured
 torque (M14 to M21).
 
-The measured torque is a noisy mean over each period and the encoder is quantised, so neither an
-output error (which drifts with the torque noise) nor an equation error (which differentiates the
-encoder) is the right residual. The filter has the state (angle, speed), with J domega/dt = torque -
-friction(omega) + noise and y = angle + noise; where the torque noise has a correlated part, that is
-a third state, a first-order process that is held over each period. The normalised innovations are
+The measured torque is a noisy mean over each period and the encoder is quantised, so neither the
+output error (which drifts with the torque noise) nor the equation error (which differentiates the
+encoder signal) is a suitable residual. The filter has the state (angle, speed), with J domega/dt =
+torque - friction(omega) + noise and y = angle + noise. A correlated part of the torque noise is a
+third state, a first-order process that is held over each period. The normalised innovations are
 white when the model is right, and their sum of squares is the likelihood (Ljung, System
 Identification, 2nd ed., 7.3 and 10.5).
 
-A motion segment that starts from rest starts at the angle of rest with speed zero, at its breakaway
-time. Repeated readings at rest do not reduce the error of the angle below the quantisation error.
+A motion segment that starts from rest starts at its breakaway time, at the angle of rest and with
+speed zero. Repeated readings at rest do not reduce the error of the angle below the quantisation
+error.
 """
 
 from __future__ import annotations
@@ -23,23 +24,23 @@ from identification.model.parameters import INERTIA, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
-# Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the
-# torque, its correlated part, N m rms, and the time over which that is correlated, s; of the angle,
-# the part that stays the same while the shaft rests, rad^2.
+# Indices of the noise vector: white torque noise, N m rms; angle noise, rad^2; correlated torque
+# noise, N m rms, and its correlation time, s; part of the angle noise that is the same in all
+# readings at rest, rad^2.
 WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 _LEAST_SPEED = 1e-7
 _SLIP = 0.7
-"""Mean square of the excess of a random walk held at zero or above over a free one, under a drift
-that rises through zero, in natural units (M21); simulated in the tests.
+"""Mean square difference between a random walk reflected at zero and a free one, under a drift that
+rises through zero, in natural units (M21); simulated in the tests.
 """
 
 
 State = tuple[float, float, float, float, float, float, float, float, float]
 """Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed.
 
-Then the correlated torque noise, and its covariance with the angle, with the speed, and its
-variance, which is zero without such noise.
+Then the correlated torque noise, its covariances with angle and speed, and its variance; all are
+zero without such noise.
 """
 
 
@@ -60,7 +61,7 @@ def _predict(
 ) -> State:
     """Return the state propagated from ``start`` to ``stop`` (M16, M17).
 
-    The speed by the linearly implicit trapezoidal rule in ``steps`` steps.
+    The speed follows the linearly implicit trapezoidal rule in ``steps`` steps.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     h = (stop - start) / steps
@@ -101,8 +102,8 @@ def _reading_at_rest(
 ) -> tuple[float, float]:
     """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
 
-    The part ``staying`` of the reading's variance ``angle_noise`` is the same for all readings at
-    rest, so that further readings reduce only the rest of it.
+    The error of variance ``staying``, a part of ``angle_noise``, is the same in all readings at
+    rest; further readings reduce only the remaining variance.
     """
     unknown = p11 - staying
     if unknown > 0.0:
@@ -119,7 +120,7 @@ def _corrected(
     """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps
     its sign ``side``.
 
-    ``new`` is the share of the period since the breakaway; it makes the filter smooth in the
+    ``new`` is the share of the period since the breakaway; with it the filter is smooth in the
     breakaway time. ``unsure`` is added to the variance of the speed.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
@@ -155,10 +156,10 @@ def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> 
     """Return the mean square speed that noise causes before the mean torque reaches the static
     limit, (rad/s)^2 (M21).
 
-    At rest friction balances any torque backwards, so that noise moves the joint forward only: a
-    random walk held at zero from below, under the drift ``rise`` t / ``inertia`` (``rise`` in N
-    m/s) that passes zero at the limit. Walk and drift are of one size over the time (noise^2 period
-    / rise^2)^(1/3).
+    At rest friction balances any torque backwards, so that noise moves the joint forward only. Its
+    speed is a random walk reflected at zero under the drift ``rise`` t / ``inertia`` (``rise`` in N
+    m/s), which passes zero at the limit. Walk and drift are of equal size after the time (noise^2
+    period / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
     alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
@@ -184,8 +185,8 @@ def innovations(
     speeds: Array,
     hiddens: Array,
 ) -> None:
-    """Fill ``out`` with the innovations of every segment and ``spread`` with their deviations
-    (M18); also the states.
+    """Fill ``out`` with the innovations of every segment, ``spread`` with their standard deviations
+    (M18), and ``speeds`` and ``hiddens`` with filtered states.
 
     Args:
         segments: Table of motion segments, shape (m, 4); columns of
@@ -194,20 +195,21 @@ def innovations(
         time: s, shape (n,).
         angle: Joint angle, rad, shape (n,).
         torque: Mean torque over the period that ends at each sample, N m, shape (n,).
-        slope: Its slope within that period, N m/s, shape (n,).
+        slope: Rate of change of the torque within that period, N m/s, shape (n,).
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
-        noise: Places ``WHITE`` to ``STAYING`` above, shape (5,). The torque noise is divided by the
-            inertia on trial: the true torque is unknown, and taking the measured one for it would
-            bias J.
+        noise: Noise vector with indices ``WHITE`` to ``STAYING``, shape (5,). The torque noise
+            enters the speed divided by the trial inertia: the true torque is unknown, and using the
+            measured torque as exact would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed
             beforehand, so that the innovations are smooth in the parameters.
         unsure: Variance added to the speed's at each sample, (rad/s)^2, shape (n,).
         p: Vector of :mod:`identification.model.parameters`.
-        out: Innovations, rad, shape (n,); samples outside segments are left alone.
+        out: Innovations, rad, shape (n,); samples outside segments are left unchanged.
         spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
-        hiddens: Filtered correlated torque noise, N m, shape (n,); left alone without such noise.
+        hiddens: Filtered correlated torque noise, N m, shape (n,); left unchanged without such
+            noise.
     """
     inertia = p[INERTIA] + extra_inertia
     correlated = noise[CORRELATED] > 0.0

@@ -1,5 +1,5 @@
-"""Prediction errors, ties and their derivatives over free parameters and breakaway times (M22,
-M23).
+"""Prediction errors, ties, and their derivatives with respect to free parameters and breakaway
+times (M22, M23).
 """
 
 from __future__ import annotations
@@ -30,32 +30,30 @@ from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
 _FARTHEST_LOG = 6.0
-"""Greatest change of a logarithm in one fit, so that the arithmetic of the filter does not
-overflow.
-"""
+"""Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
-"""Grid of other breakaway times."""
+"""Grid of alternative breakaway times."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
-"""Difference of a coordinate for slopes, over its size, and least size that counts."""
+"""Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
 _LEAST_GAIN = 0.5
-"""Least gain in a segment's Huber cost for its breakaway to move."""
+"""Least gain in a segment's Huber cost for its breakaway time to move."""
 
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A place in the search space of an experiment: what the filter is run with.
+    """A point in the search space of an experiment, with everything that the filter needs to run.
 
-    A free vector ``x`` moves it: free parameters first, then the breakaway times of all segments.
-    Nothing changes a point; a search returns another one.
+    A free vector ``x`` has the free parameters first, then the breakaway times of all segments. A
+    point is immutable; a search returns another one.
 
     Attributes:
         filter: The experiment's filter, which all points of the experiment share.
         vector: Parameters, vector of :mod:`identification.model.parameters`.
-        free: Places of the free parameters in that vector.
+        free: Indices of the free parameters in that vector.
         noise: Noise of torque and angle.
-        breakaway_times: s, one array per recording.
+        breakaway_times: Breakaway times, s, one array per recording.
         inflation: Factor on the standard deviations of each segment (M13), shape (m,).
     """
 
@@ -75,8 +73,8 @@ class Point:
         model: Model,
         noise: Noise,
     ) -> Point:
-        """Return a point without variance inflation, each breakaway where the torque first reaches
-        the static limit.
+        """Return a point without variance inflation, with each breakaway time where the torque
+        first reaches the static limit.
         """
         experiment = Experiment.of(motions, model)
         return cls(
@@ -118,8 +116,8 @@ class Point:
         return replace(self, free=tuple(free))
 
     def at(self, vector: Array) -> Point:
-        """Return a point at other parameters, each breakaway where the torque first reaches their
-        static limit.
+        """Return a point at other parameters, with each breakaway time where the torque first
+        reaches their static limit.
         """
         times = static_crossings(vector, self.motions)
         return replace(self, vector=vector, breakaway_times=times)
@@ -156,16 +154,16 @@ class Point:
         )
 
     def run(self, noise: Noise | None = None) -> tuple[Array, Array]:
-        """Return the innovations inside segments and their standard deviations, rad; with other
-        noise than the point's where it is given.
+        """Return the innovations inside segments and their standard deviations, rad; ``noise``
+        defaults to the point's noise.
         """
         return self.filter.run(
             self.vector, self.breakaway_times, self.noise if noise is None else noise
         )
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return innovations, rad, then ties (M22), N m, and the standard deviations of both, shape
-        (r,).
+        """Return the residuals, innovations (rad) followed by ties (N m; M22), and their standard
+        deviations, shape (r,) each.
         """
         p = self.parameters(x)
         times = self.times(x)
@@ -184,7 +182,9 @@ class Point:
     def derivatives(
         self, x: Array, errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
-        """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
+        """Return d errors / d x over the deviations, and d log deviations / d x, by finite
+        differences.
+        """
 
         def change(there: Array) -> Array:
             e, d = self.predictions(there)
@@ -194,10 +194,11 @@ class Point:
         return self._arrow(parameters[0], times[0]), self._arrow(parameters[1], times[1])
 
     def weighted(self, step: float = PARAMETER_STEP) -> Weighted:
-        """Return the residuals about this point, over the deviations here.
+        """Return the residuals around this point, weighted with the standard deviations at this
+        point.
 
         Args:
-            step: Difference of a coordinate for slopes, over its size.
+            step: Relative step of a coordinate for finite differences.
         """
         _, deviations = self.run()
         return Weighted(self, self._inflated(deviations), step)
@@ -205,8 +206,8 @@ class Point:
     def differences(
         self, x: Array, change: Callable[[Array], Array], step: float = PARAMETER_STEP
     ) -> tuple[Array, Array]:
-        """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in
-        the breakaway times.
+        """Return the derivatives of ``change``, of shape (k, r), at ``x``: with respect to the
+        parameters, and to the breakaway times.
 
         One run serves all breakaway times, because no residual depends on two of them.
         """
@@ -227,12 +228,13 @@ class Point:
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
-    """Residuals about a point: prediction errors and ties over their deviations at the point.
+    """Residuals around a point: prediction errors and ties over their standard deviations at the
+    point.
 
     Attributes:
         point: The point.
-        deviations: Held, shape (r,).
-        step: Difference of a coordinate for slopes, over its size.
+        deviations: Standard deviations at the point, held, shape (r,).
+        step: Relative step of a coordinate for finite differences.
     """
 
     point: Point
@@ -245,19 +247,21 @@ class Weighted:
         return np.asarray(errors / self.deviations)
 
     def jacobian(self, x: Array, here: Array) -> BlockArrow:
-        """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
+        """Return d residuals / d x at ``x`` by finite differences; ``here`` are the residuals at
+        ``x``.
+        """
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )
         return BlockArrow(parameters[0], times[0], self.point.owners, self.point.breakaways)
 
     def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
-        """Return the point with each breakaway time at the best of a grid around it, and whether
-        any moved.
+        """Return the point with each breakaway time at the best point of a grid around it, and
+        whether any moved.
 
         Noisy torque crosses the static limit more than once, so that a breakaway time has several
-        minima, and one segment in the wrong one shifts the static limit by several standard errors.
-        Segments share no breakaway time, so that each is judged by its own Huber cost.
+        minima, and one segment in the wrong minimum shifts the static limit by several standard
+        errors. Segments share no breakaway time, so each is judged by its own Huber cost.
         """
         origin, count = self.point.origin(), len(self.point.free)
         owners = self.point.owners
@@ -278,8 +282,8 @@ class Searched(NamedTuple):
     """End of a search.
 
     Attributes:
-        point: Where it ended.
-        iterations: Steps it took.
+        point: End point of the search.
+        iterations: Number of steps.
     """
 
     point: Point

@@ -34,14 +34,14 @@ class Noise:
         return math.hypot(self.torque, self.correlated)
 
     def louder(self, factor: float) -> Noise:
-        """Return the same noise with the white part of the torque noise multiplied by a factor."""
+        """Return a copy with the white part of the torque noise multiplied by a factor."""
         return replace(self, torque=factor * self.torque)
 
     def drawn(
         self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float
     ) -> Array:
-        """Return independent rows of torque noise times ``share``, N m, one sample every ``period``
-        s.
+        """Return independent simulated series of torque noise times ``share``, N m, one per row,
+        with one sample every ``period`` s.
         """
         white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
         if self.correlated == 0.0:

@@ -1,5 +1,5 @@
-"""Levels of torque and angle noise from the recordings, and the deviance that they minimise (M24 to
-M26).
+"""Noise levels of torque and angle estimated from the recordings, and the deviance that they
+minimise (M24 to M26).
 """
 
 from __future__ import annotations
@@ -29,18 +29,18 @@ _SIMPLEX_CORRELATED = (
     (0.0, -1.0, 0.0, 0.5),
 )
 _MOST_CORRELATED = 90
-"""Start of the search for the noise, in logarithms over its first value, and runs of the filter at
-most.
+"""Initial simplex of the search for the noise, in logarithms over its first value, and greatest
+number of filter runs.
 """
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Correlated parts tried first: standard deviation over the white part, correlation time in
-periods.
+"""Correlated noises tried first: ratio of standard deviations to the white part, and correlation
+time in periods.
 """
 
 
 def torque_noise(motions: Sequence[Motion]) -> float:
-    """Return the torque scatter: by third differences inside segments and median absolute
-    deviation, N m rms.
+    """Return the torque scatter, N m rms, from the median absolute third difference inside
+    segments.
     """
     differences = [np.diff(m.torque, n=3)[m.inside[3:]] for m in motions]
     spread = np.median(np.abs(np.concatenate(differences)))
@@ -48,10 +48,11 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 
 
 def likeliest_noise(point: Point) -> Noise:
-    """Return the noise of least deviance at a point, with a correlated part where its own has one.
+    """Return the noise of least deviance at a point, with a correlated part if the point's noise
+    has one.
 
     Args:
-        point: Its parameters and breakaway times are held; the search starts from its noise.
+        point: Parameters and breakaway times, held; the search starts from its noise.
     """
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
@@ -76,7 +77,7 @@ def likeliest_noise(point: Point) -> Noise:
 
 
 def first_correlated_noise(point: Point) -> Noise:
-    """Return the noise of least deviance among a few with a correlated part, as a start of the
+    """Return the noise of least deviance among a few with a correlated part, a start value of the
     search.
     """
     period = max(m.recording.period for m in point.motions)
@@ -92,7 +93,7 @@ def repeating_share(point: Point) -> float:
     """Return the share of the filtered correlated noise that matching half cycles have in common
     (M26).
 
-    Noise does not repeat; physics that the model lacks does. One where a recording has no matching
+    Noise does not repeat; unmodelled physics does. The result is one if a recording has no matching
     half cycles of the same direction.
     """
     common, power = 0.0, 0.0

@@ -1,6 +1,4 @@
-"""Motion segments of a recording, from one rest to the next, and what the filter needs of them (M5,
-M11).
-"""
+"""Motion segments of a recording, from one rest to the next, prepared for the filter (M5, M11)."""
 
 from __future__ import annotations
 
@@ -24,12 +22,12 @@ TAIL = 20
 joint will stop.
 """
 LEAST_COUNTS = 20.0
-"""Encoder steps that a segment moves at least."""
+"""Least travel of a segment, in encoder steps."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Integration steps per sample elsewhere: under a slow sine friction falls over all of its
-speeds.
+"""Integration steps per sample elsewhere; under a slow sine all speeds may lie on the falling
+branch of friction.
 """
 ONSET_STEPS = 32.0
 """Integration steps per sample right after a breakaway, where friction's fall multiplies the error
@@ -37,33 +35,37 @@ of every step.
 """
 FINE_SAMPLES = 30
 RISING = 20
-"""Samples before the first visible motion over which the torque's rate of rise is taken."""
+"""Samples before the first visible motion over which the torque's rate of rise is averaged."""
 LEAST_RISE = 0.1
-"""Least rate of rise of a segment, over the median of the recording: noise hides a smaller one."""
+"""Least rate of rise of a segment, over the median of the recording: a smaller one is lost in
+noise.
+"""
 STALLED = 0.01
-"""Share of the greatest speed below which a segment almost stops."""
+"""Share of the greatest speed below which a segment counts as almost stopping."""
 UNSURE = 0.1
-"""Deviation added to the speed there, over the greatest speed."""
+"""Standard deviation added to the speed where a segment almost stops, over the greatest speed."""
 ALIKE = 0.1
-"""Greatest distance of two matching half cycles at any time, over the longer of them (M11)."""
+"""Greatest difference in displacement of two matching half cycles at any time, over the longer
+displacement (M11).
+"""
 INSTANTS = 64
-"""Instants at which half cycles are compared."""
+"""Number of instants at which half cycles are compared."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A recording as the filter takes it. Arrays have shape (n,), at the joint, SI.
+    """A recording prepared for the filter. Arrays have shape (n,), at the joint, SI.
 
     Attributes:
         recording: The recording.
         time: s.
-        angle: rad, as the encoder counted.
+        angle: Angle as the encoder measured it, rad.
         torque: Mean torque over the period that ends at each sample, N m.
-        slope: Its slope within that period, N m/s.
+        slope: Rate of change of the torque within that period, N m/s.
         moment: Mean F_P L1 over that period, N m.
         table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
-        seen: First sample of each segment that has visibly moved, shape (m,).
-        steps: Integration steps per sample.
+        seen: First sample of visible motion of each segment, shape (m,).
+        steps: Number of integration steps in the period that ends at each sample.
         unsure: Variance added to the speed's at each sample, (rad/s)^2.
         inside: Whether a sample is inside a segment.
         extra_inertia: Known inertia added to J, kg m^2.
@@ -85,8 +87,8 @@ class Motion:
     angle_variance: float
 
     def torque_at(self, when: Array) -> Array:
-        """Return the torque at any time, linear between the centres of the periods it was averaged
-        over, N m.
+        """Return the torque at any time, interpolated between the centres of the averaging periods,
+        N m.
         """
         return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
 
@@ -119,10 +121,10 @@ class Motion:
         return matching
 
     def static_crossing(self, static: Array | float) -> Array:
-        """Return when the torque of each segment first reaches ``static``, at visible motion at the
-        latest, s, (m,).
+        """Return the time at which the torque of each segment first reaches ``static``, at the
+        latest the time of visible motion, s, shape (m,).
 
-        ``static`` is one level for all, N m, or one for each, shape (m,).
+        ``static`` is one level for all segments, N m, or one for each, shape (m,).
         """
         half = 0.5 * self.recording.period
         out = np.empty(len(self.table))
@@ -216,9 +218,9 @@ def _unsure(
 ) -> Array:
     """Return the variance added to the speed's where a segment almost stops, (rad/s)^2, shape (n,).
 
-    Whether the joint stops there or moves on depends on the noise, which the fall of friction
-    multiplies. A filter that is linear about its prediction would be too certain, and one such
-    segment would outweigh all others.
+    Whether the joint stops there or moves on depends on the noise, which the falling branch of
+    friction amplifies. A filter linearised about its prediction would be overconfident, and one
+    such segment would outweigh all others.
     """
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
@@ -232,8 +234,8 @@ def _unsure(
 
 
 def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
-    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite
-    where none rises.
+    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite if
+    it rises in none.
     """
     out = np.empty(len(table))
     for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
@@ -244,10 +246,10 @@ def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
 
 
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
-    """Return the table of segments that start from rest and have no gaps, and the first sample that
-    visibly moved.
+    """Return the table of segments that start from rest and have no gaps, and their first samples
+    of visible motion.
 
-    The torque's rate of rise is left at one.
+    The rate of rise is set to one here.
     """
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
@@ -276,8 +278,8 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
 
 
 def _reverses(angle: Array, side: float, step: float) -> bool:
-    """Return whether a segment turns back by more than the noise of its encoder without coming to
-    rest.
+    """Return whether a segment turns back, without coming to rest, by more than the encoder's
+    noise.
     """
     forward = side * angle
     return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

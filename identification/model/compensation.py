@@ -4,9 +4,9 @@ of friction.
 Friction follows the commanded speed, not the measured one, so that feed-forward does not affect
 stability. Where friction falls with speed (eq. 9 and 13 above rest) a softly held joint sticks and
 slips even if its mean torque is known: :mod:`identification.model.feedback` returns the damping
-that the falling branch takes, as far as the delay of a bus allows. Where that is too little, the
-torque is pulsed, which moves the joint through the falling branch many times a second instead of in
-a slower limit cycle.
+that stabilises the falling branch, as far as the delay of a bus allows. Where that is too little,
+the torque is pulsed: the joint passes the falling branch many times a second instead of in a slower
+limit cycle.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from identification.model.friction import load_coefficient, system_friction
 from identification.numerics.arrays import Array
 
 SMOOTHING_RAD_S = 1e-3
-"""Commanded speed over which the sign of friction changes: below what any encoder of this kind
-resolves in a cycle.
+"""Commanded speed over which the sign of friction changes smoothly; encoders do not resolve it in
+one cycle.
 """
 RISE_SHARE = 0.4
-"""Share of friction's rise toward rest in the mean torque under pulses: between them the joint
-rests on less.
+"""Share of friction's rise toward rest that the mean torque under pulses contains; less holds the
+joint between pulses.
 """
 PULSE = (1.0, -0.5, -0.5)
-"""One pulse, a value a cycle, in pulse heights; its mean is none.
+"""One pulse, one value per cycle, in pulse heights; its mean is zero.
 
-Three cycles are the shortest with a rest.
+Three cycles are the shortest pulse with a rest.
 """
 _PULSE_SPEEDS = (
-    2.0  # speed that a pulse gives the bare inertia, in speeds until which friction falls
+    2.0  # speed that a pulse gives the bare inertia, over the speed up to which friction falls
 )
-_PULSE_END = 1.5  # commanded speed at which pulses fade, in the same
+_PULSE_END = 1.5  # commanded speed at which pulses fade, over the same
 _GRID_POINTS = 2000
 _GRID_SPAN = 4.0  # in Stribeck speeds; beyond, eq. 9 and 13 rise again
 
@@ -58,13 +58,13 @@ def feedforward(
     """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working
     load and inertia.
 
-    Where friction falls by more than damping gives back, a share of the rise and :func:`pulses`
-    take the place of the static friction, which fed forward as a whole would drive on a joint that
-    has broken away.
+    Where friction falls faster than damping compensates, a share of the rise and :func:`pulses`
+    replace the static friction: fed forward as a whole, it would accelerate a joint that has broken
+    away.
 
     Args:
-        angle: Commanded joint angles, rad, one a period, shape (n,); each is reached at the end of
-        its period.
+        angle: Commanded joint angles, rad, one per period, shape (n,); each is reached at the end
+            of its period.
         period: s.
         parameters: ``Mc``, ``Ms``, ``omega_sf``, ``sigma_2``, ``J`` and, under load, the four of
         eq. 12; SI.
@@ -72,8 +72,8 @@ def feedforward(
         moment: Contact moment F_P L1, N m.
 
     Returns:
-        N m, shape (n,), for the period that ends at each angle. At the start of a motion it is the
-        static friction.
+        Torque for the period that ends at each angle, N m, shape (n,). At the start of a motion it
+        is the static friction.
     """
     beats = pulses(angle, period, parameters, alpha, moment)
     if np.any(beats):
@@ -91,19 +91,19 @@ def feedforward(
 def pulses(
     angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float
 ) -> Array:
-    """Return the torque pulses of a commanded motion, N m, shape (n,): none where damping outweighs
+    """Return the torque pulses of a commanded motion, N m, shape (n,); zero where damping outweighs
     friction's fall.
 
-    On the falling branch a joint under a steady torque sticks or runs off. A cycle of more than the
-    static friction and two of less than the kinetic make a small step, over before it can grow. Of
-    such a height that the inertia, left to itself, would gain twice the speed until which friction
-    falls, unless the torque between pulses turned against the motion, and the teeth of the gear
-    with it. Above the falling branch the pulses fade.
+    On the falling branch a joint under a steady torque sticks or runs away. One cycle above the
+    static friction and two below the kinetic friction make a small step that ends before it can
+    grow. The height of a pulse would accelerate the inertia alone to twice the speed up to which
+    friction falls; it is limited so that the torque between pulses does not reverse, which would
+    make the gear teeth change sides. Above the falling branch the pulses fade.
 
     Args:
-        angle: As for :func:`feedforward`.
+        angle: As in :func:`feedforward`.
         period: s.
-        parameters: The same.
+        parameters: As in :func:`feedforward`.
         alpha: Stribeck exponent.
         moment: Contact moment, N m.
     """
@@ -120,14 +120,14 @@ def pulses(
 def falls_until(
     parameters: Mapping[str, float], alpha: float, moment: float, damping: float
 ) -> float:
-    """Return the speed beyond which friction falls by no more than ``damping`` gives back, rad/s; 0
-    if it never does.
+    """Return the speed above which friction falls no faster than ``damping`` compensates, rad/s; 0
+    if it never falls faster.
 
     Args:
-        parameters: As for :func:`feedforward`.
+        parameters: As in :func:`feedforward`.
         alpha: Stribeck exponent.
         moment: Contact moment, N m.
-        damping: N m s/rad.
+        damping: Damping of the loop, N m s/rad.
     """
     widest = max(parameters["omega_sf"], parameters["omega_sL"] if moment else 0.0)
     speed = np.linspace(0.0, _GRID_SPAN * widest, _GRID_POINTS)[1:]
@@ -139,9 +139,7 @@ def falls_until(
 
 
 def _with_rise(parameters: Mapping[str, float], share: float, moment: float) -> dict[str, float]:
-    """Return the parameters with this share of the rise from Coulomb to static friction, eq. 9 and
-    12.
-    """
+    """Return the parameters with this share of the rises Ms - Mc and mu_s - mu_c (eq. 9 and 12)."""
     p = dict(parameters)
     p["Ms"] = p["Mc"] + share * (p["Ms"] - p["Mc"])
     if moment:

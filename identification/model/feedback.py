@@ -2,15 +2,15 @@
 the bus.
 
 A host that sends a torque with every cycle closes a loop of its own around the joint: K (commanded
-- measured angle) + D (commanded - measured speed). With the joint a bare inertia J and tau the
-delay from measurement to effect, it is L(s) = (K + D s) exp(-tau s) / (J s^2). With
+- measured angle) + D (commanded - measured speed). For a bare inertia J and a delay tau from
+measurement to effect, the open loop is L(s) = (K + D s) exp(-tau s) / (J s^2). With
 
     K = J omega^2 sin(delta),    D = J omega cos(delta)
 
-its gain is exactly one at omega, and its phase margin 90 deg - delta - omega tau. The crossover
-omega is where the delay takes 45 deg, and delta is 10 deg, so 35 deg are left, and 5.6 dB of gain.
-A drive's own loops and viscous friction add to it; the lag of a current loop takes from it (6 deg
-at 0.26 ms and 1 kHz).
+its gain is exactly one at omega, and its phase margin is 90 deg - delta - omega tau. The crossover
+omega is chosen where the delay costs 45 deg, and delta is 10 deg; the phase margin is then 35 deg
+and the gain margin 5.6 dB. The drive's own loops and viscous friction increase the phase margin;
+the lag of a current loop reduces it (by 6 deg at 0.26 ms and 1 kHz).
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ import math
 from dataclasses import dataclass
 
 DELAY_CYCLES = 2.0
-"""From the middle of the interval whose speed is measured to that of the one in which the torque
-acts.
+"""Delay in cycles, from the middle of the interval of the speed measurement to the middle of the
+one in which the torque acts.
 """
 LAG_RAD = math.pi / 4.0
-"""Phase that this delay may take at the crossover."""
+"""Phase lag that this delay may cause at the crossover."""
 DELTA_RAD = math.pi / 18.0
-"""Phase that stiffness may take there."""
+"""Phase lag delta that the stiffness may cause at the crossover."""
 
 
 @dataclass(frozen=True)
 class Gains:
-    """What a host adds at the joint.
+    """Stiffness and damping that a host adds at the joint.
 
     Attributes:
         stiffness: K, N m/rad.

@@ -1,5 +1,5 @@
-"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, its expectation, and
-broadcasting over arrays.
+"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, compiled as an expectation
+over an uncertain speed, and in numpy for arrays.
 
 With speed w >= 0, contact moment m and gear load g the magnitude of friction is
 
@@ -33,7 +33,9 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import inlined
 
 _NEGLIGIBLE = 37.0
-"""Exponent beyond which the falling part is below the rounding error of the rest: exp(-37)."""
+"""Exponent beyond which the falling part is below the rounding error of the other parts:
+exp(-37).
+"""
 
 
 @inlined
@@ -43,7 +45,8 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
     Args:
         speed: Magnitude, rad/s.
         moment: Contact moment F_P L1, N m.
-        gear: Magnitude of the torque that the gear carries, N m; its rise shares omega_sf.
+        gear: Magnitude of the torque that the gear carries, N m; the rise of its friction shares
+            omega_sf.
         p: Vector of :mod:`identification.model.parameters`.
     """
     value, slope = p[MC] + p[SIGMA_2] * speed, p[SIGMA_2]
@@ -83,8 +86,8 @@ def _falling(
     """Return the expected falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope
     at ``speed`` > 0.
 
-    The mean over a speed of that ``variance`` to second order (M15); a variance above omega_s^2,
-    where the expansion does not hold, counts as omega_s^2.
+    The expectation is over a speed of this ``variance``, to second order (M15). A variance above
+    omega_s^2, where the expansion does not hold, counts as omega_s^2.
     """
     within = omega_s * omega_s
     rate = 1.0 / within
@@ -107,9 +110,9 @@ def expected_friction(
     (M15).
 
     Args:
-        speed: Magnitude of the mean, rad/s.
-        variance: Of the speed, (rad/s)^2; with zero this is :func:`friction`, in fewer operations
-        where alpha is 2.
+        speed: Magnitude of the mean speed, rad/s.
+        variance: Variance of the speed, (rad/s)^2; with zero the result is :func:`friction`, in
+            fewer operations if alpha is 2.
         moment: Contact moment F_P L1, N m.
         p: Vector of :mod:`identification.model.parameters`.
     """
@@ -131,7 +134,7 @@ def stribeck_shape(velocity: Array, omega_s: float, alpha: float) -> Array:
 
 
 def system_friction(velocity: Array, parameters: Mapping[str, float], alpha: float) -> Array:
-    """Return M_f of eq. 9 in N m while slipping (0 at rest, where friction is set-valued)."""
+    """Return M_f of eq. 9 in sliding, N m; 0 at rest, where friction is set-valued."""
     p = parameters
     return np.asarray(
         p["Mc"] * np.sign(velocity)

@@ -1,5 +1,5 @@
-"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium, pressure from a history of
-the valve's angle.
+"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium pressure, and pressure over
+time for a given valve angle.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from identification.numerics.arrays import Array
 
 _MOST_STEPS = 60
 LAYER_STEP = 2.5e-4
-"""m, thickness of a deposit over which the throat's derivatives are taken."""
+"""Thickness of a deposit over which the throat area is differentiated, m."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class GasGenerator:
     valve: ValveGeometry = field(default_factory=ValveGeometry)
 
     def __post_init__(self) -> None:
-        """Check that it burns stably.
+        """Check the constants, and that combustion is stable.
 
         Raises:
             ValueError: A constant is not positive, n is not below 1, or gamma not above 1.
@@ -94,7 +94,9 @@ class GasGenerator:
 
 
 class Burn(NamedTuple):
-    """One burn: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape (n,)."""
+    """Simulated combustion: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape
+    (n,).
+    """
 
     pressure: Array
     web: Array
@@ -102,15 +104,15 @@ class Burn(NamedTuple):
 
 
 def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool = True) -> Array:
-    """Return the pressure at which as much is burnt as flows out and fills the space that the web
-    leaves, Pa.
+    """Return the equilibrium pressure, Pa: the gas produced equals the outflow plus the gas that
+    fills the burnt volume.
 
-    Eq. 8 has a closed form. Eq. 7, x = p^(1-n): x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g = rho_b A_b
-    a, rises with x from zero: one root, below that of eq. 8, found from there by Newton's steps,
-    the left side being convex.
+    Eq. 8 has a closed form. Eq. 7 with x = p^(1-n) reads x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g =
+    rho_b A_b a. Its left side is convex and rises from zero, so that it has one root, below the
+    root of eq. 8; Newton's method starts there.
 
     Args:
-        throat: A_t, m^2.
+        throat: Throat area A_t, m^2.
         g: Constants.
         exact: Eq. 7; else eq. 8.
     """
@@ -136,10 +138,10 @@ def pressure_history(
     start_pressure: float | None = None,
     exact: bool = True,
 ) -> Burn:
-    """Return one burn under a moving valve.
+    """Simulate the gas generator under a moving valve.
 
     Args:
-        time: Since ignition, s, shape (n,), increasing; the throat is taken as linear in between.
+        time: Time since ignition, s, shape (n,), increasing; the throat area is linear in between.
         angle: theta_r, rad, shape (n,).
         g: Constants.
         start_pressure: p_g at the first sample, Pa; None takes the equilibrium there.
@@ -155,9 +157,7 @@ def pressure_history(
     if start_pressure is None:
         start_pressure = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
     if not start_pressure > 0.0:
-        raise ValueError(
-            f"start pressure {start_pressure:g} Pa; nothing burns below zero: give a positive one"
-        )
+        raise ValueError(f"start pressure {start_pressure:g} Pa; it must be positive")
     c = constants(g, {}, start_pressure, g.V_0, exact=exact)
     out = np.empty((3, len(time)))
     kernel.march(np.ascontiguousarray(time, dtype=np.float64), areas, c, kernel.NOTHING, out)
@@ -191,8 +191,8 @@ def constants(
 
 
 def throat_derivatives(angle: Array, valve: ValveGeometry) -> Array:
-    """Return A_t and its first and second derivative by the thickness of a layer on all rims, shape
-    (3, n), m^2, m, 1.
+    """Return A_t and its first and second derivative with respect to the thickness of a layer on
+    all rims, shape (3, n); m^2, m, 1.
 
     A layer of thickness h makes d and D smaller by 2 h; the parabola goes through h = 0, 0.25 and
     0.5 mm.

@@ -1,4 +1,5 @@
-"""The compiled march of the gas generator, eq. 2 to 8, with what may be missing from it.
+"""The compiled integration of the gas generator, eq. 2 to 8, with the effects that the nominal
+model omits.
 
 The state is (ln p, w, ln s): pressure, web burnt and the gas temperature over that of the flame.
 The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
@@ -7,8 +8,9 @@ The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
     dw/dt = r,    m ds/dt = m_r (1 - s) - s Q / h,
 
 with the burnt mass m_r = rho_b A_b r, the outflow m_g = p A / (C_r sqrt(s)), and V = V_start + the
-volume that the web w has left. Eq. 8 lacks the term A_b r / V, and s = 1 where no heat is lost.
-Classical Runge-Kutta steps, as many in each sample period as the emptying of the chamber asks for.
+burnt volume of the web w. Eq. 8 lacks the term A_b r / V, and s = 1 where no heat is lost.
+Integration is by classical Runge-Kutta; the steps per sample period follow from the time constant
+of the outflow.
 """
 
 from __future__ import annotations
@@ -35,10 +37,10 @@ from identification.numerics.compiled import compiled
     CONSTANTS_SIZE,
 ) = range(11)
 
-# What the nominal model leaves out; zero is off.
+# Effects that the nominal model omits; zero is off.
 (
-    LAYER_RATE,  # m/s, thickness of the deposit on the throat's rim over time
-    TAPER,  # 1/m, of the grain's diameter over the web
+    LAYER_RATE,  # m/s, growth of the deposit on the throat's rim
+    TAPER,  # 1/m, relative change of the grain's diameter with the web
     EROSION,  # s/m, growth of the burning rate with the gas velocity along the surface
     LEAK,  # m^2
     HEAT_FLOW,  # W, into cold walls
@@ -50,7 +52,7 @@ REFERENCE_PRESSURE = 1e6
 """Pa; r = a p^n has a in mm/s where p is in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
-"""Step over the time in which the outflow would empty the chamber."""
+"""Integration step over the time in which the outflow would empty the chamber."""
 
 
 @compiled
@@ -80,14 +82,14 @@ def rates(
 
 @compiled
 def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
-    """Integrate one burn over its samples.
+    """Integrate the gas generator over the samples of one recording.
 
     Args:
-        time: Since ignition, s, shape (n,), increasing.
-        areas: Throat at each sample and its first and second derivative by the thickness of a
-        deposit, shape (3, n).
-        c: Constants.
-        e: What is missing.
+        time: Time since ignition, s, shape (n,), increasing.
+        areas: Throat area at each sample and its first and second derivative with respect to the
+            thickness of a deposit, shape (3, n).
+        c: Constants of the gas generator.
+        e: Effects that the nominal model omits.
         out: Filled with pressure (Pa), web burnt (m) and the pressure's rate (Pa/s), shape (3, n).
     """
     y, w, z = math.log(c[START_PRESSURE]), 0.0, 0.0
@@ -132,4 +134,4 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
 
 
 NOTHING = np.zeros(MISSING_SIZE)
-"""Of what may be missing, nothing is."""
+"""No effect beyond the nominal model."""

@@ -1,4 +1,4 @@
-"""The ladder of friction models a bench may be declared to have: which terms are in, as data.
+"""The ladder of friction models that a bench may declare, and the terms of each.
 
 Terms are those of eq. 9, and two of the bracket of eq. 13 for the load a gear carries: ``mu_gc``
 and ``mu_gs`` multiply the magnitude of a known load torque, a pendulum's m g l sin(angle - zero).

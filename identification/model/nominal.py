@@ -1,5 +1,5 @@
-"""Nominal values of the catalogue: the paper's (Sec. 4.2), inertia as the practical bench has it at
-the valve shaft.
+"""Nominal parameter values: the paper's (Sec. 4.2), with the inertia of the practical bench at the
+joint.
 """
 
 from __future__ import annotations

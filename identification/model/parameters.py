@@ -1,8 +1,8 @@
-"""The parameters of the nominal model: names, units, and places in the vector that compiled kernels
-take.
+"""The parameters of the nominal model: names, units, and indices in the vector that compiled
+kernels use.
 
-The vector holds rises where tables hold static levels (dM = Ms - Mc, dmu = mu_s - mu_c), because a
-search bounds and regresses rises.
+The vector holds the rises dM = Ms - Mc and dmu = mu_s - mu_c where tables hold static levels,
+because searches bound the rises and regressions are linear in them.
 """
 
 from __future__ import annotations
@@ -50,9 +50,9 @@ UNITS_LINEAR: Mapping[str, str] = {
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
 MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
 MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, SIZE = range(10, 16)
-"""Places in the vector.
+"""Indices in the vector.
 
-``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) are of a declared pendulum, ``ALPHA`` is the Stribeck
+``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) belong to a declared pendulum, ``ALPHA`` is the Stribeck
 exponent.
 """
 INDEX: Mapping[str, int] = {
@@ -77,7 +77,8 @@ LOGARITHMIC = (OMEGA_SF, OMEGA_SL, INERTIA)
 def pack(values: Mapping[str, float], alpha: float) -> Array:
     """Return the vector of named parameters, shape (SIZE,).
 
-    Absent parameters have no effect; a static level below its Coulomb level counts as that.
+    Absent parameters have no effect; a static level below its Coulomb level counts as the Coulomb
+    level.
 
     Args:
         values: Parameter name to value, SI.

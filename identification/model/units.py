@@ -36,7 +36,7 @@ _LINEAR_ENDINGS = (
     ("_rad", "_m"),
 )
 PHASES = ("phase", "zero")
-"""How the names of parameters begin that are angles on a linear bench too."""
+"""Prefixes of parameter names that are angles on a linear bench too."""
 
 
 def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
@@ -44,7 +44,7 @@ def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
 
     Args:
         motion: ``rotary`` or ``linear``.
-        unit: Of the quantity on a rotary bench.
+        unit: Unit of the quantity on a rotary bench.
         amperes: Whether torques are in amperes.
     """
     if amperes:
@@ -53,14 +53,14 @@ def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
 
 
 def parameter_unit(motion: str, name: str, unit: str, amperes: bool = False) -> str:
-    """Return the unit of an effect's parameter on a bench; phases are angles on each."""
+    """Return the unit of an effect's parameter on a bench; phases are angles on both."""
     return unit if unit == "rad" and name.startswith(PHASES) else unit_on(motion, unit, amperes)
 
 
 def parameter_title(motion: str, name: str) -> str:
-    """Return the name of an effect's parameter as text shows it, with the unit of the bench.
+    """Return the displayed name of an effect's parameter, which ends with the unit of the bench.
 
-    Result files keep the name of the rotary bench.
+    Result files keep the name for a rotary bench.
     """
     if motion != LINEAR or name.startswith(PHASES):
         return name

@@ -1,13 +1,13 @@
-"""Throat and impacted area of the swinging gate (Fig. 3), against its angle.
+"""Throat area and impacted area of the swinging gate valve (Fig. 3) as functions of its angle.
 
 A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an
-opening of diameter D. What the plate covers of the opening is the impacted area A_s, the rest is
-the throat: A_s + A_t = pi D^2/4.
+opening of diameter D. The covered part of the opening is the impacted area A_s, the rest is the
+throat area: A_s + A_t = pi D^2/4.
 
-Seen from the plate, the opening's centre lies L1 sin(theta) beside its middle line and 2 L1
-sin(theta/2) from the hole's centre. Every area is then a sum of caps, discs cut by a straight line:
-the plate's edges cut the opening, and what opening and hole share is cut in two by the line through
-their crossings (their radical line).
+In the plate's frame, the opening's centre lies at a distance L1 sin(theta) from the plate's centre
+line and 2 L1 sin(theta/2) from the hole's centre. Every area is then a sum of circular segments:
+the plate's edges cut the opening, and the intersection of opening and hole is divided by the line
+through their two intersection points (the radical line).
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class ValveGeometry:
     L1: float = 0.095
 
     def __post_init__(self) -> None:
-        """Check that the plate can be built.
+        """Check the dimensions.
 
         Raises:
             ValueError: A dimension is not positive, or the hole does not fit into the plate.
@@ -64,8 +64,8 @@ class ValveGeometry:
 
     @property
     def clearing_angle(self) -> float:
-        """Angle from which the plate covers nothing, rad; infinite where it is too wide for its
-        arm.
+        """Angle above which the plate covers nothing, rad; infinite if the plate is too wide for
+        its arm.
         """
         reach = 0.5 * (self.b + self.D) / self.L1
         return math.asin(reach) if reach <= 1.0 else math.inf
@@ -76,7 +76,7 @@ PAPER = ValveGeometry()
 
 
 def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return A_t, m^2, the shape of ``angle``.
+    """Return the throat area A_t, m^2, shape of ``angle``.
 
     Args:
         angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric,
@@ -94,15 +94,15 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
 
 def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return A_s, m^2, the shape of ``angle``, on which the pressure difference acts (eq. 10);
-    arguments as above.
+    """Return the impacted area A_s, on which the pressure difference acts (eq. 10), m^2, shape of
+    ``angle``.
     """
     return np.asarray(geometry.opening_area - throat_area(angle, geometry))
 
 
 def _cap(radius: float, distance: Array) -> Array:
-    """Return the area of a disc beyond a line at a signed distance from its centre; none or all
-    where they miss.
+    """Return the area of a disc beyond a line at a signed distance from its centre; 0 or the whole
+    disc if the line misses it.
     """
     x = np.clip(distance, -radius, radius)
     chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))

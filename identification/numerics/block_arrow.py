@@ -1,9 +1,9 @@
-"""Block-arrow least squares: every row depends on common parameters and on one own unknown of its
-block (M12).
+"""Block-arrow least squares: every row depends on common parameters and on one unknown of its block
+(M12).
 
-Blocks share nothing but the parameters, so the Jacobian is kept as its common columns and one
-column of own slopes. As a dense matrix, 240 000 rows with 300 blocks take half a gigabyte, and
-their normal matrix takes minutes.
+Blocks share nothing but the parameters, so the Jacobian is stored as the columns of the parameters
+and one column of derivatives with respect to the blocks' own unknowns. As a dense matrix, 240 000
+rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ class Eliminated:
     Attributes:
         matrix: Schur complement of the own unknowns, shape (p, p).
         scores: Each block's gradient of half the sum of squares, shape (m, p).
-        cross: Rows of the own unknowns in the whole normal matrix, shape (m, p).
-        pull: Gradient in each own unknown, shape (m,).
-        held: Diagonal of the own unknowns; infinite where a block does not depend on its own
-            unknown, which then stays, shape (m,).
+        cross: Block of the normal matrix between own unknowns and parameters, shape (m, p).
+        pull: Gradient with respect to each own unknown, shape (m,).
+        held: Diagonal elements of the own unknowns, shape (m,); infinite where a block does not
+            depend on its own unknown, which is then held.
     """
 
     matrix: Array
@@ -36,9 +36,7 @@ class Eliminated:
     held: Array
 
     def own_step(self, step: Array) -> Array:
-        """Return the Newton step of the own unknowns that belongs to a step of the parameters,
-        shape (m,).
-        """
+        """Return the step of the own unknowns for a ``step`` of the parameters, shape (m,)."""
         return -(self.pull + self.cross @ step) / self.held
 
 
@@ -47,10 +45,10 @@ class BlockArrow:
     """Jacobian in p parameters and m own unknowns; as a matrix of shape (r, p + m).
 
     Attributes:
-        parameters: Slopes in the parameters, shape (r, p).
-        own: Slope in the own unknown of the row's block, shape (r,).
+        parameters: Derivatives with respect to the parameters, shape (r, p).
+        own: Derivative with respect to the own unknown of the row's block, shape (r,).
         owners: Block of each row, shape (r,).
-        blocks: m.
+        blocks: Number of blocks, m.
     """
 
     parameters: Array
@@ -59,8 +57,8 @@ class BlockArrow:
     blocks: int
 
     def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
-        """Return the transpose of this times ``other`` (itself by default), rows weighted, shape (p
-        + m, p + m).
+        """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to
+        self.
         """
         right = self if other is None else other
         weighted = self if weight is None else self.scaled(weight)
@@ -76,13 +74,13 @@ class BlockArrow:
         return out
 
     def back(self, vector: Array) -> Array:
-        """Return the transpose of this times a vector of shape (r,), shape (p + m,)."""
+        """Return ``self.T @ vector`` for a vector of shape (r,), shape (p + m,)."""
         times = np.bincount(self.owners, self.own * vector, self.blocks)
         return np.concatenate([self.parameters.T @ vector, times])
 
     def along(self, directions: Array) -> Array:
-        """Return this times ``directions``, shape (p + m,) or (p + m, k): the change of every
-        row.
+        """Return ``self @ directions``, the change of every row, for ``directions`` of shape (p +
+        m,) or (p + m, k).
         """
         p = self.parameters.shape[1]
         own = self.own if directions.ndim == 1 else self.own[:, None]
@@ -91,7 +89,7 @@ class BlockArrow:
     def eliminated(self, residual: Array, weight: Array) -> Eliminated:
         """Return the normal equations of weighted residuals of shape (r,) without the own unknowns.
 
-        They take one pass over the rows. The equations of separate sets of blocks add up.
+        The rows are passed once. The equations of separate sets of blocks add up.
         """
         p = self.parameters.shape[1]
         whole = self.product(weight)
@@ -105,7 +103,7 @@ class BlockArrow:
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
-        """Return the information of each block on the parameters, own unknown eliminated (M12),
+        """Return each block's information on the parameters, its own unknown eliminated (M12),
         shape (m, p, p).
         """
         p = self.parameters.shape[1]
@@ -118,13 +116,11 @@ class BlockArrow:
         return squares - cross[:, :, None] * share[:, None, :]
 
     def scaled(self, weight: Array) -> BlockArrow:
-        """Return this with every row multiplied by its weight."""
+        """Return the Jacobian with every row multiplied by its weight."""
         return replace(self, parameters=self.parameters * weight[:, None], own=self.own * weight)
 
     def mixed(self, share: Array, other: BlockArrow) -> BlockArrow:
-        """Return the weighted mean of this and another: ``share`` of each row of this, the rest of
-        the other.
-        """
+        """Return ``share * self + (1 - share) * other``, row by row."""
         return replace(
             self,
             parameters=other.parameters + (self.parameters - other.parameters) * share[:, None],
@@ -132,11 +128,11 @@ class BlockArrow:
         )
 
     def without(self, column: int) -> BlockArrow:
-        """Return this without one parameter."""
+        """Return the Jacobian without the column of one parameter."""
         return replace(self, parameters=np.delete(self.parameters, column, axis=1))
 
     def dense(self) -> Array:
-        """Return the whole matrix."""
+        """Return the dense matrix, shape (r, p + m)."""
         p = self.parameters.shape[1]
         out = np.zeros((len(self.own), p + self.blocks))
         out[:, :p] = self.parameters

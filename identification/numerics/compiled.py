@@ -25,8 +25,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and
-    fused.
+    """Compile a kernel of long sums; additions may be reordered, vectorised and fused with
+    multiplications.
     """
     return _kept(function, error_model="numpy", fastmath={"reassoc", "contract"})
 

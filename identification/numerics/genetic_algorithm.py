@@ -1,4 +1,4 @@
-"""A real-coded genetic algorithm in ask/tell form, blind to what it optimises.
+"""A real-coded genetic algorithm in ask/tell form, independent of the problem.
 
 The paper (Sec. 4.2) gives population 40, at most 1000 generations, Gaussian mutation and crossover
 fraction 0.8, which are options of the Genetic Algorithm and Direct Search Toolbox; what the paper
@@ -14,8 +14,8 @@ does not give is taken from that toolbox's documented defaults:
 * the first generation is uniform in the box.
 
 Two choices are this module's own: a gene that mutation throws out of the box is reflected back into
-it (clipping would pile the population up on the bounds), and there is no stall limit, so that the
-search runs for all its generations.
+it (clipping would collect the population on the bounds), and there is no stall limit: the search
+runs for all its generations.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class GeneticSettings:
         generations: Generations after which the search stops; the first, random one counts.
 
     Raises:
-        ValueError: Settings that make no search.
+        ValueError: A setting is out of range.
     """
 
     population: int = 40
@@ -77,7 +77,7 @@ class GeneticAlgorithm:
         settings: Population, operators and number of generations; None for the paper's.
 
     Raises:
-        ValueError: Bounds that make no box.
+        ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.
     """
 
     def __init__(
@@ -118,14 +118,14 @@ class GeneticAlgorithm:
         return self.generation >= self.generations
 
     def ask(self) -> Array:
-        """Return the individuals to be judged, shape (population, d)."""
+        """Return the individuals to be evaluated, shape (population, d)."""
         return self._genes.copy()
 
     def tell(self, costs: ArrayLike) -> None:
         """Take the costs of the individuals last asked for, and breed the next generation.
 
         Args:
-            costs: Shape (population,); infinite marks an individual that cannot be judged.
+            costs: Shape (population,); infinite for an individual that cannot be evaluated.
 
         Raises:
             ValueError: Wrong shape, or NaN.
@@ -143,7 +143,7 @@ class GeneticAlgorithm:
         self._genes = self._breed(self._genes[order])
 
     def _breed(self, ranked: Array) -> Array:
-        """Return the next generation from this one, best first."""
+        """Return the next generation from the present one, ``ranked`` best first."""
         parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
         mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
         inherit = self._rng.random(mothers.shape) < 0.5
@@ -171,7 +171,7 @@ def _select(
 
 
 def _reflect(genes: Array, low: Array, high: Array) -> Array:
-    """Fold genes back into the box, as often as it takes."""
+    """Return the genes reflected back into the box, repeatedly if needed."""
     width = high - low
     folded = np.mod(genes - low, 2.0 * width)
     return np.clip(low + np.minimum(folded, 2.0 * width - folded), low, high)

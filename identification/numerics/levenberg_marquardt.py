@@ -1,5 +1,4 @@
-"""Levenberg-Marquardt on the normal equations, with a Huber cost or the likelihood that goes with
-it.
+"""Levenberg-Marquardt on the normal equations, with a Huber cost or the corresponding likelihood.
 
 The trust-region solvers of libraries decompose the whole Jacobian, 40 000 rows by a few dozen
 columns, at every step; the normal equations take a fraction of that time. Marquardt, J. SIAM 11
@@ -26,10 +25,10 @@ class Slope(Protocol):
     """A Jacobian of shape (n, p) that is not stored as a dense array."""
 
     def product(self, weight: Array, /) -> Array:
-        """Return the normal matrix of rows with this weight, shape (p, p)."""
+        """Return the normal matrix J.T diag(weight) J, shape (p, p)."""
 
     def back(self, vector: Array, /) -> Array:
-        """Return its transpose times a vector of shape (n,), shape (p,)."""
+        """Return J.T times a vector of shape (n,), shape (p,)."""
 
 
 @dataclass(frozen=True)
@@ -104,18 +103,18 @@ def minimise_deviance(
     tolerance: float,
     most_steps: int = 25,
 ) -> Minimum:
-    """Minimise the negative log likelihood of errors whose deviations depend on x too, by damped
-    scoring (M23).
+    """Minimise, by damped scoring, the negative log likelihood of errors whose standard deviations
+    depend on x too (M23).
 
     Errors beyond the threshold count as in Huber's cost.
 
     Args:
         predictions: x to errors and their standard deviations, shape (n,).
-        derivatives: (x, errors and deviations there) to the derivatives of the errors, over their
-            deviations, and of the deviations' logarithms, shape (n, p).
+        derivatives: (x, errors and deviations there) to two Jacobians of shape (n, p): of the
+            errors, over their deviations, and of the logarithms of the deviations.
         start: Shape (p,).
         threshold: Error over deviation up to which the cost is quadratic.
-        tolerance: The search ends when a step lowers the cost by less.
+        tolerance: The search ends when a step lowers the cost by no more than this.
         most_steps: Steps tried at most.
     """
 
@@ -155,11 +154,11 @@ def _descend(
     settled: Callable[[float, float], bool],
     most_steps: int,
 ) -> Minimum:
-    """Take damped steps until one settles.
+    """Take damped steps until ``settled`` ends the search.
 
     Args:
-        evaluate: x to its cost and to what ``linearise`` needs there.
-        linearise: (x, the latter) to the normal matrix, shape (p, p), and the gradient, shape (p,).
+        evaluate: x to its cost and the data that ``linearise`` needs there.
+        linearise: (x, these data) to the normal matrix, shape (p, p), and the gradient, shape (p,).
         start: Shape (p,).
         settled: (gain of a step, cost after it) to whether the search ends.
         most_steps: Steps tried at most.
@@ -181,7 +180,7 @@ def _descend(
                 damping *= _EASIER
                 break
             damping *= _HARDER
-        # A cost that is not a number is below no other, so that its gain stays zero.
+        # A NaN cost compares below no other, so the gain stays zero.
         if not gain > 0.0 or settled(gain, cost):
             break
     return Minimum(x, cost, steps)

@@ -1,7 +1,7 @@
-"""Searches over the unit cube, each from a start that does not depend on the answer.
+"""Optimisers over the unit cube, whose starts do not depend on the solution.
 
-Each search may take :data:`BUDGET` evaluations and stops earlier by its own rule. It sees nothing
-but costs or residuals.
+Each may use :data:`BUDGET` evaluations and may stop earlier by its own rule. It uses only costs or
+residuals.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from identification.numerics.arrays import Array
 from identification.numerics.genetic_algorithm import GeneticAlgorithm, GeneticSettings
 
 POPULATION, GENERATIONS = 40, 1000
-"""Of the genetic algorithm (paper, Sec. 4.2)."""
+"""Settings of the genetic algorithm (paper, Sec. 4.2)."""
 BUDGET = POPULATION * GENERATIONS
-"""Evaluations at most."""
+"""Greatest number of evaluations."""
 STARTS = 20
-"""Random starts of the least squares."""
+"""Number of random starts of the least squares."""
 _FIRST_SIGMA = 0.3  # of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
 
 

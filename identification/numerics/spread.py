@@ -23,13 +23,15 @@ class Spread:
     freedom: float
 
     def half_width(self, name: str) -> float:
-        """Return the half width of the 90 % interval; infinite where the data say nothing."""
+        """Return the half width of the 90 % interval; infinite where the data do not determine the
+        parameter.
+        """
         k = self.names.index(name)
         return self._half(float(self.covariance[k, k]))
 
     def half_width_above(self, name: str, base: str) -> float:
-        """Return that of ``name`` less ``base``; a ``base`` that was not fitted is known
-        exactly.
+        """Return the half width of ``name`` less ``base``; a ``base`` that was not fitted counts as
+        exact.
         """
         if base not in self.names:
             return self.half_width(name)
@@ -38,7 +40,7 @@ class Spread:
         return self._half(float(c[k, k] + c[j, j] - 2.0 * c[j, k]))
 
     def half_width_along(self, weights: Mapping[str, float]) -> float:
-        """Return that of a weighted sum of parameters."""
+        """Return the half width of a weighted sum of parameters."""
         row = np.array([weights.get(name, 0.0) for name in self.names])
         return self._half(float(row @ self.covariance @ row))
 
@@ -49,8 +51,8 @@ class Spread:
 
 
 def correlation_samples(residual: Array) -> float:
-    """Return the correlation time of a series in samples: 1 + 2 sum of its autocorrelation up to
-    the first zero.
+    """Return the correlation time of a series in samples: 1 + 2 times the sum of its
+    autocorrelation up to the first zero.
     """
     centred = residual - np.mean(residual)
     power = float(centred @ centred)

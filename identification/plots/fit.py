@@ -30,7 +30,7 @@ _POINTS_PER_LOAD = 1500
 _LEAST_PERCENT = 1e-6  # deviations below this are rounding
 _FEW_TIMES = 3.0  # a cost that falls less than this is drawn on a linear scale
 _LINEAR_PERCENT = (
-    10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
+    10.0  # if any deviation exceeds this, larger ones are drawn on a logarithmic scale
 )
 _VARYING = math.inf  # contact moment of a load that varies
 LABELS = {
@@ -52,8 +52,8 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
 
     Args:
         result: The fit.
-        moments: Recording to its contact moment F_P L1, N m; None where that varies, and no curve
-            belongs to it.
+        moments: Recording to its contact moment F_P L1, N m; None where it varies and no curve is
+            drawn.
     """
     unit = result.torque_unit
     made, (axis,) = figure(1, height=5.0)
@@ -106,7 +106,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
 
     Args:
         stage: A search with its history.
-        truth: Values to measure the deviation from; without it, from the final ones.
+        truth: Values from which deviations are measured; None for the final ones.
     """
     made, (upper, lower) = figure(2, height=6.0, sharex=True)
     cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")
@@ -146,8 +146,8 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
 def intervals(
     results: Sequence[Identification], truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Every parameter with its 90 % interval, in percent of the first result (or of the truth,
-    where it is known).
+    """Every parameter with its 90 % interval, in percent of the first result, or of the truth if
+    known.
     """
     names = list(results[0].parameters)
     made, (axis,) = figure(1, height=1.4 + 0.42 * len(names))
@@ -202,7 +202,7 @@ def _interval_row(
 def _curve(
     speed: Array, moment: float, values: Mapping[str, float], alpha: float
 ) -> tuple[Array, Array] | None:
-    """Return fitted friction at both signs of ``speed``, or None where a parameter it needs is not
+    """Return fitted friction at both signs of ``speed``; None if it needs a parameter that is not
     identifiable.
     """
     needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | (

@@ -1,5 +1,5 @@
-"""Figures of a diagnosis: the mismatch against each coordinate and in time, its curve, and the
-rivals.
+"""Figures of a diagnosis: the mismatch against each coordinate and time, its empirical curve, and
+the rivals.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ _DRAWN = {
     "m^2": (1e6, "mm^2"),
     "m^2/s": (1e6, "mm^2/s"),
 }
-"""Unit of a record to factor and unit to draw with."""
+"""Stored unit to conversion factor and displayed unit."""
 
 
 def maps(shown: Sequence[Map]) -> Figure:
-    """Mismatch against each coordinate, largest share first: mean and simultaneous band before,
-    mean after.
+    """Mismatch against each coordinate, largest share first: mean with simultaneous band before the
+    correction, mean after it.
 
     Args:
         shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
@@ -58,7 +58,7 @@ def maps(shown: Sequence[Map]) -> Figure:
         axis.set_ylim(-1.05 * top, 1.05 * top)
     handles, labels = axes[0].get_legend_handles_labels()
     made.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
-    made.suptitle(f"Where the {ranked[0].equation} equation misses", fontsize=11)
+    made.suptitle(f"Mismatch of the {ranked[0].equation} equation", fontsize=11)
     return made
 
 
@@ -68,7 +68,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
 
     Args:
         one: The recording.
-        noise_floor: Its rms, in the trace's unit; None where it is not known.
+        noise_floor: Rms of the noise floor, in the trace's unit; None if unknown.
     """
     factor, unit = _shown_unit(one.unit)
     made, (axis,) = figure(1, width=9.0, height=3.2)
@@ -108,7 +108,7 @@ def curve(missing: Curve) -> Figure:
 
 
 def rivals(effect: Effect) -> Figure:
-    """Confidence of an effect beside that of its rivals; those that the data cannot reject are
+    """Confidence of an effect and of its rivals; bars of those that the data do not reject are
     filled.
     """
     names = [effect.name, *(r.name for r in effect.rivals)]
@@ -163,7 +163,7 @@ def _map(axis: Axes, one: Map) -> None:
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:
-    """Return (factor, unit) to draw with."""
+    """Return conversion factor and displayed unit."""
     return _DRAWN.get(unit, (1.0, unit))
 
 

@@ -24,7 +24,7 @@ def predicted(part: Predicted, unit: str) -> Figure:
 
     Args:
         part: One equation of one recording.
-        unit: Of the equation.
+        unit: Unit of the equation.
     """
     made, (top, bottom) = figure(2, height=5.0, sharex=True)
     few = thinned(len(part.time))

@@ -1,4 +1,4 @@
-"""Figures of uncertainty: likelihood profiles, and the ends of a search's starts."""
+"""Figures of uncertainty: likelihood profiles, and search ends."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from identification.result import Parameter, Profile, Starts
 
 _COLUMNS = 3
 _TOP = 3.0
-"""Deviance shown, over that of the 90 % range."""
+"""Greatest deviance shown, over the deviance at the ends of the 90 % range."""
 
 
 def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figure:
-    """Return a panel for each profile: deviance against the parameter, the 90 % range, and the
-    interval beside it.
+    """Return a figure with a panel for each profile: deviance against the parameter, its 90 %
+    range, and the interval.
 
     Args:
         curves: One or more.
@@ -57,7 +57,7 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
 
 
 def waterfall(starts: Sequence[Starts]) -> Figure:
-    """Return where the starts of each search ended, the best first, on a logarithmic scale above
+    """Return a figure of the search ends of each search, best first, on a logarithmic scale above
     the least.
     """
     made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2)
@@ -85,7 +85,7 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
 
 
 def _smooth(curve: Profile) -> tuple[Array, Array]:
-    """Return the curve between its points, straight in the root of the deviance."""
+    """Return the curve between its points, linear in the root of the deviance."""
     values = np.linspace(curve.values[0], curve.values[-1], 200)
     side = np.sign(np.arange(len(curve.values)) - int(np.argmin(curve.deviance)))
     root = np.interp(values, curve.values, side * np.sqrt(np.maximum(curve.deviance, 0.0)))

@@ -10,14 +10,14 @@ from matplotlib.figure import Figure
 from identification.plots.style import CYCLE, figure
 
 Band = tuple[float, float, float]
-"""A share with the ends of its interval."""
+"""A share with the lower and upper end of its interval."""
 
 
 def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:
     """Shares with their intervals over bands of strength.
 
     Args:
-        labels: Of the bands.
+        labels: Labels of the bands.
         curves: Name to one share with its interval for each band.
     """
     made, (axis,) = figure(1, height=4.2)
@@ -29,7 +29,7 @@ def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> 
     axis.set_ylim(-0.03, 1.03)
     axis.set_xticks(range(len(labels)), labels)
     axis.set_xlabel("change of the strongest channel over its noise")
-    axis.set_ylabel("share of rigs")
+    axis.set_ylabel("share of trials")
     axis.legend(fontsize=8)
     return made
 
@@ -54,5 +54,5 @@ def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
     axis.set_yticks(range(len(table)), list(table), fontsize=6)
     axis.set_xlabel("called")
     axis.set_ylabel("true")
-    made.colorbar(image, ax=axis, shrink=0.6, label="share of the rigs")
+    made.colorbar(image, ax=axis, shrink=0.6, label="share of the trials")
     return made

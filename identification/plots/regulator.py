@@ -20,7 +20,7 @@ _MM2 = 1e6
 def tracking(
     time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]
 ) -> Figure:
-    """Angle with its command, and the error between them.
+    """Angle and its command, and the error between them.
 
     Args:
         time: s, shape (n,).
@@ -51,7 +51,7 @@ def tracking(
 
 
 def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
-    """Tracking error against time, a panel each: name, time (s) and errors by name (rad)."""
+    """Tracking error against time; each panel has a title, time (s) and errors by name (rad)."""
     made, axes = figure(len(panels), height=1.0 + 2.4 * len(panels), sharex=True)
     for axis, (name, time, by_name) in zip(axes, panels, strict=True):
         for color, (how, error) in zip(_COLORS, by_name.items(), strict=False):
@@ -64,8 +64,8 @@ def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
 
 
 def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
-    """Joint speed against time, a panel each: name, time (s), commanded speed and measured speeds
-    by name (rad/s).
+    """Joint speed against time; each panel has a title, time (s), commanded speed and measured
+    speeds by name (rad/s).
     """
     made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
     for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
@@ -122,10 +122,10 @@ def uniform(
     speed: Array,
     panels: Sequence[tuple[str, Array, Mapping[str, Sequence[tuple[float, float, bool]]]]],
 ) -> Figure:
-    """Points of the conventional method (eq. 14) beside the true friction.
+    """Points of the conventional method (eq. 14) and the true friction.
 
     Args:
-        speed: Of the curves, rad/s, shape (n,).
+        speed: Speed of the curves, rad/s, shape (n,).
         panels: Title, true friction in N m at ``speed``, and name to points (speed, friction,
             whether it was uniform).
     """
@@ -175,7 +175,7 @@ def closed_loop(
     current: Array,
     force: Array,
 ) -> Figure:
-    """Flow (kg/s), pressure (MPa), angle (rad), each a command and an answer; motor current (A),
+    """Flow (kg/s), pressure (MPa), angle (rad), each with command and response; motor current (A),
     contact force (N).
     """
     made, (top, second, third, last) = figure(4, height=9.5, sharex=True)
@@ -220,8 +220,8 @@ def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Fi
     """Current, pressure and area against the valve angle, a column for each speed (Fig. 4).
 
     Args:
-        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure, the
-            steady one (MPa) and impacted area (mm^2).
+        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure,
+            steady pressure (MPa) and impacted area (mm^2).
     """
     made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)
     for column, (title, angle, current, pressure, steady, area) in enumerate(panels):

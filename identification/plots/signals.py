@@ -29,7 +29,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     Args:
         trace: The recording as fitted.
         recording: The recording itself, for its command.
-        unit: Of its torque.
+        unit: Unit of its torque.
     """
     rotary = recording.bench.motion == "rotary"
     scale = np.rad2deg(1.0) if rotary else 1e3
@@ -74,7 +74,7 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     Args:
         trace: The recording as fitted.
         motion: ``rotary`` or ``linear``.
-        unit: Of its torque.
+        unit: Unit of its torque.
     """
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
     error = trace.torque - trace.torque_model

@@ -1,4 +1,4 @@
-"""Figures of a simulated response beside the recording."""
+"""Figures of a simulated response and its recording."""
 
 from __future__ import annotations
 

@@ -18,11 +18,12 @@ def spread(
     printed: Mapping[str, float],
     names: Sequence[str],
 ) -> Figure:
-    """Error of every parameter for every seed, one colour per method, beside the paper's own.
+    """Error of every parameter for every seed, one colour per method, with the errors that the
+    paper prints.
 
     Args:
-        errors: Method to parameter to its errors over the seeds, percent; those that are not finite
-            are left out, and those below 1e-6 % are drawn there.
+        errors: Method to parameter to its errors over the seeds, percent; infinite or NaN errors
+            are left out, and errors below 1e-6 % are drawn at 1e-6 %.
         printed: Parameter to the error the paper prints, percent.
         names: Parameters, in the order to be shown.
     """

@@ -1,4 +1,4 @@
-"""Shared by all figures: size, colours, thinning, saving."""
+"""Common style of all figures: size, colours, thinning, saving."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ MAX_POINTS = 5000
 
 
 _GAP = 5.0
-"""Usual steps of time beyond which two samples are not joined."""
+"""Gap between two samples, over the median time step, above which they are not joined."""
 
 
 def figure(
@@ -66,7 +66,7 @@ def _dress(axes: list[Axes]) -> list[Axes]:
 
 
 def thinned(samples: int, limit: int = MAX_POINTS) -> slice:
-    """Return the slice that takes every k-th of so many samples, at most ``limit``."""
+    """Return the slice that keeps every k-th sample, at most ``limit`` of ``samples``."""
     return slice(None, None, max(1, -(-samples // limit)))
 
 
@@ -81,10 +81,10 @@ def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
 
 
 def continuing(time: Array) -> NDArray[np.bool_]:
-    """Return which samples come soon after the one before, shape (n,), where some have been left
-    out (a joint at rest).
+    """Return which samples follow their predecessor without a gap, shape (n,); samples at rest may
+    have been left out.
 
-    A line broken at the others does not join what lies before such a gap to what lies after it.
+    A line broken at the other samples does not connect across a gap.
     """
     steps = np.diff(time, prepend=time[:1])
     return (
@@ -104,7 +104,7 @@ def legend_above(axis: Axes, columns: int) -> Legend | None:
 
 
 def png(made: Figure, dpi: int = 110) -> bytes:
-    """Return the figure as PNG, free of dates and versions so that equal figures are equal
+    """Return the figure as PNG without dates and versions, so that equal figures give equal
     bytes.
     """
     buffer = io.BytesIO()

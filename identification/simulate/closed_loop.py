@@ -1,4 +1,4 @@
-"""Response of a fitted model in the loop of its recording."""
+"""Simulation of a fitted model in the position loop of its recording."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Response:
         time: s.
         angle: rad.
         velocity: rad/s.
-        torque: Of the drive, N m.
+        torque: Torque of the drive, N m.
     """
 
     time: Array
@@ -47,9 +47,9 @@ class Inputs:
     Attributes:
         time: s, increasing.
         command: rad.
-        scale: Factor of the controller's output: the supply voltage where that is a duty,
-        else 1.
-        added: Added to that product, in the output's unit.
+        scale: Factor of the controller's output: the supply voltage if the output is a duty, else
+            1.
+        added: Signal added to the scaled output, in the output's unit.
         moment: F_P L1, N m.
     """
 
@@ -61,8 +61,8 @@ class Inputs:
 
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
-    """Return the vector of :mod:`identification.model.parameters` of the joint with the recording's
-    pendulum on it.
+    """Return the parameter vector (:mod:`identification.model.parameters`) of the joint with the
+    recording's pendulum.
 
     Raises:
         RecordingError: The inertia is zero.
@@ -111,10 +111,11 @@ def loop_of(controller: Controller, recording: Recording) -> Array:
 
 
 def inputs_of(recording: Recording) -> Inputs:
-    """Return the inputs of the loop of a recording.
+    """Return the inputs of the loop, from a recording.
 
     Raises:
-        RecordingError: It has no controller or no command, or a duty and no supply voltage.
+        RecordingError: The recording has no controller or no command, or its controller has a duty
+            and no supply voltage was recorded.
     """
     controller, channels = recording.controller, recording.channels
     if controller is None or "command" not in channels:
@@ -147,11 +148,11 @@ def simulate(
     """Simulate a loop around a joint with set-valued friction from an initial state.
 
     Args:
-        body: Of :func:`body_of`.
-        loop: Of :func:`loop_of`, or :data:`OPEN_LOOP`.
-        inputs: Of the loop.
-        angle: At the first time stamp, rad.
-        velocity: At the first time stamp, rad/s.
+        body: Parameters of the joint, from :func:`body_of`.
+        loop: Parameters of the loop, from :func:`loop_of`, or :data:`OPEN_LOOP`.
+        inputs: Inputs of the loop.
+        angle: Angle at the first time stamp, rad.
+        velocity: Velocity at the first time stamp, rad/s.
         step: Greatest integration step, s.
     """
     n = len(inputs.time)
@@ -170,10 +171,10 @@ def simulate(
 def replay(
     recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S
 ) -> Response:
-    """Simulate a recording from its own command and first angle, at rest, with the fitted
-    ``values``.
+    """Simulate a recording with the fitted ``values``, from rest at its first angle, under its own
+    command.
 
-    After the first sample only the command, the supply voltage and the declared loads enter.
+    After the first sample only the command, the supply voltage and the declared loads are used.
 
     Raises:
         RecordingError: Something the simulation needs is missing.

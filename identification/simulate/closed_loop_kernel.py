@@ -1,9 +1,10 @@
-"""The loop in time: a sampled-data controller around a joint whose friction is set-valued at rest.
+"""Integration of the position loop: a continuous P-D controller with limited output around a joint
+with Stribeck friction and stiction.
 
-J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. Speed by the trapezoidal rule,
-implicit in friction and solved by Newton; the controller acts on the angle in the middle of the
-step. A joint whose speed would pass through zero stops there, and stays at rest while the torque on
-it is within the static limit.
+J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. The speed follows the trapezoidal
+rule, implicit in friction and solved by Newton's method; the controller uses the angle in the
+middle of the step. A joint whose speed would pass through zero stops there, and stays at rest while
+the torque on it is within the static limit.
 """
 
 from __future__ import annotations
@@ -27,8 +28,8 @@ _EXACT = 1e-12
 def next_speed(
     speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array
 ) -> float:
-    """Return the speed after ``h`` seconds under ``torque`` (N m, friction and damping not in
-    it).
+    """Return the speed after ``h`` seconds under ``torque``, N m, which excludes friction and
+    damping.
     """
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
@@ -68,19 +69,18 @@ def closed_loop(
     speed: Array,
     torque: Array,
 ) -> None:
-    """Fill ``angle``, ``speed`` and ``torque`` (of the drive) at ``time``; their first samples are
-    the initial state.
+    """Fill ``angle``, ``speed`` and the drive's ``torque`` at ``time``; the first samples of angle
+    and speed are the initial state.
 
     Args:
         time: s, shape (n,), increasing, not necessarily evenly.
         command: rad, shape (n,); linear between samples.
-        scale: Factor of the controller's output, shape (n,): supply voltage, or 1; held from
-        sample to sample.
-        added: Added to that product, shape (n,); held.
+        scale: Factor of the controller's output, shape (n,): supply voltage, or 1; held between
+            samples.
+        added: Signal added to the scaled output, shape (n,); held.
         moment: F_P L1, N m, shape (n,); held.
-        body: Vector of :mod:`identification.model.parameters`; its inertia is that of joint and
-        pendulum.
-        loop: Shape (5,).
+        body: Vector of :mod:`identification.model.parameters`; its inertia includes the pendulum's.
+        loop: Parameters of controller and drive, shape (5,).
         step: Greatest integration step, s.
         angle: rad, shape (n,).
         speed: rad/s, shape (n,).

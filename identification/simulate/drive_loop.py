@@ -21,22 +21,23 @@ from identification.simulate.servo_loop import Loop, usual_loop
 _MEAN = 4
 """Samples over which both sides are averaged."""
 _LATENESSES = range(7)
-"""Cycles by which a command may be late."""
+"""Delays of the command that are tried, in cycles."""
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
-"""Delay between the joint's motion and the loop's response."""
+"""Delays between the joint's motion and the loop's response that are tried."""
 _MISFIT = 0.15
-"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop
-is accepted.
+"""Greatest ratio of the residual's rms to the rms of the torque's changes at which the loop is
+accepted.
 """
 _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the loop of the drive; None where the recordings do not log it, or do not fit it.
+    """Return the drive loop; None where the recordings lack its signals, or it does not fit them.
 
     Args:
-        recordings: Of one bench; those without command, motor angle and current are left out.
-        torque_limit: N m.
+        recordings: Recordings of one bench; those without command, motor angle and current are left
+            out.
+        torque_limit: Torque limit of the loop, N m.
         count: Joint angle of one step of the encoder that the drive follows, rad.
     """
     usable = [r for r in recordings if {"command", "motor_angle", "current"} <= r.channels.keys()]
@@ -54,7 +55,7 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
         float(gains[1] / gains[0]),
         float(gains[2] / gains[0]),
     )
-    # Kp and Ki enter symmetrically; where noise makes them complex, equal ones are nearest.
+    # Kp and Ki enter symmetrically; if noise makes the roots complex, equal values are nearest.
     half = 0.5 * total
     apart = math.sqrt(max(half * half - product, 0.0))
     usual = usual_loop(1.0, torque_limit, count)
@@ -66,7 +67,7 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
 
 
 def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
-    """Return the minimum of a parabola through the least of evenly spaced squared misfits and its
+    """Return the minimum of the parabola through the least of evenly spaced squared misfits and its
     neighbours.
     """
     if not 0 < best < len(places) - 1:
@@ -79,12 +80,12 @@ def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> floa
 
 
 def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:
-    """Return the gains of e', e and its integral, and the relative misfit.
+    """Return the gains of e', e and the integral of e, and the relative misfit.
 
     Args:
-        recordings: At least one.
+        recordings: One or more recordings.
         late: Cycles by which the command reaches the loop late.
-        delay: Between the joint's motion and the loop's response, s.
+        delay: Delay between the joint's motion and the loop's response, s.
     """
     rows, torques = [], []
     for number, recording in enumerate(recordings):

@@ -1,4 +1,4 @@
-"""How far a simulated response is from the recording, pooled over recordings."""
+"""Errors of a simulated response against its recording, pooled over recordings."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums of squares over all samples, the resting ones included, from which errors are pooled.
+    """Sums of squares over all samples, resting ones included, from which rms errors are computed.
 
     Attributes:
-        torque_error: Of simulated less measured drive torque at the bandwidth.
-        torque: Of the measured drive torque at the bandwidth.
-        torque_samples: How many.
-        angle_error: Of simulated less measured angle at the recording's own time stamps.
-        angle_samples: How many.
+        torque_error: Sum of squares of simulated less measured drive torque at the bandwidth.
+        torque: Sum of squares of the measured drive torque at the bandwidth.
+        torque_samples: Number of torque samples.
+        angle_error: Sum of squares of simulated less measured angle at the recording's time stamps.
+        angle_samples: Number of angle samples.
     """
 
     torque_error: float = 0.0
@@ -39,17 +39,17 @@ class Sums:
 
     @property
     def torque_rms(self) -> float:
-        """Torque error, N m (N)."""
+        """Rms torque error, N m (N)."""
         return math.sqrt(self.torque_error / max(self.torque_samples, 1))
 
     @property
     def torque_relative(self) -> float:
-        """Norm of the torque error over that of the torque."""
+        """Norm of the torque error over the norm of the torque."""
         return math.sqrt(self.torque_error / self.torque) if self.torque > 0.0 else 0.0
 
     @property
     def angle_rms(self) -> float:
-        """Angle error, rad (m)."""
+        """Rms angle error, rad (m)."""
         return math.sqrt(self.angle_error / max(self.angle_samples, 1))
 
 
@@ -99,7 +99,9 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
 
 
 def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
-    """Return the values with all friction times ``share``, as a scale for the error."""
+    """Return the values with all friction multiplied by ``share``; its error gives a scale for the
+    model's error.
+    """
     return {
         name: value * (share if name in FRICTION_PARAMETERS else 1.0)
         for name, value in values.items()

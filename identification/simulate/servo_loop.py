@@ -1,5 +1,5 @@
-"""The nominal model in a position loop of a drive: joint with set-valued friction, in simulated
-time.
+"""Simulation of the nominal model, a joint with set-valued friction, in the position loop of a
+drive.
 
 It simulates planned experiments, and the replicates by which the bias of an estimate is measured
 (M33 to M36). It shares no code with the simulated bench.
@@ -25,18 +25,18 @@ _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
 
 @dataclass(frozen=True)
 class Loop:
-    """A drive: position P and velocity PI with feedforward of the commanded speed.
+    """A drive: position P and velocity PI controller with feedforward of the commanded speed.
 
     Attributes:
         position_gain: 1/s.
         velocity_gain: N m s/rad at the joint.
-        integral: Of the velocity loop, 1/s.
-        filter_Hz: First-order filter on the measured speed.
+        integral: Integral gain of the velocity loop, 1/s.
+        filter_Hz: Cut-off of the first-order filter on the measured speed.
         torque_limit: N m.
-        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. Its steps
-            enter the torque through the speed filter, and those of a target in whole counts through
-            the feedforward.
-        lag: Of the torque behind the loop's output, s; 0 for none.
+        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. The
+            quantised angle affects the torque through the speed filter, the quantised command
+            through the feedforward.
+        lag: Lag of the torque behind the loop's output, s; 0 for none.
     """
 
     position_gain: float
@@ -59,10 +59,10 @@ class Response:
     """The response of the nominal model. Arrays have shape (n,), at the joint.
 
     Attributes:
-        angle: At each sample, rad.
-        torque: Mean over the period that ends there, N m.
+        angle: Joint angle at each sample, rad.
+        torque: Mean torque over the period that ends at each sample, N m.
         peak_speed: Greatest speed at any instant, rad/s.
-        peak_torque: N m.
+        peak_torque: Greatest torque, N m.
         peak_following: Greatest distance from the command, rad.
     """
 
@@ -82,7 +82,7 @@ def respond(
     loop: Loop,
     disturbance: Array | None = None,
 ) -> Response:
-    """Follow a command from rest at its first value.
+    """Simulate the response to a command, from rest at its first value.
 
     Args:
         command: Joint angle at each sample, rad, shape (n,); linear in between.
@@ -92,7 +92,7 @@ def respond(
         alpha: Stribeck exponent.
         loop: The drive.
         disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the
-            drive's current loop follows the noise of its own sensor. None for none.
+            drive's current loop follows the noise of its own sensor. None for no noise.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
@@ -130,8 +130,8 @@ def _follow(
     torque: Array,
     peaks: Array,
 ) -> None:
-    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are
-    linearly implicit.
+    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); the speed is
+    integrated linearly implicitly.
     """
     h = period / steps
     static = static_friction(moment, p)

@@ -76,5 +76,5 @@ def test_the_default_method_wins_on_the_practical_bench(
 
 def test_declared_terms_are_refused() -> None:
     dataset = Dataset((sine(offset=0.3),), Model(terms=("offset",)))
-    with pytest.raises(RecordingError, match=r"takes the nominal model; .*\(offset\)"):
+    with pytest.raises(RecordingError, match=r"needs the nominal model; .*\(offset\)"):
         compare(dataset, identify(dataset))

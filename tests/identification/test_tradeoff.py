@@ -29,10 +29,14 @@ def spread(names: tuple[str, ...], pinned: list[float], tight: float, loose: flo
         (
             ("Mc", "sigma_2"),
             0.3,
-            "sum at 0.3 rad/s is pinned, Mc + 0.3 sigma_2 = 8.4289 +- 0.0016 N m",
+            "sum at 0.3 rad/s is determined, Mc + 0.3 sigma_2 = 8.4289 +- 0.0016 N m",
         ),
-        (("mu_c", "mu_2"), 0.3, "sum at 0.3 rad/s is pinned, mu_c + 0.3 mu_2 = 0.0616 +- 0.0016"),
-        (("Ms", "mu_s"), 285.0, "sum at a contact moment of 285 N m is pinned, Ms + 285 mu_s"),
+        (
+            ("mu_c", "mu_2"),
+            0.3,
+            "sum at 0.3 rad/s is determined, mu_c + 0.3 mu_2 = 0.0616 +- 0.0016",
+        ),
+        (("Ms", "mu_s"), 285.0, "sum at a contact moment of 285 N m is determined, Ms + 285 mu_s"),
     ],
 )
 def test_the_pinned_sum_is_found(names: tuple[str, str], weight: float, told: str) -> None:
@@ -45,7 +49,7 @@ def test_the_pinned_sum_is_found(names: tuple[str, str], weight: float, told: st
 def test_other_pairs_are_told_as_products_and_ratios() -> None:
     relative = np.array([TRUTH["mu_s"], TRUTH["omega_sL"]])
     for sign, words in (
-        (-1.0, "only the product mu_s omega_sL^0.5 is pinned"),
+        (-1.0, "only the product mu_s omega_sL^0.5 is determined"),
         (1.0, "only the ratio mu_s / omega_sL^0.5 "),
     ):
         # mu_s moves by half a percent for each percent of omega_sL, and by 0.01 % on its own.
@@ -61,7 +65,7 @@ def test_what_does_not_trade_off_is_not_told() -> None:
     independent = Spread(("Mc", "J"), np.diag([1e-6, 1e-4]), math.inf)
     assert tradeoffs(independent, TRUTH, UNITS_ROTARY) == ()
     line = least_pinned(independent, TRUTH)
-    assert line.startswith("least pinned is J alone: relative standard deviation 4.9 %")
+    assert line.startswith("least determined is J alone: relative standard deviation 4.9 %")
 
 
 def test_least_pinned_names_what_moves_together() -> None:

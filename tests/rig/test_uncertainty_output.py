@@ -40,7 +40,7 @@ RESULT = Identification(
         Starts("loaded", "-2 log likelihood", (-90.0, -100.0, -99.5), -99.0),
     ),
     tradeoffs=(Tradeoff(("Mc", "sigma_2"), -0.95, "Mc and sigma_2 trade off"),),
-    least_pinned="least pinned is Mc alone",
+    least_pinned="least determined is Mc alone",
     noise=MeasuredNoise(0.07, 0.06, 0.0095, 1e-6, 2e-5, "N m"),
     profiles=(
         Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 4.0]), 6.9, 7.3, 0.5),
@@ -56,7 +56,7 @@ RESULT = Identification(
 def test_notes_name_what_trades_off_bounds_and_starts() -> None:
     assert uncertainty_notes(RESULT) == [
         "default: Mc and sigma_2 trade off",
-        "default: least pinned is Mc alone",
+        "default: least determined is Mc alone",
         "default: bounds hit: J",
         "default: noise, as the prediction errors ask for it: torque 0.07 N m rms, white, and "
         "0.06 N m rms, correlated "

@@ -1,3 +1,3 @@
-"""Diagnosis of the gas generator from pressure and valve angle: the balance of its gas (eq. 4) is
-the one equation.
+"""Diagnosis of the gas generator from pressure and valve angle: the only equation is the balance of
+its gas (eq. 4).
 """

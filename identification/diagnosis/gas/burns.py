@@ -1,5 +1,5 @@
-"""What a diagnosis of the gas generator sees of a recording: pressure, and the throat that the
-valve's angle makes.
+"""Preprocessing of gas-generator recordings for the diagnosis: averaged pressure, and throat area
+from valve angle.
 """
 
 from __future__ import annotations
@@ -15,25 +15,28 @@ from identification.model.valve import ValveGeometry, throat_area
 from identification.recording import Array, Recording, RecordingError
 
 ROW_S = 0.005
-"""Samples closer than this are averaged to rows; the chamber takes ten times as long to empty."""
+"""Duration of a row, over which samples are averaged; the chamber takes ten times as long to
+empty.
+"""
 LEAST_ROWS = 50
 _FIRST_ROWS = 4
 _TURN, _SIZE = math.radians(0.05), 2.5e-5
-"""rad and m: steps of derivatives, about what valve and encoder are off by."""
+"""Steps of numerical derivatives, rad and m; about the error of valve and encoder."""
 _SPREAD_PER_MAD = 1.4826
 _THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Deviation of a third difference over that of white noise."""
+"""Standard deviation of third differences of white noise, over the noise's."""
 
 
 @dataclass(frozen=True)
 class Burn:
-    """One recording as rows; throat and pressure are means over the same samples.
+    """One recording of a burning gas generator as rows; throat and pressure are means over the same
+    samples.
 
     Attributes:
-        recording: It came from.
-        index: Its place among those under diagnosis.
-        time: Since its first sample, s, shape (n,).
-        areas: A_t and its derivatives by the thickness of a deposit, shape (3, n).
+        recording: The recording.
+        index: Index among the recordings under diagnosis.
+        time: Time since its first sample, s, shape (n,).
+        areas: A_t and its derivatives with respect to the thickness of a deposit, shape (3, n).
         shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
         angle: rad, shape (n,).
         pressure: Pa, shape (n,).
@@ -49,7 +52,7 @@ class Burn:
 
     @property
     def first_pressure(self) -> float:
-        """Mean of the first rows, Pa: where a fit begins."""
+        """Mean of the first rows, Pa, the start value of a fit."""
         return float(np.mean(self.pressure[:_FIRST_ROWS]))
 
     @property
@@ -59,8 +62,8 @@ class Burn:
 
 
 def bears(recording: Recording) -> bool:
-    """Whether a recording shows its gas generator: its constants, its pressure and the valve's
-    angle.
+    """Whether a recording allows a diagnosis of the gas generator: it has constants, pressure and
+    valve angle.
     """
     return (
         recording.bench.gas_generator is not None
@@ -79,15 +82,15 @@ def burns(recordings: Sequence[Recording]) -> tuple[Burn, ...]:
 
 
 def generator(burn: Burn) -> GasGenerator:
-    """Return the constants believed of a burn's gas generator."""
+    """Return the nominal constants of a recording's gas generator."""
     found = burn.recording.bench.gas_generator
     assert found is not None
     return found
 
 
 def noise(burns: Sequence[Burn]) -> float:
-    """Return the scatter of the pressure from row to row, Pa: median of third differences, no less
-    than the quantum's.
+    """Return the scatter of the pressure from row to row, Pa, from the median third difference; at
+    least the quantisation error.
 
     Raises:
         RecordingError: The pressure does not change at all.
@@ -143,8 +146,8 @@ def _burn(recording: Recording, index: int) -> Burn:
 
 
 def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
-    """Return the derivatives of A_t by angle (m^2/rad), d, D and b (m), by central differences,
-    shape (4, n).
+    """Return the derivatives of A_t with respect to angle (m^2/rad), d, D and b (m), by central
+    differences, shape (4, n).
     """
     by_angle = throat_area(angle + _TURN, valve) - throat_area(angle - _TURN, valve)
     by_size = [

@@ -1,6 +1,6 @@
-"""What a diagnosis of the gas generator takes as believed, and how far each of it may be off.
+"""Nominal constants of the gas generator with their tolerances.
 
-All of it is fitted beside whatever is missing, each held to its belief by its tolerance: else a
+All constants are fitted together with the effects, each with a prior of its tolerance; else a
 throat two hundredths of a millimetre wider than drawn would be taken for missing physics.
 """
 
@@ -15,13 +15,12 @@ from identification.model.gas_generator import GasGenerator
 
 @dataclass(frozen=True)
 class Constant:
-    """One number that all burns share.
+    """A constant that all recordings share.
 
     Attributes:
-        unit: SI.
-        tolerance: One standard deviation of what is believed: a share where ``relative``, else in
-        its unit.
-        relative: Whether it is varied as a logarithm.
+        unit: Unit, SI.
+        tolerance: Standard deviation of the prior: a share if ``relative``, else in the unit.
+        relative: Whether its logarithm is fitted.
     """
 
     unit: str
@@ -42,8 +41,8 @@ class Constant:
 
 
 CONSTANTS: Mapping[str, Constant] = {
-    "a": Constant("m/s", 0.1, relative=True),  # at 1 MPa; a propellant's lots differ
-    "n": Constant("1", 0.03),  # what a strand burner leaves open
+    "a": Constant("m/s", 0.1, relative=True),  # at 1 MPa; scatter between lots of a propellant
+    "n": Constant("1", 0.03),  # uncertainty of a strand burner
     "C_r": Constant("m/s", 0.05, relative=True),
     "d": Constant("m", 2.5e-5),
     "D": Constant("m", 2.5e-5),
@@ -56,18 +55,18 @@ CONSTANTS: Mapping[str, Constant] = {
 }
 """Name to tolerance, in the order in which they are fitted."""
 PROPELLANT = ("a", "n", "C_r")
-"""Those that no drawing and no calibration gives."""
+"""Constants that neither drawing nor calibration gives."""
 VOLUME = Constant("m^3", 0.3, relative=True)
-"""Free volume at the first row of each burn: what igniter and grain have left."""
+"""Free volume at the first row of each recording, not occupied by igniter and grain."""
 PRESSURE = Constant("Pa", 0.01, relative=True)
-"""Unit in which the pressure at the first row is fitted; it is not held to anything."""
+"""Unit in which the pressure at the first row is fitted; it has no prior."""
 
 
 _SENSORS = ("angle_zero", "pressure_zero", "delay")
 
 
 def beliefs(g: GasGenerator) -> dict[str, float]:
-    """Return what is believed of a gas generator and its sensors, by the names of
+    """Return the nominal constants of a gas generator and its sensors, by the names of
     :data:`CONSTANTS`.
     """
     return {

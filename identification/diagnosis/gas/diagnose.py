@@ -1,7 +1,7 @@
-"""From burns to a verdict on the gas generator: noise, is anything missing, where, which effect,
-the proof.
+"""Diagnosis of the gas generator: noise, test whether anything is missing, location, effects,
+validation.
 
-Recordings set aside (role ``validate``) are touched once, at the end.
+Validation recordings are scored once, at the end.
 """
 
 from __future__ import annotations
@@ -41,31 +41,32 @@ from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 
 ADEQUATE = 0.9
-"""Share of the mismatch's power beyond the noise that names must explain between them to be a
-diagnosis, where more than noise is left. The balance of the gas has no friction's fine print, so
-that the right name explains nearly all.
+"""Least share of the mismatch power beyond the noise that the effects must explain together, if
+more than noise is left. The gas balance lacks the details of friction, so the right effect explains
+nearly all.
 """
 _MOST_SURE = 0.99
 UNSEEN = 1.5
-"""Error on recordings set aside over the noise, from which the reader is told."""
+"""Error on validation recordings over the noise, from which a warning is given."""
 STRAINED = 3.0
-"""Tolerances by which a constant has to be off to be worth a look."""
+"""Deviation of a constant, in tolerances, from which it is reported."""
 
 
 def diagnose_gas(
     dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """Say whether physics is missing from the gas generator of these recordings, where, and which.
+    """Diagnose whether physics is missing from the gas-generator model of these recordings, where,
+    and which.
 
-    What is believed of propellant, valve and sensors is fitted beside whatever is missing, within
-    tolerances (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every
-    recording.
+    The constants of propellant, valve and sensors, within tolerances
+    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording are
+    fitted together with the effects.
 
     Args:
         dataset: Recordings with pressure and valve angle, each from its ignition; those with role
             ``validate`` are scored once, at the end.
-        rng: Of the tests by sign flips.
-        progress: Called with what is being done and the share done.
+        rng: Random generator for the sign flips.
+        progress: Called with the name of the step and the share done.
 
     Raises:
         RecordingError: A recording cannot be used.
@@ -114,7 +115,7 @@ def diagnose_gas(
 
 
 def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
-    """Return each constant before and after."""
+    """Return each constant before and after the correction."""
     after = _constants(scored)
     return {
         name: Shift(before, after[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
@@ -133,8 +134,8 @@ def _verdict(found: GasSearch) -> Verdict:
 
 
 def _explained(found: GasSearch) -> float:
-    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing
-    else is left.
+    """Return the share of the mismatch beyond the noise that the effects explain; 1 if nothing else
+    is left.
     """
     if found.p_after > LEVEL:
         return 1.0
@@ -210,7 +211,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
 
 
 def _constants(fitted: Fitted) -> dict[str, float]:
-    """Return what all burns share, and the mean of their free volumes."""
+    """Return the constants common to all recordings, and the mean of their free volumes."""
     volumes = [s.volume for s in fitted.model.starts]
     return {**fitted.model.constants, "V_0": float(np.mean(volumes))}
 
@@ -262,7 +263,7 @@ def _rms(fitted: Fitted, sigma: float) -> float:
 
 
 def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return a model on burns that took no part: of each its start alone is fitted."""
+    """Return a model on recordings that were not fitted; only the start of each is fitted."""
     starts = believed(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 
@@ -322,9 +323,8 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise: those fitted "
-            "do not pin the gas generator; fit burns with steps between narrow and wide throats "
-            "as well"
+            f"noise: those fitted do not determine the gas generator; "
+            "also fit recordings with steps between narrow and wide throats"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):

@@ -1,6 +1,4 @@
-"""Believed constants, the start of each burn and named effects, fitted together by forward
-simulation.
-"""
+"""Joint fit, by forward simulation, of constants, start of each recording and effects."""
 
 from __future__ import annotations
 
@@ -20,23 +18,23 @@ from identification.recording import Array
 from identification.signals import BoolArray
 
 _STEP = 0.01
-"""Of numerical derivatives, in the units of the fit."""
+"""Step of numerical derivatives, in the units of the fit."""
 _STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
-"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its
-steps at most. They are as good as fixed until the rest has settled: from far off they would run
-away to help.
+"""Stages of the fit: factor on the prior of valve and sensors, relative gain of the cost below
+which a stage ends, and greatest number of steps. Valve and sensors are almost fixed until the rest
+has converged; from a distant start they would drift away.
 """
 _FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
-"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber
-ten times as large would make anything slow look like its filling...
+"""Limits of the constants, in tolerances, wider for valve and sensors. Otherwise a chamber ten
+times as large would explain any slow mismatch by its filling.
 """
 _REJECTED = 1e6
-"""... and the residual there, over the noise."""
+"""Residual beyond these limits, over the noise."""
 
 
 @dataclass(frozen=True)
 class Start:
-    """State of one burn at its first row: pressure in Pa, free volume in m^3."""
+    """State at the first row of a recording: pressure in Pa, free volume in m^3."""
 
     pressure: float
     volume: float
@@ -44,8 +42,8 @@ class Start:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted: constants by name, the start of each burn, effects in the order they were
-    added.
+    """Fitted quantities: constants by name, start of each recording, effects in the order of their
+    addition.
     """
 
     constants: Mapping[str, float]
@@ -55,17 +53,17 @@ class Model:
 
 @dataclass(frozen=True)
 class Fitted:
-    """A model fitted to all burns.
+    """A model fitted to all recordings.
 
     Attributes:
-        model: Its values.
-        simulated: Pressure of all rows as the transducer would show it, Pa, shape (n,).
+        model: Values of the model.
+        simulated: Simulated transducer signal of all rows, Pa, shape (n,).
         residual: Measured less simulated over the noise, shape (n,).
-        tangent: Derivative of the simulated rows over the noise by everything that was fitted,
-            shape (n, p); the effects' parameters come last.
-        held: Weight that holds each of those to what was believed, shape (p,).
-        pull: Believed less fitted over the tolerance, shape (p,); zero where nothing is held.
-        firm: Which of those are of valve and sensors, shape (p,).
+        tangent: Derivative of the simulated rows, over the noise, with respect to all fitted
+            numbers, shape (n, p); the effects' parameters come last.
+        held: Weight of each number's prior, shape (p,).
+        pull: Nominal less fitted value over the tolerance, shape (p,); zero without a prior.
+        firm: Which numbers belong to valve and sensors, shape (p,).
     """
 
     model: Model
@@ -78,24 +76,24 @@ class Fitted:
 
     @property
     def cost(self) -> float:
-        """Sum of whitened squares, those of the beliefs among them."""
+        """Sum of whitened squares, including the priors."""
         return float(self.residual @ self.residual + self.pull @ self.pull)
 
 
 def believed(burns: Sequence[Burn]) -> Model:
-    """Return the model with what is believed of it, each burn from its first pressure."""
+    """Return the model with nominal constants; each recording starts at its first pressure."""
     g = generator(burns[0])
     return Model(beliefs(g), tuple(Start(b.first_pressure, g.V_0) for b in burns))
 
 
 def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = True) -> Fitted:
-    """Fit a model to burns by least squares of the pressure.
+    """Fit a model to recordings by least squares of the pressure.
 
     Args:
         burns: Recordings to fit.
         sigma: Noise of a row, Pa.
-        start: To start from, with the effects to fit.
-        shared: Whether constants and effects are fitted; else the start of each burn alone.
+        start: Start values, with the effects to fit.
+        shared: Whether constants and effects are fitted; else only the start of each recording.
     """
     layout = _Layout(burns, start, shared)
     measured = np.concatenate([b.pressure for b in burns])
@@ -126,7 +124,7 @@ def _settled(
     tolerance: float,
     most_steps: int,
 ) -> Array:
-    """Return the vector of least squares under the weights ``held``."""
+    """Return the least-squares vector with priors of weight ``held``."""
     measured = np.concatenate([b.pressure for b in burns])
 
     def residuals(x: Array) -> Array:
@@ -143,19 +141,19 @@ def _settled(
 
 
 def simulate(burns: Sequence[Burn], model: Model) -> Array:
-    """Return the pressure of all rows as the transducer would show it, Pa, shape (n,)."""
+    """Return the simulated transducer signal of all rows, Pa, shape (n,)."""
     return np.concatenate([shown(march(b, model), model) for b in burns])
 
 
 def shown(marched: Array, model: Model) -> Array:
-    """Return what a transducer with a zero error shows a little late, Pa, shape (n,)."""
+    """Return the signal of a transducer with zero error and delay, Pa, shape (n,)."""
     pressure, _, rise = marched
     return np.asarray(pressure + model.constants["pressure_zero"] - model.constants["delay"] * rise)
 
 
 def march(burn: Burn, model: Model) -> Array:
-    """Return pressure (Pa), web burnt (m) and the pressure's rate (Pa/s) of one burn, shape (3,
-    n).
+    """Return simulated pressure (Pa), web burnt (m) and rate of pressure (Pa/s) of one recording,
+    shape (3, n).
     """
     start, own, given = model.starts[burn.index], beliefs(generator(burn)), model.constants
     off = np.array([given[name] - own[name] for name in ("angle_zero", "d", "D", "b")])
@@ -168,7 +166,7 @@ def march(burn: Burn, model: Model) -> Array:
 
 
 def missing(effects: Sequence[GasEffect]) -> Array:
-    """Pack effects for the march."""
+    """Return the effects as the kernel's parameter vector."""
     e = np.zeros(kernel.MISSING_SIZE)
     for effect in effects:
         for name, size in effect.term.sizes.items():
@@ -177,9 +175,7 @@ def missing(effects: Sequence[GasEffect]) -> Array:
 
 
 class _Layout:
-    """Where each number of a model stands in the vector that is fitted, in tolerances of what is
-    believed.
-    """
+    """Layout of the fitted vector, whose entries are in tolerances from the nominal value."""
 
     def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
         self._believed, self._given = believed(burns), start
@@ -203,7 +199,7 @@ class _Layout:
         self.firm[: self.shared] = [name not in PROPELLANT for name in self.constants]
 
     def model(self, x: Array) -> Model:
-        """Return the model at a vector."""
+        """Return the model of a vector."""
         own = self._believed
         moved = {
             k: c.moved(own.constants[k], float(v))
@@ -224,7 +220,7 @@ class _Layout:
         )
 
     def touches(self, k: int) -> int | None:
-        """Return the burn that alone an entry of the vector moves, or None."""
+        """Return the only recording that an entry of the vector affects; None if it affects all."""
         return (k - self.shared) // 2 if self.shared <= k < self.ends else None
 
 

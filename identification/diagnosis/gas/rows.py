@@ -1,5 +1,5 @@
-"""The rows of the one equation, what the nominal model absorbs taken out, for the tests that all
-equations share.
+"""Rows of the pressure equation with the nominal tangent projected out, for the tests common to all
+equations.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ PRESSURE = "pressure"
 """Name of the equation."""
 UNIT = "Pa"
 _PIECES = 4
-"""Of each recording, with a level of its own."""
+"""Number of pieces of each recording, each with its own level."""
 _SMALL = 0.01
-"""Size of an effect, over its scale, at which it is linear."""
+"""Size of an effect, over its scale, for numerical derivatives; the effect is linear there."""
 
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Something the mismatch may depend on: ``values`` of a burn and its marched (pressure, web),
-    shape (m,).
+    """A coordinate on which the mismatch may depend; ``values`` computes it from a recording and
+    its simulated (pressure, web), shape (m,).
     """
 
     name: str
@@ -54,16 +54,16 @@ COORDINATES = (
 def stacked(
     burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None
 ) -> Stack:
-    """Return the mismatch of a fit with everything fitted projected out.
+    """Return the stack of a fit's mismatch with everything fitted projected out.
 
-    Behind the rows of the burns stand those of the beliefs, one for each number that is held, in a
-    block of their own: so an effect is absorbed as far as the tolerances allow, and no farther.
+    The rows of the recordings are followed by one row for each prior, in a separate block: so an
+    effect is absorbed only as far as the tolerances allow.
 
     Args:
         burns: Recordings.
-        fitted: The fit of them.
+        fitted: Fit to these recordings.
         sigma: Noise of a row, Pa.
-        like: A stack of the same recordings whose blocks are kept.
+        like: A stack of the same recordings, whose blocks are reused.
     """
     held = fitted.held > 0.0
     residual = np.concatenate((fitted.residual, fitted.pull[held]))
@@ -94,7 +94,7 @@ def stacked(
 
 
 def padded(stack: Stack, values: Array) -> Array:
-    """Return rows of the burns with zeros behind them for the beliefs, shape (n + p, ...)."""
+    """Return the rows padded with zeros for the priors, shape (n + p, ...)."""
     out = np.zeros((len(stack.residual), *values.shape[1:]))
     out[: len(values)] = values
     return out
@@ -103,8 +103,8 @@ def padded(stack: Stack, values: Array) -> Array:
 def candidates(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
 ) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape, linearised where the fit stands; coefficients are in
-    its own unit.
+    """Yield every effect at every trial shape, linearised at the fit; coefficients are in the
+    effect's unit.
     """
     for term in terms:
         for shape in term.shapes:
@@ -117,7 +117,7 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the
+    """Return (gain, size, shape) of an effect at every trial shape by linear least squares,
     greatest gain first.
     """
     found = []
@@ -132,8 +132,8 @@ def starts(
 
 
 def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
-    """Return how the pressure changes with a small effect, Pa over the unit of its size, shape
-    (n,).
+    """Return the derivative of the pressure with respect to an effect's size, Pa over the unit of
+    the size, shape (n,).
     """
     size = _SMALL * next(iter(term.sizes.values())).scale
     effect = GasEffect(term, dict(zip(term.sizes, (size, *shape), strict=True)))
@@ -142,8 +142,8 @@ def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[flo
 
 
 def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Candidate]:
-    """Yield the families without a name: a level for each bin of every coordinate, and of time in
-    each burn alone.
+    """Yield generic families: a level for each bin of every coordinate, and of time within each
+    recording.
     """
     for name, values in coordinates(burns, fitted):
         grid = edges(values)
@@ -173,8 +173,8 @@ def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
 
 
 def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
-    """Number blocks of time, ten correlation times of the worst burn's mismatch within limits; the
-    beliefs' is last.
+    """Number blocks of time, of ten correlation times of the most correlated mismatch within
+    limits; the block of the priors is last.
     """
     length = LEAST_BLOCK_S
     for burn in burns:

@@ -1,5 +1,5 @@
-"""The search: is anything missing from the balance, which effect explains it best, what else, is
-each still needed.
+"""Forward selection of gas-generator effects by tests, with rivals, then removal of those no longer
+needed.
 """
 
 from __future__ import annotations
@@ -25,31 +25,31 @@ from identification.recording import Array
 
 MOST_EFFECTS = 2
 LEAST_SHARE = 5e-4
-"""Power of a contribution over that of the noise, below which it does not matter.
+"""Power of a contribution, over the noise power, below which it is negligible.
 
-The nominal constants absorb nearly all of a leak or of erosion, and the noise of a transducer is
-white: what is left is little, and sure.
+The limit is low because the nominal constants absorb nearly all of a leak or of erosion, and
+transducer noise is white: the small remainder is significant.
 """
 REJECTED = 1.645
-"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
+"""Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
 TRIALS_FITTED = 2
-"""Shapes of an effect, the best by the linear score, from which it is fitted."""
+"""Number of shapes of an effect, the best by the linear score, from which it is fitted."""
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
 class Rivalry:
-    """An effect fitted instead of the one taken.
+    """A rival, fitted in place of the selected effect.
 
     Attributes:
         name: Stable name.
-        fitted: With it in the other's place.
-        preference: How far the data prefer the one taken, in standard errors of the difference: by
-            blocks (Vuong, Econometrica 57 (1989) 307), or as the likelihood ratio where nothing but
-            noise is left.
-        apart: How far the two pressures are from each other over the noise, in the same unit: what
-            this excitation could tell of them at best, were there no other noise.
+        fitted: Fit with the rival.
+        preference: Preference of the data for the selected effect, in standard errors of the
+            difference: by blocks (Vuong, Econometrica 57 (1989) 307), or from the likelihood ratio
+            if only noise is left.
+        apart: Distance of the two simulated pressures over the noise, in the same unit: the
+            greatest expected preference with this excitation.
     """
 
     name: str
@@ -59,13 +59,13 @@ class Rivalry:
 
     @property
     def open(self) -> bool:
-        """Whether these recordings cannot reject it."""
+        """Whether these recordings do not reject the rival."""
         return self.preference < REJECTED or self.apart < REJECTED
 
 
 @dataclass(frozen=True)
 class Taken:
-    """One effect taken, and what it won against, best first."""
+    """A selected effect and its rivals, best first."""
 
     name: str
     rivals: tuple[Rivalry, ...]
@@ -73,18 +73,18 @@ class Taken:
 
 @dataclass(frozen=True)
 class GasSearch:
-    """How the search ended.
+    """Result of the search.
 
     Attributes:
         burns: Recordings.
         sigma: Noise of a row, Pa.
-        baseline: The nominal model alone.
-        final: With every effect kept.
-        stack: Of the baseline.
-        taken: One for each effect kept.
-        p_value: Of the test that anything is missing.
-        p_after: Of the test that anything more is missing.
-        steps: As it went.
+        baseline: Fit of the nominal model alone.
+        final: Fit with every kept effect.
+        stack: Stack of the baseline.
+        taken: One entry for each kept effect.
+        p_value: p-value of the test whether anything is missing.
+        p_after: p-value of the test whether anything more is missing.
+        steps: Steps of the search.
     """
 
     burns: tuple[Burn, ...]
@@ -144,15 +144,15 @@ def _stop(
     stack: Stack,
     p_value: float,
 ) -> Step | None:
-    """Return why the search stops before one more effect; None where it is taken.
+    """Return the step that ends the search before one more effect; None if the effect is selected.
 
     Args:
-        baseline: The nominal model alone.
-        here: With the effects taken so far.
-        tried: With each of the other effects beside them.
-        winner: The best of those with a plausible size.
-        stack: Of the baseline.
-        p_value: Of the test that anything more is missing.
+        baseline: Fit of the nominal model alone.
+        here: Fit with the effects selected so far.
+        tried: Fits with each of the other effects in addition.
+        winner: Best of these fits with a plausible size.
+        stack: Stack of the baseline.
+        p_value: p-value of the test whether anything more is missing.
     """
     if winner is None:
         words = "no effect of the catalogue fits with a plausible size"
@@ -164,7 +164,7 @@ def _stop(
     ]
     if turned:
         best = min(turned, key=lambda f: f.cost)
-        words = "of the opposite sign fits better than any effect of the catalogue"
+        words = "fits better than any other effect, but with the opposite sign"
         name = best.model.effects[-1].term.name
         return Step("stop", name, p_value, here.cost - best.cost, words)
     gain = here.cost - winner.cost
@@ -173,8 +173,8 @@ def _stop(
     needed = FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL
     if here.model.effects and share < needed:
         words = (
-            f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of what "
-            "is explained already: too little for one more name"
+            f"explains {100.0 * share:.0f} % of the remaining mismatch, and {100.0 * beside:.2g} % "
+            "of the squares explained already: too little for one more effect"
         )
         return Step("stop", winner.model.effects[-1].term.name, p_value, gain, words)
     return None
@@ -182,7 +182,7 @@ def _stop(
 
 @dataclass(frozen=True)
 class _Test:
-    """Of whether anything is missing: its p-value, its line, and the rows with everything fitted
+    """Result of a test whether anything is missing: p-value, step, and rows with everything fitted
     projected out.
     """
 
@@ -192,8 +192,8 @@ class _Test:
 
 
 def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Generator) -> _Test:
-    """Test by shape (sign flips of blocks), by size, and by how far off valve and sensors are; the
-    least counts.
+    """Test whether anything is missing: by shape (sign flips of blocks), by size, and by the
+    deviations of valve and sensors; the least p-value counts.
     """
     named = {e.term.name for e in here.model.effects}
     left = [t for t in GAS_TERMS if t.name not in named]
@@ -205,7 +205,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     )
     p_value = min(1.0, 3.0 * max(min(by_shape, by_size, by_belief), 1e-12))
     loudest = max(tried, key=lambda c: c.surprise).name if tried else ""
-    words = "the most surprising candidate"
+    words = "the most significant candidate"
     if by_belief < min(by_shape, by_size):
         loudest, words = (
             "beliefs",
@@ -215,9 +215,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
 
 
 def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
-    """Return the fit of least cost, or one with fewer numbers that these data cannot tell from
-    it.
-    """
+    """Return the fit of least cost, or an indistinguishable one with fewer parameters."""
     best = min(fitted, key=lambda f: f.cost)
     same = [
         f
@@ -228,7 +226,9 @@ def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
 
 
 def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
-    """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
+    """Return the preference of the data for ``chosen``, in standard errors of the difference by
+    blocks.
+    """
     loss = stack.sums(padded(stack, (rival.residual**2 - chosen.residual**2)[:, None]))[:, 0]
     loss[-1] = rival.pull @ rival.pull - chosen.pull @ chosen.pull
     spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
@@ -236,22 +236,22 @@ def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
 
 
 def _likelier(chosen: Fitted, rival: Fitted, _stack: Stack) -> float:
-    """Return the preference where ``chosen`` leaves white noise: the root of the likelihood ratio,
-    as in ``apart``.
+    """Return the preference if ``chosen`` leaves white noise: from the root of the likelihood
+    ratio, as in :func:`apart`.
     """
     return 0.5 * math.sqrt(max(rival.cost - chosen.cost, 0.0))
 
 
 def apart(one: Fitted, other: Fitted) -> float:
-    """Return the preference that is to be expected of two models whose pressures differ so, in
-    white noise.
+    """Return the expected preference between two models in white noise, from the difference of
+    their pressures.
     """
     return 0.5 * float(np.linalg.norm(one.residual - other.residual))
 
 
 def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> list[Fitted]:
-    """Return the best fit of every effect that explains something, jointly with all that is fitted
-    already.
+    """Return the best fit of every effect that lowers the cost, jointly with everything already
+    fitted.
     """
     named = {e.term.name for e in here.model.effects}
     fresh, found = believed(burns), []
@@ -270,8 +270,8 @@ def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> 
 def _with(
     model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]
 ) -> Model:
-    """Return a start with the effects of a model and one more; what is believed is a better one
-    than bent constants.
+    """Return a start with the effects of a model and one more; its constants are from ``start``,
+    since nominal constants are better start values than distorted ones.
     """
     sizes = dict(zip(term.sizes, (size, *shape), strict=True))
     return replace(start, effects=(*model.effects, GasEffect(term, sizes)))
@@ -286,7 +286,7 @@ def plausible(effect: GasEffect) -> bool:
 
 
 def reversed_sign(effect: GasEffect) -> bool:
-    """Whether an effect's size has the sign that the catalogue excludes: a wearing throat is no
+    """Whether an effect's size has the sign that the catalogue excludes: a widening throat is not a
     negative deposit.
     """
     name = next(iter(effect.term.sizes))
@@ -295,16 +295,16 @@ def reversed_sign(effect: GasEffect) -> bool:
 
 
 def _excess(fitted: Fitted) -> float:
-    """Return the p-value of the mismatch having no more than :data:`EXCESS` times the noise's
-    power.
+    """Return the p-value of the hypothesis that the mismatch has at most :data:`EXCESS` times the
+    noise power.
     """
     rows: Array = np.minimum(np.abs(fitted.residual), RARE)
     return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
 
 
 def _strained(fitted: Fitted) -> float:
-    """Return the p-value of valve and sensors being as far off as the fit asks, were the tolerances
-    normal.
+    """Return the p-value of the fitted deviations of valve and sensors, for normally distributed
+    tolerances.
     """
     pull = fitted.pull[fitted.firm]
     return float(stats.chi2.sf(float(pull @ pull), len(pull)))
@@ -324,7 +324,7 @@ def _pruned(
     stack: Stack,
     steps: list[Step],
 ) -> tuple[Fitted, list[Taken]]:
-    """Take out every effect that a later one has made needless."""
+    """Remove every effect that later ones have made unnecessary; return fit and effects."""
     for name in [t.name for t in taken] if len(taken) > 1 else []:
         rest = tuple(e for e in final.model.effects if e.term.name != name)
         without = fit(burns, sigma, replace(final.model, effects=rest))

@@ -1,5 +1,5 @@
-"""How the effects of the gas generator are computed: their slots in the march, and what a fit
-varies.
+"""Computation of the gas generator's effects: their slots in the kernel's vector, and their fitted
+parameters.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ class Size:
     """One parameter of an effect.
 
     Attributes:
-        slot: In the march's vector.
-        scale: A size that is seen, in its own unit: the unit of the fit.
-        trials: Values to start from where the effect is no multiple of it; it is then varied as a
-            logarithm.
+        slot: Index in the kernel's vector of effects.
+        scale: A typical visible size, in the parameter's unit; unit of the fit.
+        trials: Start values of a nonlinear parameter, whose logarithm is fitted; empty for a size.
     """
 
     slot: int
@@ -29,12 +28,12 @@ class Size:
 
 @dataclass(frozen=True)
 class GasTerm:
-    """One effect: its name in the catalogue, and its parameters there; the first is its size, zero
-    where it is not.
+    """One effect of the catalogue with its parameters; the first is its size, zero if the effect is
+    absent.
 
     Attributes:
         name: Stable name.
-        sizes: Parameter name to its place.
+        sizes: Parameter name to its slot and scale.
     """
 
     name: str
@@ -42,7 +41,7 @@ class GasTerm:
 
     @property
     def shapes(self) -> tuple[tuple[float, ...], ...]:
-        """Trial values of the parameters behind the first."""
+        """Trial values of all parameters after the first."""
         shapes: tuple[tuple[float, ...], ...] = ((),)
         for size in list(self.sizes.values())[1:]:
             shapes = tuple((*shape, value) for shape in shapes for value in size.trials)
@@ -62,7 +61,7 @@ GAS_TERMS = (
     ),
     GasTerm("leakage", {"area_m2": Size(kernel.LEAK, 1e-6)}),
 )
-"""In the order of the catalogue."""
+"""Terms in the order of the catalogue."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +73,7 @@ class GasEffect:
 
     @property
     def coordinates(self) -> tuple[float, ...]:
-        """What a fit varies: multiples of the scales, or logarithms of what has trials."""
+        """Fitted coordinates: multiples of the scales, or logarithms for parameters with trials."""
         return tuple(
             math.log(self.parameters[name] / size.scale)
             if size.trials
@@ -84,7 +83,7 @@ class GasEffect:
 
 
 def effect_at(term: GasTerm, coordinates: tuple[float, ...]) -> GasEffect:
-    """Return the effect at what a fit varies; the inverse of :attr:`GasEffect.coordinates`."""
+    """Return the effect at fitted coordinates; the inverse of :attr:`GasEffect.coordinates`."""
     sizes = zip(term.sizes.items(), coordinates, strict=True)
     return GasEffect(
         term, {n: s.scale * (math.exp(min(x, 20.0)) if s.trials else x) for (n, s), x in sizes}

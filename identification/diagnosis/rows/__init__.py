@@ -1,3 +1,3 @@
-"""What a diagnosis reads of each recording: marks of motion, signals at one bandwidth, the nominal
-model on them.
+"""Preprocessing of recordings for a diagnosis: marks of motion, signals at one bandwidth, the
+nominal model on them.
 """

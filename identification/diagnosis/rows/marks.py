@@ -1,4 +1,6 @@
-"""Where a recording rests, turns, breaks away and moves unsteadily, and for how long it has."""
+"""Marks of rest, reversal, breakaway and unsteady motion in a recording, with times and travel
+since then.
+"""
 
 from __future__ import annotations
 
@@ -13,30 +15,32 @@ from identification.recording import Array
 from identification.signals import BoolArray, quantum
 
 RISE_SAMPLES = 5
-"""Samples before a breakaway over which the torque's rise is taken."""
+"""Samples before a breakaway over which the torque's rise is averaged."""
 STEADY_SHARE = 0.7
-"""Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
+"""Peak-to-peak variation of the speed around a sample, over the speed, from which motion counts as
+unsteady.
+"""
 HUNTING_SHARE = 0.09
-"""Effective value of what the filtered speed does not show, over that speed, from which on it is
-not steady either.
+"""Rms of the speed that the filter removes, over the filtered speed, from which motion counts as
+unsteady too.
 """
 QUICK_SAMPLES = 2
-"""To either side of a sample, over which its speed is taken to see whether it is steady."""
+"""Samples on either side of a sample over which its unfiltered speed is computed."""
 BEYOND_FILTER = 3.0
-"""Frequency that the speed over these samples reaches, over that of the filter, from which on it
-tells hunting from what the filter just cuts off.
+"""Ratio of the bandwidth of that speed to the filter's cut-off, from which hunting can be
+distinguished from motion just above the cut-off.
 """
 THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise over its own."""
+"""Standard deviation of third differences of white noise, over the noise's."""
 LEAST_REST_S = 0.02
-"""Rests shorter than this are not told from a slow passage through zero."""
+"""Least duration of a rest; shorter ones are not distinguished from a slow passage through zero."""
 
 
 def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
     """Return the samples at which rests end in breakaways, shape (e,)."""
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
-    # What moves against the torque as a rest ends has not broken away: a count flickers, or the
-    # shaft springs back.
+    # Motion against the torque at the end of a rest is not a breakaway: an encoder count flickers,
+    # or the shaft springs back.
     pushed = np.sign(torque)
     kept = [
         k
@@ -47,15 +51,15 @@ def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> ND
 
 
 class Quick(NamedTuple):
-    """The speed within a few samples, hardly filtered, and its noise, rad/s."""
+    """The speed by differences over few samples, and its noise, rad/s."""
 
     velocity: Array
     noise: float
 
 
 def quick(series: Array, rate: float) -> Quick:
-    """Return the speed over :data:`QUICK_SAMPLES` to either side of each sample of a measured
-    position.
+    """Return the speed by differences over :data:`QUICK_SAMPLES` on either side of each sample of a
+    measured position.
     """
     span = 2 * QUICK_SAMPLES / rate
     padded = np.pad(series, QUICK_SAMPLES, mode="edge")
@@ -68,17 +72,18 @@ def quick(series: Array, rate: float) -> Quick:
 
 
 def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolArray:
-    """Mark samples in motion whose friction is no function of the filtered speed.
+    """Mark moving samples whose friction is not a function of the filtered speed.
 
-    Where the speed changes by more than its own size: the shaft slips and nearly sticks within the
-    filter. And where it changes faster than that speed shows, as a drive does that hunts on falling
-    friction at up to 100 Hz: mean friction is not friction at the mean speed.
+    This is so where the speed varies by more than its own size, since the shaft slips and nearly
+    sticks within the filter's window. It is also so where the speed varies faster than the filter
+    resolves, as with a drive that hunts on falling friction at up to 100 Hz: mean friction is not
+    friction at the mean speed.
 
     Args:
-        velocity: Filtered to ``cutoff``, rad/s.
-        quick: The same, hardly filtered.
-        rate: Hz.
-        cutoff: Hz.
+        velocity: Speed filtered to ``cutoff``, rad/s.
+        quick: Speed over few samples.
+        rate: Sample rate, Hz.
+        cutoff: Cut-off of the filter, Hz.
     """
     reach = round(0.5 * rate / cutoff)
     found = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
@@ -89,14 +94,14 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
 
 
 def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
-    """Return the direction in which friction acts: that of motion, at rest that of the torque."""
+    """Return the sign of friction: the direction of motion, or at rest the sign of the torque."""
     here = np.where(still, np.sign(torque), np.sign(velocity))
     known = np.maximum.accumulate(np.where(here != 0.0, np.arange(len(here)), 0))
     return np.asarray(here[known])
 
 
 def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value about each sample."""
+    """Return greatest less least value around each sample."""
     size = 2 * reach + 1
     return np.asarray(
         ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
@@ -104,25 +109,23 @@ def _swing(series: Array, reach: int) -> Array:
 
 
 def turned(sense: Array) -> BoolArray:
-    """Mark samples whose direction differs from that of the one before."""
+    """Mark samples whose direction differs from the previous sample's."""
     return np.concatenate(([False], sense[1:] != sense[:-1]))
 
 
 def since(time: Array, marks: BoolArray) -> Array:
-    """Return the time since the last marked sample; since the start before there is one."""
+    """Return the time since the last marked sample, or since the start."""
     last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
     return np.asarray(time - time[last])
 
 
 def held(rest: Array, still: BoolArray) -> Array:
-    """Keep the length of the last rest until the next one begins."""
+    """Return the duration of the last rest, held until the next rest begins."""
     last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
     return np.asarray(rest[last])
 
 
 def travel(angle: Array, turned: BoolArray) -> Array:
-    """Return the travel since the last turn, as far as that was; since the start before there is
-    one.
-    """
+    """Return the distance from the angle of the last reversal, or of the start."""
     last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
     return np.asarray(np.abs(angle - angle[last]))

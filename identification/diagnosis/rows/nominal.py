@@ -1,7 +1,7 @@
-"""The nominal nine parameters at the full rate: torque, friction level and tangent, for regressors
-and joint refits.
+"""The nominal model at the full rate: torque, friction level and tangent, for regressors and joint
+refits.
 
-Written with the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
+It uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
 
 RISE = 0.5
-"""Static over Coulomb friction, less one, where a rise is only supposed."""
+"""Assumed rise of friction over Coulomb friction."""
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
 _AT_LIMIT = 1e-9
 KEPT = 128
-"""Series of one kind that are kept, of a recording at nominal values."""
+"""Cache size: series of one kind, of a recording at nominal values."""
 LEAST_RISE = 1e-6
-"""Of static over Coulomb friction, over the latter."""
+"""Least rise over Coulomb friction."""
 LEAST_FALL = 1e-3
-"""The same, below which friction does not fall."""
+"""Rise over Coulomb friction below which friction counts as not falling."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
@@ -35,28 +35,25 @@ STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 class Nominal:
     """Values of the nominal parameters.
 
-    Each is its own key: hundreds of trial shapes are built from what it says of a recording, which
-    is kept meanwhile.
+    Instances are cache keys by identity: hundreds of trial shapes use the same series of a
+    recording.
 
     Attributes:
         values: Name to value, at the joint.
-        free: Names that the recordings are asked for.
+        free: Names of the estimated parameters.
         alpha: Stribeck exponent.
-        hidden: Torque that turns with the joint and was not declared, as effects named so far say:
-            coefficients of sin(angle), cos(angle), angle and 1, N m. The gear bears it like a
-            declared one.
-        zero_A: What the logged current reads without any, as effects named so far say, A.
-        ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor
-            turn (and how many recordings, where each has an origin of its own), and coefficients;
-            none where it is empty.
-        efficiency: Share of the torque that the transmission passes, as effects named so far say.
-        bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None:
-            how torque changes with a rise or a speed is then said by it.
-        late_s: By how much the torque's samples are late against the angles', as an effect named so
-        far says, or 0.
-        bristles: Stiffness that friction springs by before it slips, as an effect named so far
-        says, N m/rad; or 0.
-        most: Greatest static levels that the recordings allow; none where it is empty.
+        hidden: Undeclared load torque of identified effects that turns with the joint: coefficients
+            of sin(angle), cos(angle), angle and 1, N m. It loads the gear like a declared one.
+        zero_A: Zero offset of the logged current, from identified effects, A.
+        ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
+            the number of recordings, if each has its own origin), and coefficients; empty for none.
+        efficiency: Efficiency of the transmission, from identified effects.
+        bent: Stribeck exponent of an identified effect that replaces ``alpha`` in derivatives with
+            respect to rises and speeds, or None.
+        late_s: Delay of the torque's samples relative to the angles', from an identified effect, s;
+            or 0.
+        bristles: Presliding stiffness of friction, from an identified effect, N m/rad; or 0.
+        most: Greatest static levels that the recordings allow; empty for no limits.
     """
 
     values: Mapping[str, float]
@@ -72,10 +69,9 @@ class Nominal:
     most: Mapping[str, float] = field(default_factory=dict)
 
     def limited(self, views: Sequence[View]) -> Nominal:
-        """Return these values with static friction limited by the torque that was there to overcome
-        it.
+        """Return the values with static levels limited by the torque that overcame them.
 
-        Where no row is slow enough to tell, a fit may let it run off.
+        Without slow rows a fit may otherwise diverge in them.
         """
         unloaded = [v for v in views if not v.loaded] or views
         most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
@@ -87,7 +83,7 @@ class Nominal:
         return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
 
     def at_most(self, step: Array) -> frozenset[str]:
-        """Return static levels that stand at their limit and would be moved beyond it."""
+        """Return the static levels that are at their limit and that a step would move beyond it."""
         return frozenset(
             name
             for name, change in zip(self.free, step, strict=True)
@@ -97,14 +93,14 @@ class Nominal:
         )
 
     def get(self, name: str) -> float:
-        """Return a value; 0 where the bench has no such parameter."""
+        """Return a value; 0 if the bench has no such parameter."""
         return float(self.values.get(name, 0.0))
 
     def level(self, view: View) -> Array:
-        """Return the system friction's magnitude, eq. 9, N m.
+        """Return the magnitude of the system friction, eq. 9, N m.
 
-        Where load-dependent friction is declared, with what the gear adds under a weight that turns
-        with the joint.
+        With declared load-dependent friction it includes the gear's friction under a weight that
+        turns with the joint.
         """
         total = self._level(view, _RISES[0], "sigma_2")
         return total + self.borne(view) * self.gear(view) if self._geared else total
@@ -123,29 +119,29 @@ class Nominal:
         return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
-        """Return the magnitude of the torque that turns with the joint and that the gear bears, N
+        """Return the magnitude of the load torque that turns with the joint and loads the gear, N
         m.
 
-        A weight's own: what its inertia takes loads no gear in eq. 9, in the ladder of friction or
-        on the bench.
+        It excludes the weight's inertia torque, which does not load the gear in eq. 9, in the
+        friction ladder or on the bench.
         """
         return _borne(view, self.hidden)
 
     def helping(self, view: View) -> Array:
-        """Return the torque that turns with the joint, declared or hidden, where it helps the drive
-        positive, N m.
+        """Return the load torque that turns with the joint, declared or identified, N m; positive
+        if it helps the drive.
         """
         if not any(self.hidden):
             return view.known
         return _helping(view, self.hidden)
 
     def helped(self, view: View) -> bool:
-        """Whether any torque turns with the joint."""
+        """Whether any load torque turns with the joint."""
         return any(self.hidden) or view.burdened
 
     def drive(self, view: View) -> Array:
-        """Return the whole torque that is asked of the drive, N m: what turns with the joint is
-        part of it.
+        """Return the whole torque required of the drive, including loads that turn with the joint,
+        N m.
         """
         return _drive(self, view)
 
@@ -161,22 +157,24 @@ class Nominal:
         return _friction(self, view)
 
     def torque(self, view: View) -> Array:
-        """Return what eq. 15 says the torque should be, N m."""
+        """Return the torque of the model (eq. 15), N m."""
         return _torque(self, view)
 
     def tangent(self, view: View) -> Array:
-        """Return the torque's derivatives by the free directions, shape (len(free), m)."""
+        """Return the torque's derivatives with respect to the free parameters, shape (len(free),
+        m).
+        """
         return np.stack([self._direction(view, name) for name in self.free])
 
     def moved(self, straight: Array, bend: Array, share: float = 1.0) -> Nominal:
-        """Return the values after a step along the free directions, kept physical.
+        """Return the values after a step of the free parameters, within physical limits.
 
         Args:
-            straight: Changes of what the torque is linear in, with the Stribeck speeds as they are.
-            bend: Changes with those free as well, of which only those of the speeds count. A
-                direction of a speed is as long as its rise was; the rise that was found takes its
-                place.
-            share: Of the speeds' changes that is taken.
+            straight: Changes of the parameters in which the torque is linear, with the Stribeck
+                speeds held.
+            bend: Changes with the speeds free as well, of which only the speeds' changes are used.
+                They are scaled from the previous rise to the new one.
+            share: Share of the speeds' changes that is applied.
         """
         values = dict(self.values)
         for name, change in zip(self.free, (float(s) for s in straight), strict=True):
@@ -209,12 +207,12 @@ class Nominal:
 
     @property
     def flat(self) -> bool:
-        """Whether the system's friction does not fall."""
+        """Whether the system friction has no fall with speed."""
         return self._rise("Mc", "Ms") < LEAST_FALL * self.get("Mc")
 
     def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
-        """Return these values with friction that falls from half as much again by a speed, all but
-        ``fixed`` free.
+        """Return the values with an assumed rise of friction at this Stribeck speed, and all
+        parameters but ``fixed`` free.
         """
         values = dict(self.values)
         for coulomb, static, speed in _RISES:
@@ -250,8 +248,8 @@ class Nominal:
         return total
 
     def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
-        """Return the derivative of one level by its Coulomb part, its rise or the logarithm of its
-        Stribeck speed.
+        """Return the derivative of one level with respect to its Coulomb part, its rise or the
+        logarithm of its Stribeck speed.
         """
         coulomb, static, omega = (self.get(n) for n in names)
         if name == names[0]:
@@ -282,7 +280,9 @@ def _unknown(view: View, hidden: tuple[float, float, float, float]) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
-    """Return (|omega/omega_s|^alpha, exp of less that): a level and its slopes share them."""
+    """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a level and its slopes
+    share.
+    """
     power = _frozen((np.abs(view.velocity) / omega) ** alpha)
     return power, _frozen(np.exp(-power))
 
@@ -308,6 +308,6 @@ def _drive(nominal: Nominal, view: View) -> Array:
 
 
 def _frozen(series: Array) -> Array:
-    """Return a series that many share, which nobody may change."""
+    """Return the series, made read-only because it is shared."""
     series.flags.writeable = False
     return series

@@ -1,8 +1,8 @@
-"""One recording as the diagnosis sees it: full-rate signals on an even grid, and the filter to the
-stated bandwidth.
+"""Preprocessed recording for the diagnosis: full-rate signals on an even grid, and the filter to
+the stated bandwidth.
 
-Every regressor of every effect is built from these at the full rate and then passes the same filter
-as the mismatch, so that no filter imitates physics.
+Every regressor is formed from these signals at the full rate and then passes the same filter as the
+mismatch, so that filtering causes no apparent effect.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from identification.signals import (
 )
 
 LEAST_STEADY = 0.1
-"""Share of the motion of all recordings that must be steady, for the rest to be left out."""
+"""Least share of steady motion over all recordings for unsteady motion to be omitted."""
 SAME_ENCODER = 1e-9
-"""Greatest difference of motor and joint angle, over the travel, at which one encoder was read
-under two names.
+"""Difference of motor and joint angle, over the travel, up to which both are readings of the same
+encoder.
 """
 
 
@@ -49,42 +49,42 @@ class View:
     """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless
     said.
 
-    Each is its own key: what is computed from one is kept for as long as it is asked for.
+    Instances are cache keys by identity.
 
     Attributes:
-        recording: Where they came from.
-        index: Its place among the recordings under diagnosis.
+        recording: The recording.
+        index: Index among the recordings under diagnosis.
         time: Time stamps, s.
-        run_time: s since the first recording began.
-        angle: rad, by the finer encoder.
-        velocity: rad/s.
-        acceleration: rad/s^2.
+        run_time: Time since the start of the first recording, s.
+        angle: Joint angle by the finer encoder, rad.
+        velocity: Joint velocity, rad/s.
+        acceleration: Joint acceleration, rad/s^2.
         torque: Drive torque less known loads, N m.
-        raw_torque: The same before any filter, for what happens within a few samples.
-        twist: Acceleration of the motor before the joint's where friction follows the joint, else
-        zero, rad/s^2.
+        raw_torque: Unfiltered ``torque``, for events within a few samples, N m.
+        twist: Motor acceleration at the joint less joint acceleration if friction follows the
+            joint's encoder, else zero, rad/s^2.
         known: Known loads (a declared weight that turns with the joint), N m.
-        hanging: The same without their inertia, N m.
+        hanging: Known loads without their inertia torque, N m.
         moment: F_P L1, N m.
-        sense: Direction in which friction acts: that of motion, at rest that of the torque.
+        sense: Sign of friction: direction of motion, or at rest the sign of the torque.
         still: Samples at rest.
-        rest_time: How long the last rest had lasted when it ended, or lasts so far, s.
-        reversal_time: Time since the direction last changed, s.
-        reversal_travel: Travel since then, rad.
-        motor: Angle of the motor shaft, rad; by the joint's where only that is known.
-        motor_speed: Its speed, rad/s.
+        rest_time: Duration of the present or last rest, s.
+        reversal_time: Time since the last reversal, s.
+        reversal_travel: Travel since the last reversal, rad.
+        motor: Angle of the motor shaft, rad; computed from the joint angle without a motor encoder.
+        motor_speed: Speed of the motor shaft, rad/s.
         lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
-        current: A; None without it.
-        voltage: V, NaN while unpowered; None without it.
-        supply: V; None without it.
-        temperature: deg C; None without it.
-        low_pass: To the stated bandwidth.
-        moving: Which of its outputs no sample at rest, reversing or in unsteady motion has touched,
-        shape (n,).
-        unsteady: The same, unsteady motion allowed: where hardly any motion is steady, as at a
-            crawl against cogging, that is how this machine moves, and it is kept.
+        current: Motor current, A; None if not recorded.
+        voltage: Voltage, V, NaN while unpowered; None if not recorded.
+        supply: Supply voltage, V; None if not recorded.
+        temperature: Temperature, deg C; None if not recorded.
+        low_pass: Filter to the stated bandwidth.
+        moving: Filter outputs touched by no sample at rest, in reversal or in unsteady motion,
+            shape (n,).
+        unsteady: Like ``moving``, with unsteady motion allowed, for machines that hardly move
+            steadily, as at a crawl against cogging.
         breakaways: Samples at which a rest ends, shape (e,).
-        behind: The same with its motion late, by how late, s, as it was last asked for.
+        behind: Cache of the last delayed view: delay of its motion, s, to view.
     """
 
     recording: Recording
@@ -125,19 +125,19 @@ class View:
 
     @cached_property
     def rotor_acceleration(self) -> Array:
-        """The motor's acceleration at the joint, rad/s^2."""
+        """Motor acceleration referred to the joint, rad/s^2."""
         return np.asarray(
             central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio
         )
 
     @cached_property
     def transmitted(self) -> Array:
-        """The torque that the transmission carries, declared loads behind it included, N m."""
+        """Torque through the transmission, including declared loads, N m."""
         return np.asarray(self.torque - self.known)
 
     @cached_property
     def drive_angle(self) -> Array:
-        """The motor's angle at the joint, rad."""
+        """Motor angle referred to the joint, rad."""
         return np.asarray(self.motor / self.recording.bench.gear_ratio)
 
     @cached_property
@@ -147,7 +147,7 @@ class View:
 
     @cached_property
     def loaded(self) -> bool:
-        """Whether a weight presses."""
+        """Whether a contact moment acts."""
         return bool(np.any(self.moment != 0.0))
 
     @property
@@ -166,15 +166,15 @@ def views(
     """Return a view of each recording.
 
     Args:
-        recordings: Any.
-        bandwidth_Hz: Of the filter.
-        valve_side: Take angle and speed from the joint encoder even if the motor's is finer: where
-            the transmission gives, friction acts on the valve's motion.
-        campaign: All recordings made, in their order: what warms goes on warming during those that
-            are not looked at.
+        recordings: Recordings.
+        bandwidth_Hz: Bandwidth of the filter.
+        valve_side: Whether angle and speed are from the joint encoder even if the motor's is finer:
+            with a flexible transmission, friction depends on the valve's motion.
+        campaign: All recordings of the campaign in order; warming continues during those that are
+            not used.
 
     Raises:
-        RecordingError: A recording that cannot be brought to this bandwidth.
+        RecordingError: A recording does not allow this bandwidth.
     """
     every = campaign or recordings
     starts = dict(zip(map(id, every), run_starts(every), strict=True))
@@ -189,12 +189,11 @@ def views(
 
 
 def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
-    """Return the views with the motor's angle counted from one origin, as the joint's encoder has
-    it.
+    """Return the views with motor angles from a common origin, given by the joint encoder.
 
-    A motor encoder that counts from power-on loses its origin between recordings, and what is
-    periodic in the motor's angle its phase. It is lost where the encoders' difference changes
-    between recordings by more than it does in any.
+    A motor encoder that counts from power-on loses its origin between recordings, and effects
+    periodic in the motor angle lose their phase. The origin counts as lost if the encoders'
+    difference changes more between recordings than within any.
     """
     both = [v for v in found if v.lag is not None]
     if len(both) < 2:
@@ -303,8 +302,8 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
-    """Return the voltage, NaN where the power stage is off; None where it was not measured beside
-    the current.
+    """Return the voltage, NaN while the power stage is off; None if voltage and current were not
+    both measured.
     """
     values = recording.channels.get("voltage")
     if values is None or "current" not in recording.channels:
@@ -355,8 +354,6 @@ def torque_per_ampere(view: View) -> float:
 
 
 def without_origin(views: Sequence[View]) -> bool:
-    """Whether recordings count their angles each from where it began, as speed alone was recorded
-    in them.
-    """
+    """Whether recordings have no common origin of their angles because only speed was recorded."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

@@ -1,6 +1,4 @@
-"""The lever, the weight and the valve, where eq. 10 to 13 and 17 leave something out; and times of
-sampling.
-"""
+"""Effects of lever, weight and valve that eq. 10 to 13 and 17 omit, and of sampling times."""
 
 from __future__ import annotations
 
@@ -33,10 +31,10 @@ from identification.signals import central_difference
 
 REFERENCE_FORCE_N = 3000.0
 REFERENCE_MASS_KG = 30.6
-"""Case 2 of the paper: where load exponent and load inertia are referred to."""
+"""Case 2 of the paper, the reference of load exponent and load inertia."""
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
 STOPS = 10
-"""Trial stops on either side, over the outer half of the travel."""
+"""Number of trial stops on either side, over the outer half of the travel."""
 SKEWS_S: tuple[Shape, ...] = tuple(
     (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
 )
@@ -68,7 +66,9 @@ def _mislabelled(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def _of_the_label(view: View, nominal: Nominal) -> Array:
-    """Return the torque asked of the drive that is proportional to the mass on the label, N m."""
+    """Return the part of the required drive torque that is proportional to the labelled mass, N
+    m.
+    """
     if view.loaded:
         return _load(view, nominal)
     return np.asarray(-view.known + view.sense * np.abs(view.hanging) * nominal.gear(view))
@@ -85,7 +85,7 @@ def _read_mass(c: Array, shape: Shape, context: Context) -> dict[str, float]:
 
 
 def label_kg(view: View) -> float:
-    """Return the mass on a recording's label, on the lever or turning with the joint, kg."""
+    """Return the labelled mass of a recording, on the lever or turning with the joint, kg."""
     pendulum = view.recording.pendulum
     return view.recording.weight_mass if view.loaded or pendulum is None else pendulum.mass
 

@@ -1,10 +1,11 @@
-"""Late samples where the voltage was not measured, but computed from them by the controller's law.
+"""Delayed samples in recordings whose voltage was not measured but computed from them by the
+control law.
 
-Such a voltage, U = U_s clip(kp (command - angle)), is that of the recorded angle, however late the
-angle is: it needs no shift against it. But the command in it is on the host's clock. Of an angle
-that is late by tau the motor had U_s clip(kp (command(t - tau) - angle)), and the recorded voltage
-is off by about U_s kp tau dcommand/dt. Shifted as a whole it would be off by the rate of the
-tracking error alone, which is several times less.
+Such a voltage, U = U_s clip(kp (command - angle)), is computed from the recorded angle, so it has
+the same delay and needs no shift. But its command is on the host's clock: for an angle delayed by
+tau, the motor's voltage was U_s clip(kp (command(t - tau) - angle)), and the error of the recorded
+voltage is about U_s kp tau dcommand/dt. A shift of the whole voltage would correct only the rate of
+the tracking error, which is several times less.
 """
 
 from __future__ import annotations
@@ -19,16 +20,16 @@ from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 
 AS_COMPUTED = 1e-3
-"""Greatest difference of a voltage from the law's, over its own greatest, at which it was computed
-by it.
+"""Greatest difference of a voltage from the control law's, over the greatest voltage, at which it
+counts as computed.
 """
 NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")
 
 
 def computed(recording: Recording) -> bool:
-    """Whether a recording's torque comes from a voltage that its controller's law makes of its own
-    samples.
+    """Whether a recording's torque comes from a voltage that was computed from its samples by the
+    control law.
     """
     channels, loop = recording.channels, recording.controller
     if (
@@ -49,8 +50,8 @@ def computed(recording: Recording) -> bool:
 
 
 def too_early(view: View, late_s: float) -> Array:
-    """Return by how much the torque is too large as its command is not as late as its angle, N m,
-    shape (m,).
+    """Return the error of the torque because its command is not delayed like its angle, N m, shape
+    (m,).
     """
     recording = view.recording
     volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
@@ -60,11 +61,11 @@ def too_early(view: View, late_s: float) -> Array:
 
 
 def behind(view: View, late_s: float) -> View:
-    """Return a recording whose motion is as late as the torque's samples: a tooth is met where the
-    joint then was.
+    """Return a view whose motion is delayed like the torque's samples, for effects that depend on
+    the angle.
 
-    Not where the torque comes from a voltage that was computed of its own samples. Most trial
-    shapes ask for the same.
+    The view is not delayed if the torque comes from a computed voltage. The last result is cached,
+    since most trial shapes use the same delay.
     """
     known = view.behind.get(late_s)
     if known is None:
@@ -93,9 +94,7 @@ def _moved(view: View, late_s: float) -> View:
 
 
 def _law(recording: Recording, late_s: float) -> Array:
-    """Return the voltage by the controller's law, of a command that is ``late_s`` later, V, shape
-    (m,).
-    """
+    """Return the voltage of the control law for a command delayed by ``late_s``, V, shape (m,)."""
     channels, loop = recording.channels, recording.controller
     assert loop is not None
     command = np.interp(recording.time - late_s, recording.time, channels["command"])

@@ -1,4 +1,4 @@
-"""Regressors with a state, compiled: lags, Dahl friction, play and warming."""
+"""Compiled regressors with a state: lag, Dahl friction, play, heating, delay."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from identification.numerics.compiled import compiled
 from identification.recording import Array
 
 SAME_STEP = 1e-6
-"""Difference of two time steps, over the one, that is rounding."""
+"""Relative difference of two time steps that counts as rounding."""
 
 
 @compiled
 def lagged(series: Array, step: float, time_constant: float) -> Array:
-    """Return a series through a first-order lag that starts settled, straight from sample to
-    sample, shape (m,).
+    """Return the series after a first-order lag, in steady state at the start, linear between
+    samples, shape (m,).
 
-    Held from sample to sample instead it would lag by half a step less than its time constant.
+    With a zero-order hold the lag would be half a step shorter than the time constant.
     """
     out = np.empty_like(series)
     state = series[0]
@@ -32,10 +32,10 @@ def lagged(series: Array, step: float, time_constant: float) -> Array:
 
 @compiled
 def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
-    """Return Dahl's friction dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
+    """Return Dahl friction, dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
 
-    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long.
-    ``start`` is the friction at the first sample, N m.
+    Dahl, AIAA J. 14 (1976) 1675. The solution over each step is exact, for any step. ``start`` is
+    the friction at the first sample, N m.
     """
     out = np.empty_like(angle)
     force = min(max(start, -level[0]), level[0])
@@ -51,11 +51,10 @@ def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Ar
 
 @compiled
 def play(angle: Array, gap: float, start: float = 0.0) -> Array:
-    """Return how far the driving side leads the driven one through a gap, within +- gap/2, shape
-    (m,).
+    """Return the lead of a gap's driving side over its driven side, within +- gap/2, shape (m,).
 
-    The driven side stands, held by its friction, until a flank carries it. Over torque instead of
-    angle it is the force of one Maxwell-slip element. ``start`` is the lead at the first sample.
+    Friction holds the driven side at rest until a flank drives it. Applied to torque instead of
+    angle, it is the force of one Maxwell-slip element. ``start`` is the lead at the first sample.
     """
     out = np.empty_like(angle)
     half = 0.5 * gap
@@ -65,7 +64,7 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
         lead += angle[k] - angle[k - 1]
         if (
             lead > half
-        ):  # a branch is foretold; a least and a greatest value would each wait for the one before
+        ):  # branches are predicted; min and max would each wait for the previous value
             lead = half
         elif lead < -half:
             lead = -half
@@ -75,10 +74,10 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
 
 @compiled
 def first_swing(series: Array, width: float) -> int:
-    """Return the first sample by which a series has swung that far; from there on no play of it
-    knows where it began.
+    """Return the first sample at which the range of a series reaches ``width``; from there on its
+    play does not depend on the start value.
 
-    The number of samples where it never does.
+    The number of samples if the range never reaches it.
     """
     low = high = series[0]
     for k in range(len(series)):
@@ -92,16 +91,16 @@ def first_swing(series: Array, width: float) -> int:
 def falling_play(
     angle: Array, speed: Array, step: float, gap: float, pull: Array, hold: Array, start: float
 ) -> Array:
-    """Return the lead of :func:`play` where a weight may carry the driven side through the open
-    gap, shape (m,).
+    """Return the lead of :func:`play` if a weight may move the driven side through the open gap,
+    shape (m,).
 
     Args:
-        angle: Of the driving side, rad.
-        speed: Its speed, rad/s: the driven side's while a flank carries it.
-        step: Of time, s.
-        gap: rad.
-        pull: Of the weight on the driven side, over its inertia, rad/s^2.
-        hold: Of its friction, over its inertia, rad/s^2.
+        angle: Angle of the driving side, rad.
+        speed: Speed of the driving side, rad/s; also the driven side's while a flank drives it.
+        step: Time step, s.
+        gap: Width of the gap, rad.
+        pull: Torque of the weight on the driven side, over its inertia, rad/s^2.
+        hold: Friction torque of the driven side, over its inertia, rad/s^2.
         start: Lead at the first sample, rad.
     """
     out = np.empty_like(angle)
@@ -122,18 +121,16 @@ def falling_play(
 
 @compiled
 def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
-    """Return how a first-order body warms: per thermal resistance, W, and what is left of 1 K at
-    first.
-
-    Shape (2, m).
+    """Return the heating of a first-order thermal body, shape (2, m): temperature rise per thermal
+    resistance, W, and the remainder of an initial 1 K.
     """
     out = np.empty((2, len(loss)))
     rise, left = 0.0, 1.0
     out[0, 0], out[1, 0] = rise, left
     step = kept = 0.0
     for k in range(1, len(loss)):
-        # Steps of an even grid differ by rounding alone, and an exponential for each is most of the
-        # work.
+        # Steps of an even grid differ only by rounding, and an exponential for each would be most
+        # of the work.
         if abs(run_time[k] - run_time[k - 1] - step) > SAME_STEP * step:
             step = run_time[k] - run_time[k - 1]
             kept = np.exp(-step / time_constant)
@@ -145,9 +142,7 @@ def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
 
 @compiled
 def delayed(series: Array, step: float, time_s: float) -> Array:
-    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held,
-    shape (m,).
-    """
+    """Return a series delayed by ``time_s`` (advanced if negative), ends held, shape (m,)."""
     out = np.empty(len(series))
     last = len(series) - 1
     for k in range(len(series)):

@@ -1,7 +1,7 @@
-"""The motor and its supply: what makes the drive's torque, or its voltage, other than eq. 1 says.
+"""Effects of motor and supply on the drive's torque or voltage that eq. 1 omits.
 
-Where a regressor depends on the torque it is built from the nominal model's torque, never from the
-measured one, which stands on the other side of the equation and would explain everything.
+Regressors that depend on the torque use the nominal model's torque. The measured torque is on the
+other side of the equation and would explain everything.
 """
 
 from __future__ import annotations
@@ -35,29 +35,33 @@ from identification.signals import central_difference, resample
 COPPER_PER_K = 0.00393
 """Temperature coefficient of a copper winding's resistance."""
 MAGNET_PER_K = 0.001
-"""Loss of the torque constant with temperature (ferrite to neodymium: 0.001 to 0.002)."""
+"""Relative loss of the torque constant with temperature, 1/K (ferrite to neodymium: 0.001 to
+0.002).
+"""
 CYCLES_PER_TURN: tuple[Shape, ...] = tuple((float(n),) for n in range(1, 49))
 LEAST_GAIN = 0.5
-"""Least torque of a motor that ripples over what its current stands for; none ripples more."""
+"""Least ratio of a rippling motor's torque to its mean torque at this current."""
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
-"""Knee of a saturating torque constant over the greatest current."""
+"""Trial knees of a saturating torque constant, over the greatest current."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
 STEP_A = (0.01, 0.3)
-"""Current over which a dead time's step may seem to be reached.
+"""Limits of the current over which a dead-time step is smeared, A.
 
-About zero a noisy sample does not tell the sign, and the winding rests without current within the
+Near zero a noisy sample does not determine the sign, and the winding has no current within the
 step.
 """
 ROUNDED_A = (0.3, 10.0)
-"""Current over which a brush drop is reached; where it is less, it looks like a dead time."""
+"""Limits of the current over which a brush drop is reached, A; a smaller one looks like a dead
+time.
+"""
 DEAD_CURRENTS, BRUSH_CURRENTS = (0.05, 0.2), (0.5, 1.0, 2.0)
 KEPT = 64
-"""Rises that are kept, of a recording and a time constant: a fit moves the nominal values far more
-often.
+"""Cache size of temperature rises by recording and time constant, which a fit changes less often
+than the nominal values.
 """
 ZEROED_S = (0.0, 2.0)
-"""How long before a recording its current's zero may have been taken: the power comes on and the
-loops settle.
+"""Limits of the time from the zeroing of the current sensor to the start of a recording, s, during
+which power comes on and loops settle.
 """
 
 
@@ -65,20 +69,20 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return _by_origin(view, shape, -sine_cosine(shape[0], view.motor))
 
 
-# The torque that the current stands for is what is asked of the drive over one plus the ripple.
-# Without the ripple so far in the divisor its square is left: of one of 12 % a hundredth, which was
-# more than a load's inertia beside it.
+# The torque of the current is the required torque divided by one plus the ripple. Without the
+# identified ripple in the divisor its square remains: a hundredth for a ripple of 12 %, which was
+# more than the inertia of a load.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
     return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
 
 
 def _gain(view: View, nominal: Nominal) -> Array:
-    """Return the motor's torque over what its current stands for, as the ripple named so far has
-    it.
+    """Return the ratio of the motor's torque to its mean torque at this current, by the ripple
+    identified so far.
 
-    1 where each recording has an origin of its own: of one set aside the phase is unknown, and
-    constants that leave the mean of the divided torque to it would be off there.
+    It is 1 if each recording has its own origin: in a validation recording the phase is unknown,
+    and constants that depend on the divided torque would be wrong there.
     """
     if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))
@@ -88,20 +92,18 @@ def _gain(view: View, nominal: Nominal) -> Array:
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
-    """Return a wave's two columns; where each recording has an origin of its own, two for each of
-    them.
-    """
+    """Return a wave's two columns; two for each recording if each has its own origin."""
     if len(shape) == 1:
         return wave
     out = np.zeros((2 * round(shape[1]), wave.shape[1]))
-    if 2 * view.index < len(out):  # the phase in one that took no part nobody has asked
+    if 2 * view.index < len(out):  # the phase in a recording that is not fitted is unknown
         out[2 * view.index : 2 * view.index + 2] = wave
     return out
 
 
 def _waves(context: Context) -> Sequence[Shape]:
-    """Return cycles a motor turn and, where recordings do not share an origin of their angles, how
-    many there are.
+    """Return trial cycles per motor turn and, if recordings have no common origin of angles, the
+    number of recordings.
     """
     if without_origin(context.views):
         return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
@@ -109,8 +111,8 @@ def _waves(context: Context) -> Sequence[Shape]:
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the same without one cycle a turn of the joint itself: that is a weight out of
-    balance.
+    """Return the shapes of :func:`_waves` without one cycle per turn of the joint, which is a
+    weight imbalance.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
@@ -136,11 +138,9 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _loss(view: View) -> Array:
-    """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I
-    (U - Ke omega).
+    """Return the heat loss of the winding, W: electrical less mechanical power, I (U - Ke omega).
 
-    By R I^2 it would be too little by the rise of R itself, some per cent of a warm winding's; it
-    is taken where there is no voltage.
+    R I^2 omits the rise of R, some per cent in a warm winding; it is used if there is no voltage.
     """
     assert view.current is not None
     bench = view.recording.bench
@@ -153,17 +153,20 @@ def _loss(view: View) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _rises(view: View, time_constant: float) -> Array:
-    """Return the winding's rise per K/W, and what it may have begun with, K, shape (2, m)."""
+    """Return the winding's temperature rise per K/W, and the remainder of an initial 1 K, shape (2,
+    m).
+    """
     return warmed(_loss(view), view.run_time, time_constant)
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
-    """Return regressors of :func:`_rises` with one for each recording's beginning, shape (1 +
-    recordings, m).
+    """Return the regressors of :func:`_rises`, with one for the initial temperature of each
+    recording, shape (1 + recordings, m).
     """
     out = np.zeros((1 + round(shape[1]), rises.shape[1]))
     out[0] = rises[0]
-    if view.index < round(shape[1]):  # how warm one that took no part began, nobody has asked
+    # The initial temperature of a recording that is not fitted is unknown.
+    if view.index < round(shape[1]):
         out[1 + view.index] = rises[1]
     return out
 
@@ -172,7 +175,7 @@ def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
     warmer = COPPER_PER_K * resistance * view.current
-    # The magnet makes torque and back-EMF with one flux, which both fall with.
+    # Torque and back-EMF have the same flux and fall with it.
     weaker = MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
     return _by_recording(view, shape, (warmer - weaker) * _rises(view, shape[0]))
 
@@ -202,12 +205,12 @@ def _mean_over_sample(
     antiderivative: Callable[[Array], Array],
     function: Callable[[Array], Array],
 ) -> Array:
-    """Return the mean of a function of the current over each sample's period, the current going
-    straight through it.
+    """Return the mean of a function of the current over each sample's period, for a current that is
+    linear in time.
 
-    Around a reversal the current changes by its knee, and more, within one period. Without any it
-    reads ``zero_A``. The function is taken of the samples as they were logged, and then brought
-    onto the grid as the voltage is: of a current that interpolation has rounded the step is wider.
+    Near a reversal the current changes by more than its knee within one period. ``zero_A`` is the
+    reading without current. The function is applied to the logged samples and its result resampled
+    like the voltage, since interpolation of the current would widen the step.
     """
     recording = view.recording
     current = recording.channels["current"] - zero_A
@@ -235,9 +238,7 @@ def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _drift(view: View, shape: Shape) -> Array:
-    """Return the time since the current's zero was taken, as the power came on before the
-    recording, s.
-    """
+    """Return the time since the current sensor was zeroed, before the recording, s."""
     return np.asarray(view.time - view.time[0] + shape[0])
 
 
@@ -264,8 +265,8 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
 
 
 def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial shapes: the current over which a drop is reached, and what the logged current
-    reads without any.
+    """Return trial shapes: the current over which a drop is reached, and the reading without
+    current.
     """
     return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(
         context
@@ -273,8 +274,8 @@ def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
 
 
 def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Let a drop follow the current's sign as it is: its sensor's offset may be larger than the
-    step.
+    """Return the nominal values and a shape whose drop follows the sign of the true current, as the
+    sensor's offset may exceed the step.
     """
     return nominal, (shape[0], nominal.zero_A)
 

@@ -1,5 +1,5 @@
-"""What the search needs of an effect: regressors at the full rate for trial shapes, and how to read
-its parameters.
+"""Definition of an effect for the search: regressors at the full rate for trial shapes, and
+conversion to its parameters.
 """
 
 from __future__ import annotations
@@ -19,17 +19,19 @@ Columns = Callable[[View, Nominal, Shape], Array]
 """Regressors of one recording at the full rate, shape (k, m), at nominal values, for one shape."""
 NO_SHAPE: tuple[Shape, ...] = ((),)
 EXACT, CLOSE, ROUGH = 1e-5, 1e-4, 1e-3
-"""Squares that a regressor's own error leaves to others over what it explains.
+"""Shape error of a regressor: squares that its error leaves to other effects, over the squares that
+it explains.
 
-Beside the strongest of 16 draws others gained no more than 1 to 13 parts in a million of it, or
-nothing above 1 % of the noise; up to 15, or in one draw alone; or more.
+The classes are from 16 draws of each effect. In the first, other effects gained at most 1 to 13
+millionths of the strongest draw's squares, or nothing above 1 % of the noise; in the second up to
+15, or more in one draw only; in the third more.
 """
 
 
 @dataclass(frozen=True)
 class Context:
-    """What the trial shapes may depend on: the recordings under diagnosis and the nominal model of
-    them.
+    """Data on which trial shapes may depend: the recordings under diagnosis and their nominal
+    model.
     """
 
     views: tuple[View, ...]
@@ -42,30 +44,29 @@ Reader = Callable[[Array, Shape, Context], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Term:
-    """How one effect is computed.
+    """Computation of one effect.
 
     Attributes:
         name: Stable name of the catalogue.
-        columns: Equation to regressors; an equation that is not named is not touched.
+        columns: Equation to regressors; the effect does not appear in other equations.
         read: (coefficients, shape, context) to the catalogue's parameters.
-        shapes: Trial shapes; empty where these recordings cannot show the effect.
-        refine: Index of each continuous entry of the shape to how far it is sought about its trial;
-            0 for entries that are scales, sought within a factor.
+        shapes: Trial shapes; empty if these recordings cannot show the effect.
+        refine: Index of each continuous shape entry to its search range around the trial; 0 for
+            scales, which are searched within a factor.
         positive: Indices of coefficients that must be positive to be physical.
-        follows: Whether the regressors depend on the nominal values, so that they change as those
-        are fitted.
-        varies: Equations whose regressors change with the nominal values though no coefficient
-        moves with these.
-        limits: Index of a shape's entry to its least and greatest physical value.
-        place: Index of the shape's entry that is the recording in which alone the effect shows, if
-        there is one.
-        begin: From nominal values and a trial shape to those that a joint fit begins from.
-        shape_error: What the regressor's own error leaves to others, over what it explains;
-            :data:`EXACT` where it is the physics itself, known from clock, angle, motion or torque.
-        at_angle: Whether its torque is met at an angle: where the torque's samples are late, so is
-        that angle.
-        size: Coefficient the regressor is scaled to have, where its shape alone says how large it
-            is (else None).
+        follows: Whether the regressors depend on the nominal values, so that they change during a
+            fit.
+        varies: Equations whose regressors change with the nominal values while the coefficients do
+            not.
+        limits: Index of a shape entry to its least and greatest physical value.
+        place: Index of the shape entry that is the only recording with the effect, if there is one.
+        begin: Function from nominal values and a trial shape to the start values of a joint fit.
+        shape_error: Squares that the regressor's error leaves to others, over the squares that it
+            explains; :data:`EXACT` if the regressor is exact, known from clock, angle, motion or
+            torque.
+        at_angle: Whether its torque depends on angle, which must then be delayed like the torque's
+            samples.
+        size: Fixed coefficient of a regressor whose shape determines its size; else None.
     """
 
     name: str
@@ -88,7 +89,7 @@ class Term:
 
     @property
     def freedom(self) -> int:
-        """How many numbers the data choose, beside the coefficients."""
+        """Number of parameters fitted in addition to the coefficients."""
         return len(self.refine) - (self.size is not None)
 
     def physical(self, shape: Shape) -> bool:
@@ -97,8 +98,8 @@ class Term:
 
 
 def in_motion(columns: Columns) -> dict[str, Columns]:
-    """Return an entry for effects that add to the drive's torque, in motion and at breakaway
-    alike.
+    """Return the columns of an effect that adds to the drive's torque, both in motion and at
+    breakaway.
     """
     return {"torque": columns, "breakaway": columns}
 
@@ -109,7 +110,7 @@ def one(name: str) -> Reader:
 
 
 def shaped(name: str, index: int = 0) -> Reader:
-    """Return a reader of a shape's entry, for effects whose size is their shape."""
+    """Return a reader of a shape entry, for effects whose size is in their shape."""
     return lambda _coefficients, shape, _context: {name: shape[index]}
 
 
@@ -123,7 +124,7 @@ def polar(sine: float, cosine: float) -> tuple[float, float]:
 def everywhere(
     context: Context, needed: Callable[[View], bool], shapes: Sequence[Shape]
 ) -> Sequence[Shape]:
-    """Return the shapes where at least one recording can show the effect, else none."""
+    """Return the shapes if at least one recording can show the effect, else none."""
     return shapes if any(needed(v) for v in context.views) else ()
 
 

@@ -1,5 +1,5 @@
-"""Between motor and valve: what two encoders show of assumption 5, and where the gear loses
-power.
+"""Effects between motor and valve: violations of assumption 5 that two encoders show, and power
+loss of the gear.
 """
 
 from __future__ import annotations
@@ -33,42 +33,38 @@ TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 TWIST_COUNTS = (0.0, 2.0)
-"""Counts of the joint's encoder by which a shaft may twist under the greatest torque and still
-count as stiff.
-"""
+"""Range of a stiff shaft's twist under the greatest torque, in counts of the joint encoder."""
 LOOP_SHARES = (0.05, 0.15, 0.4)
-"""Torque that closes a hysteresis loop over the greatest torque."""
+"""Trial torques that close a hysteresis loop, over the greatest torque."""
 LEAST_JOINT_SHARE = 0.1
-"""Of the inertia, that is the joint's at least."""
+"""Least share of the inertia on the joint's side."""
 LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
-"""Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit
-seeks it.
-"""
+"""Start value of the rotor's share of the inertia, which is unknown and fitted."""
 SLIPS_PER_RECORDING = 12
 KEPT = 128
-"""Series that are kept, of a recording and what they were built from: a search moves one entry of a
-shape at a time.
-"""
+"""Cache size of series by recording and shape entries; a search changes one entry at a time."""
 FIRST_SAMPLES = 20
-"""Over which the encoders are asked where in its gap, or loop, a recording begins."""
+"""Number of first samples whose encoder readings determine the initial position in a gap or
+loop.
+"""
 
 
 class Gap(NamedTuple):
-    """Shape of a gap: how wide it is, rad, and the shaft about it and the rotor before it."""
+    """Shape of a gap: its width, rad, the compliance of the shaft, and the inertia of the rotor."""
 
     width: float
     counts: float
-    """By which the shaft twists under the greatest torque."""
+    """Twist of the shaft under the greatest torque, in counts."""
     per_torque: float
     """Twist of one count, rad/(N m)."""
     rotor: float
-    """Its inertia at the joint, kg m^2."""
+    """Inertia of the rotor at the joint, kg m^2."""
 
 
 class Loop(NamedTuple):
-    """Shape of a coupling's loop: the torque that closes it, N m, and how far it gives, rad; else
-    as a gap's.
+    """Shape of a coupling's hysteresis loop: closing torque, N m, and deflection, rad; the others
+    as in :class:`Gap`.
     """
 
     torque: float
@@ -83,21 +79,22 @@ def _both_encoders(view: View) -> bool:
 
 
 def carried(view: View, rotor: float) -> Array:
-    """Return the torque that comes through the coupling behind a rotor of this inertia at the joint
-    (kg m^2), N m.
+    """Return the torque through the coupling, N m, for a rotor of this inertia at the joint, kg
+    m^2.
 
-    While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
+    While a loop is crossed the rotor moves alone and its acceleration requires most of the drive's
+    torque.
     """
     out = rotor * view.rotor_acceleration
     return np.asarray(np.subtract(view.transmitted, out, out=out))
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    """Return what twists a springy shaft: the drive's torque, less what the rotor and the shaft's
-    damping take of it.
+    """Return the regressors of a shaft's elastic twist: drive torque, and torques of rotor inertia
+    and shaft damping.
 
-    Neither the rotor's inertia nor the damping is known; a soft shaft shows both, up to a hundred
-    times the encoders' noise where the joint sets off or turns.
+    Rotor inertia and damping are unknown; with a soft shaft their effect is up to a hundred times
+    the encoders' noise at breakaway or reversal.
     """
     torque = view.transmitted
     return rows(torque, -view.rotor_acceleration, -central_difference(torque, view.step))
@@ -109,11 +106,10 @@ def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def count_of_twist(views: Sequence[View]) -> float:
-    """Return the compliance that twists a shaft by one count of the joint's encoder at the greatest
-    torque, rad/(N m).
+    """Return the compliance with which a shaft twists by one count of the joint encoder at the
+    greatest torque, rad/(N m).
 
-    The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a
-    narrow gap.
+    Even a stiff shaft twists toward the driving flank, and its twist adds to a narrow gap.
     """
     known = [v for v in views if v.lag is not None]
     greatest = max((float(np.max(np.abs(v.transmitted))) for v in known), default=0.0)
@@ -134,16 +130,16 @@ def _gaps(context: Context) -> Sequence[Shape]:
 
 
 def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
-    """Return how far the motor leads through a gap that its own encoders show where it begins in,
-    rad, shape (m,).
+    """Return the motor's lead through a gap, rad, shape (m,); the initial position in the gap is
+    from the encoders.
 
-    The joint stands while the gap is open; under a weight that is more than its friction holds it
-    falls.
+    The joint rests while the gap is open, unless a weight exceeds its friction.
 
     Args:
         view: The recording.
-        nominal: Of which friction and inertia count where a weight turns with the joint.
-        gap: rad.
+        nominal: Nominal values, whose friction and inertia are used if a weight turns with the
+            joint.
+        gap: Width of the gap, rad.
         rotor: The rotor's inertia at the joint, kg m^2.
     """
     if not nominal.helped(view) or nominal.get("J") <= 0.0:
@@ -153,7 +149,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Array:
-    """Return :func:`lead`, without a nominal model where no weight turns with the joint."""
+    """Return :func:`lead`, without a nominal model if no weight turns with the joint."""
     motor = view.drive_angle
     through = _through(view, nominal, motor, gap, rotor)
     middle = through(len(motor), 0.0)
@@ -161,7 +157,7 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
     if view.lag is None or crossed == len(motor):
         return middle
     zero = float(np.mean(view.lag[crossed:] - middle[crossed:]))
-    # From there on both are the same: a flank has carried.
+    # From there on the lead does not depend on the start: a flank has driven the joint.
     middle[: crossed + 1] = through(crossed + 1, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
     return middle
 
@@ -169,7 +165,9 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
 def _through(
     view: View, nominal: Nominal | None, motor: Array, gap: float, rotor: float
 ) -> Callable[[int, float], Array]:
-    """Return the lead over so many samples as a function of the one at the first of them, rad."""
+    """Return a function of number of samples and initial lead, rad, that returns the lead over
+    these samples.
+    """
     if nominal is None:
         return lambda count, start: play(motor[:count], gap, start)
     weight = nominal.helping(view)
@@ -197,12 +195,12 @@ def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int, Array | None]:
-    """Return what a loop is built from, whatever its deflection and its twist.
+    """Return the components of a hysteresis loop that do not depend on its deflection and twist.
 
     Returns:
-        Torque carried, N m; the loop's deflection from its middle; from where on any beginning ends
-        in it; means of lag, torque and deflection over the first samples and over those from there
-        on, shape (2, 3), or None.
+        Transmitted torque, N m; relative deflection from the loop's centre; first sample from which
+        it does not depend on the start; means of lag, torque and deflection over the first samples
+        and from that sample on, shape (2, 3), or None.
     """
     torque = carried(view, rotor)
     state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
@@ -216,8 +214,8 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
-    """Return the loop's deflection over its greatest one, from the torque by which the play leads
-    at first.
+    """Return the loop's deflection over its greatest deflection; ``start`` is the initial lead of
+    its play in torque.
     """
     out = play(torque, 2.0 * width, start)
     np.subtract(torque, out, out=out)
@@ -242,8 +240,8 @@ def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much
-    # less torque.
+    # Power is conserved: where the teeth make the motor turn faster, it needs less torque in the
+    # same proportion.
     sine, cosine = sine_cosine(shape[0], view.angle)
     torque = shape[0] * nominal.drive(view)
     out = np.empty((2, len(torque)))
@@ -268,8 +266,8 @@ def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, flo
 
 
 def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    # Not the speed times the delay: where the speed changes within the delay that leaves far more
-    # than encoders' noise.
+    # Speed times delay is not accurate enough: if the speed changes within the delay its error is
+    # far above the encoders' noise.
     logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
     return rows(delayed(logged, view.step, -shape[0]) - logged)
 
@@ -280,10 +278,10 @@ def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:
-    """Return effects as they show where friction follows the joint's encoder: what is late in it is
-    late in friction.
+    """Return the effects for torques computed from the joint encoder, whose delay also delays
+    friction.
 
-    Left out, the torque that is ahead of such angles passes for a current that lags.
+    Otherwise the torque, which leads such angles, would look like a lag of the current.
     """
     return [
         replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)
@@ -309,8 +307,8 @@ def _slips(context: Context) -> list[Shape]:
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
-    # Driven back, eta of the torque comes through; driving, 1 / eta is asked for, and 1 / eta - 1
-    # is the coefficient.
+    # In back-driving, eta of the torque is transmitted; in driving, 1 / eta is required. The
+    # coefficient is 1 / eta - 1.
     torque = nominal.drive(view)
     return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -nominal.efficiency))
 

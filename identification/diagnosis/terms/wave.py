@@ -1,4 +1,4 @@
-"""Sine and cosine of long phases, compiled: most trial shapes of the catalogue are waves over an
+"""Compiled sine and cosine of large phases; most trial shapes of the catalogue are waves over an
 angle or time.
 """
 
@@ -13,7 +13,7 @@ from identification.recording import Array
 
 _PER_HALF_TURN = 1.0 / math.pi
 _HALF_TURN, _REST = 3.1415926534682512, 1.2154201013012384e-10
-"""pi to 33 bits, of which small multiples are exact, and what is left of it."""
+"""pi to 33 bits, whose small multiples are exact, and the remainder of pi."""
 _SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(11))
 _COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(12))
 _S1, _S2, _S3, _S4, _S5, _S6, _S7, _S8, _S9, _S10 = _SINE[1:]
@@ -24,8 +24,8 @@ def sine_cosine(frequency: float, angle: Array) -> Array:
     """Return sin and cos of ``frequency * angle``, shape (2, m), to a few units of 1e-16 below a
     million half turns.
 
-    Nothing in it branches, so that the processor takes several samples at a time; numpy takes one,
-    and ten times as long.
+    It has no branches, so that the processor computes several samples at a time; numpy computes one
+    at a time and takes ten times as long.
     """
     out = np.empty((2, len(angle)))
     _fill(frequency, angle, out[0], out[1])
@@ -34,15 +34,14 @@ def sine_cosine(frequency: float, angle: Array) -> Array:
 
 @compiled
 def _fill(frequency: float, angle: Array, sine: Array, cosine: Array) -> None:
-    # Sums stay in the order written, or the two parts of pi would be made one.
+    # Sums must keep their order, or the two parts of pi would be combined.
     for k in range(len(angle)):
         phase = frequency * angle[k]
         turns = np.floor(phase * _PER_HALF_TURN + 0.5)
         rest = (phase - turns * _HALF_TURN) - turns * _REST
         z = rest * rest
         sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
-        # The series within a quarter turn to either side, whose first terms left out are below
-        # 1e-18.
+        # Series within a quarter turn on either side; the first omitted terms are below 1e-18.
         odd = _S5 + z * (_S6 + z * (_S7 + z * (_S8 + z * (_S9 + z * _S10))))
         odd = 1.0 + z * (_S1 + z * (_S2 + z * (_S3 + z * (_S4 + z * odd))))
         even = _C5 + z * (_C6 + z * (_C7 + z * (_C8 + z * (_C9 + z * (_C10 + z * _C11)))))

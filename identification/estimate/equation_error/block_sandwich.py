@@ -19,11 +19,11 @@ LEAST_BLOCKS = 8
 def block_sandwich(
     prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
 ) -> Spread:
-    """Return the covariance of ``names`` at ``values`` from all recordings jointly, clustered by
-    blocks of time (M10).
+    """Return the sandwich covariance of ``names`` at ``values`` from all recordings jointly,
+    clustered by blocks of time (M10).
 
-    Blocks are ten residual correlation times long, at least eight over all, and never span two
-    recordings, so that model errors that differ between blocks widen the interval (Liang and Zeger,
+    Blocks are ten residual correlation times long and do not span recordings; there are at least
+    eight. Model errors that differ between blocks therefore widen the interval (Liang and Zeger,
     Biometrika 73 (1986) 13).
     """
     if not names:

@@ -1,8 +1,8 @@
 """The noise floor of a fit: the part of the torque residual that does not repeat with the command.
 
-A model that lacks physics has the same error each time the same motion is made; noise does not
-repeat. Two passes under equal inputs have residuals e1 and e2, and e1 - e2 has twice the variance
-of the part that does not repeat.
+Unmodelled physics causes the same error whenever a motion is repeated; noise does not repeat. The
+residuals e1 and e2 of two passes with equal inputs give e1 - e2, which has twice the variance of
+the noise.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ INPUTS = ("command", "feedforward", "load_force")
 SAME = 2e-3
 """Greatest difference of inputs that count as equal, over their range."""
 LEAST_CORRELATION = 0.95
-"""Autocorrelation of the command near its period."""
+"""Least autocorrelation of the command at its period."""
 NEAR, ROWS = 0.05, 2000
-"""Lags tried around that of the first great autocorrelation, as a share of it; samples compared at
-each.
+"""Range of lags tried around the first high autocorrelation, as a share of its lag; and samples
+compared at each lag.
 """
 NEIGHBOURS = 0.02
 """Inputs must be equal for this share of the period, or of a repeat, on either side of a sample."""
@@ -36,13 +36,13 @@ LEAST_SAMPLES = 100
 
 @dataclass(frozen=True)
 class Floor:
-    """Torque error that no model of these recordings can go below.
+    """Torque noise floor: the least torque error of any model of these recordings.
 
     Attributes:
-        rms: In the unit of the fit.
-        samples: Pairs of samples it comes from.
-        periods: Pairs of periods within recordings that gave any.
-        repeats: Pairs of recordings that gave any.
+        rms: Rms of the floor, in the unit of the fit.
+        samples: Number of pairs of samples used.
+        periods: Number of pairs of periods within recordings used.
+        repeats: Number of pairs of recordings used.
     """
 
     rms: float
@@ -54,12 +54,12 @@ class Floor:
 def noise_floor(
     prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
 ) -> Floor | None:
-    """Return the floor from periods within recordings and repeats among them; None where nothing is
-    done twice.
+    """Return the floor from periods within recordings and from repeated recordings; None where no
+    motion is repeated.
 
     Args:
         prepared: Recordings at one bandwidth.
-        values: A fit to them; what of its error repeats cancels.
+        values: Parameters of a fit; the repeating part of its error cancels.
         alpha: Stribeck exponent.
     """
     residuals = {id(p): p.torque - model_torque(p, values, alpha) for p in prepared}
@@ -85,7 +85,7 @@ def noise_floor(
 
 
 def command_period(recording: Recording) -> float | None:
-    """Return the period of the command, s, or None where it does not come back at least once."""
+    """Return the period of the command, s; None if it does not repeat."""
     if "command" not in recording.channels:
         return None
     series = resample(recording.time, recording.channels["command"], uniform_grid(recording))
@@ -107,14 +107,14 @@ def command_period(recording: Recording) -> float | None:
     peak = float(np.max(correlation[away[0] :]))
     if peak < LEAST_CORRELATION:
         return None
-    # Whole multiples of the period reach the same peak: the first counts.
+    # Multiples of the period have the same peak; the first is the period.
     first = int(away[0] + np.argmax(correlation[away[0] :] > peak - 0.005))
     return _sharpened(series, first) * recording.period
 
 
 def _sharpened(series: Array, lag: int) -> int:
-    """Return the lag near ``lag`` at which most of the series repeats; ramps at its ends pull the
-    correlation away.
+    """Return the lag near ``lag`` at which most of the series repeats; fades at its ends bias the
+    correlation peak.
     """
     reach = max(round(NEAR * lag), 1)
     lags = np.arange(max(lag - reach, 1), min(lag + reach, len(series) - 2) + 1)

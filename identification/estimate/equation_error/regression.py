@@ -1,4 +1,4 @@
-"""Unloaded and loaded fit by equation error: eq. 16 (M7) and eq. 15 (M8)."""
+"""Unloaded and loaded fit by the equation error: eq. 16 (M7) and eq. 15 (M8)."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from identification.prepare import Prepared
 from identification.recording import Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
-"""Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be
-told from a line.
+"""Greatest Stribeck speed tried over the greatest speed recorded: above it the falling part cannot
+be distinguished from a line.
 """
 LEAST_MOTION = 40
-"""Samples in motion, over all recordings of a stage, below which nothing is fitted."""
+"""Least number of moving samples, over all recordings of a stage, for a fit."""
 LOWEST_SHARE = 1e-3
-"""Least Stribeck speed tried over the greatest speed seen."""
+"""Least Stribeck speed tried over the greatest speed recorded."""
 
 
 def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
@@ -30,10 +30,10 @@ def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
-    """Check that a stage has something to be fitted to.
+    """Check that a stage has moving samples with nonzero torque.
 
     Raises:
-        RecordingError: Hardly a sample moves, or the drive's torque is zero wherever one does.
+        RecordingError: Too few samples are in motion, or the drive's torque is zero in all of them.
     """
     moving = [p.used & (p.velocity != 0.0) for p in prepared]
     count = sum(int(np.sum(rows)) for rows in moving)
@@ -46,8 +46,8 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
         raise RecordingError(
-            f"{names}: the drive's torque is zero wherever it moves; check the column it is read "
-            f"from"
+            f"{names}: the drive's torque is zero wherever the joint moves; check the "
+            f"column of the torque"
         )
 
 
@@ -97,14 +97,14 @@ def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) 
 
 
 def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
-    """Return what eq. 15 says the torque should be, N m, shape (n,)."""
+    """Return the torque of the model (eq. 15), N m, shape (n,)."""
     return friction_torque(p, parameters, alpha) + parameters.get("J", 0.0) * p.acceleration
 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage: names of its coefficients, the name of its Stribeck speed, and how to build the
-    linear problem.
+    """One stage of the equation error: names of its coefficients and Stribeck speed, and its linear
+    problem.
 
     The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be
     bounded by 0.
@@ -115,9 +115,9 @@ class Stage:
         static: Ms or mu_s; None where friction does not rise toward rest.
         speed: omega_sf or omega_sL; None likewise.
         others: Names of the remaining coefficients.
-        prepared: Its recordings.
+        prepared: Recordings of the stage.
         model: Declared terms, fixed values and alpha.
-        known: Parameters found before, held.
+        known: Parameters of the earlier stage, held.
     """
 
     name: str
@@ -144,9 +144,9 @@ class Stage:
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and greatest value of each coefficient in column order.
 
-        Nothing but the offset is negative, and the rise is no greater than the greatest torque
-        seen, as a shaft that moved has overcome it: where no sample lies on the falling branch the
-        data alone would not stop it.
+        Only the offset may be negative. The rise is at most the greatest torque recorded, since a
+        joint that moved has overcome it; without samples on the falling branch the data do not
+        bound it.
         """
         low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
         high = np.full(len(self.free), np.inf)
@@ -166,7 +166,7 @@ class Stage:
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and greatest Stribeck speed to try, rad/s; 1 twice where there is
+        """Return the least and greatest Stribeck speed to try, rad/s; (1, 1) if the model has
         none.
         """
         if self.speed is None:
@@ -192,7 +192,7 @@ class Stage:
                 "J": p.acceleration,
                 "offset": np.ones(len(p.time)),
                 "rise": shape,
-                # With the static limit fixed, raising the Coulomb level takes as much off the rise.
+                # With the static limit fixed, a higher Coulomb level reduces the rise equally.
                 self.coulomb: sign - shape if self.static in fixed else sign,
             }
             if "mu_gc" in self.free:
@@ -243,7 +243,7 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     declared.
 
     Raises:
-        RecordingError: The rung bears a load, and no recording has a pendulum.
+        RecordingError: The friction model depends on load, and no recording has a pendulum.
     """
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):

@@ -1,9 +1,9 @@
-"""The conventional method: friction as the motor's torque in uniform motion (eq. 14), a Stribeck
-curve through points.
+"""The conventional method: friction is the motor torque in uniform motion (eq. 14), and a Stribeck
+curve is fitted to such points.
 
 It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and
-slips, the mean torque is not the friction at the mean speed; the spread of the speed shows it, the
-mean does not.
+slips, the mean torque is not the friction at the mean speed; stick-slip shows in the spread of the
+speed, not in its mean.
 """
 
 from __future__ import annotations
@@ -21,27 +21,25 @@ from identification.numerics.bounded_least_squares import Design
 from identification.recording import Recording
 
 LEAST_S = 0.4
-"""Shortest stretch of constant commanded speed that is used."""
+"""Shortest interval of constant commanded speed that is used."""
 SETTLING_SHARE = 0.4
-"""Share of each stretch left out at its start, in which the joint comes to speed."""
+"""Share of each interval omitted at its start, while the joint accelerates."""
 SMOOTHING_S = 0.02
-"""The speed is a mean over this time, for the spread; the encoder's steps are gone, slips are
-not.
-"""
+"""Averaging time of the speed whose spread is computed; it removes encoder steps but not slips."""
 UNIFORM = 0.2
 """Greatest spread of the speed, rms over its mean, that still counts as uniform motion."""
 _SPEED_UNIT = 1e-9  # commanded speeds closer than this, in rad per sample, are the same
-_LEAST_SPEEDS = 4  # as many as there are parameters
-_DIGITS = 6  # of a speed in rad/s, by which two are told apart
+_LEAST_SPEEDS = 4  # number of parameters
+_DIGITS = 6  # of a speed in rad/s; speeds equal in these digits are the same
 
 
 @dataclass(frozen=True)
 class UniformPoint:
-    """One stretch of constant commanded speed.
+    """One interval of constant commanded speed.
 
     Attributes:
-        recording: Its name.
-        speed: Commanded, rad/s, with sign.
+        recording: Name of the recording.
+        speed: Commanded speed, rad/s, with sign.
         torque: Mean torque of the motor at the joint, N m.
         spread: Rms deviation of the measured speed, over the commanded one.
         moment: Contact moment F_P L1, N m.
@@ -55,17 +53,17 @@ class UniformPoint:
 
     @property
     def uniform(self) -> bool:
-        """Whether the joint moved uniformly there, as the method supposes."""
+        """Whether the joint moved uniformly, as the method assumes."""
         return self.spread <= UNIFORM
 
     @property
     def friction(self) -> float:
-        """What eq. 14 takes for the friction at that speed, in the direction of motion, N m."""
+        """Friction at that speed by eq. 14, in the direction of motion, N m."""
         return self.torque if self.speed > 0.0 else -self.torque
 
 
 def uniform_points(recording: Recording) -> list[UniformPoint]:
-    """Return a point for each stretch of constant commanded speed.
+    """Return a point for each interval of constant commanded speed.
 
     Raises:
         KeyError: The recording lacks command, angle, or both torque and current.
@@ -102,10 +100,10 @@ def uniform_points(recording: Recording) -> list[UniformPoint]:
 
 
 def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str, float]:
-    """Fit eq. 9 to the unloaded points and, after it, the bracket of eq. 12 to the loaded ones.
+    """Fit eq. 9 to the unloaded points, then the bracket of eq. 12 to the loaded points.
 
     Returns:
-        Parameter name to value; a stage with fewer speeds than parameters is left out.
+        Parameter name to value; a stage with fewer speeds than parameters is omitted.
     """
     unloaded = [p for p in points if p.moment == 0.0]
     loaded = [p for p in points if p.moment > 0.0]
@@ -138,8 +136,8 @@ def _speeds(points: Sequence[UniformPoint]) -> Array:
 def _fit(
     speed: Array, friction: Array, scale: Array, alpha: float
 ) -> tuple[float, float, float, float]:
-    """Return Coulomb, static, Stribeck speed and viscous of a curve through points; ``scale`` is 1
-    or the moment.
+    """Return Coulomb level, static level, Stribeck speed and viscous coefficient of the curve
+    fitted to points; ``scale`` is 1 or the contact moment.
     """
     low = np.zeros(3)
     high = np.array([np.inf, 2.0 * float(np.max(np.abs(friction / scale))), np.inf])

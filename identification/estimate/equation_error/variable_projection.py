@@ -1,9 +1,9 @@
 """Variable projection (M9): given the Stribeck speed, each stage of the equation error is linear.
 
-With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the
-greatest torque recorded), the coefficients follow by bounded least squares for any trial omega_s.
-One unknown is left, log omega_s; a search in all parameters would have several basins. Golub and
-Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+With Ms = Mc + dM and bounds on the coefficients (only the offset may be below 0, and the rise is at
+most the greatest torque recorded), the coefficients follow by bounded least squares for any trial
+omega_s. The only remaining unknown is log omega_s; a search in all parameters would have several
+basins. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ class Solution:
     """A solved stage.
 
     Attributes:
-        omega_s: Stribeck speed of the least cost.
-        coefficients: Linear coefficients there, shape (p,).
+        omega_s: Stribeck speed of least cost.
+        coefficients: Linear coefficients at that speed, shape (p,).
         cost: Sum of squared residuals.
-        evaluations: Least-squares solutions spent.
+        evaluations: Number of least-squares solutions.
         omega_history: Best omega_s after each evaluation, shape (e,).
-        coefficient_history: Its coefficients, shape (e, p).
-        cost_history: Its cost, shape (e,).
+        coefficient_history: Coefficients at these speeds, shape (e, p).
+        cost_history: Costs at these speeds, shape (e,).
     """
 
     omega_s: float
@@ -48,9 +48,9 @@ def solve(design: Callable[[float], Design], low: float, high: float) -> Solutio
     """Minimise the cost of ``design(omega_s)`` over its coefficients and over log omega_s.
 
     Args:
-        design: omega_s to the linear problem left.
+        design: Function from omega_s to the remaining linear problem.
         low: Least omega_s tried, rad/s.
-        high: Greatest omega_s tried, rad/s; equal to ``low`` to hold it there.
+        high: Greatest omega_s tried, rad/s; equal to ``low`` to hold omega_s.
     """
     tried: list[tuple[float, float, Array]] = []
 

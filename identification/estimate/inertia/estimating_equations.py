@@ -2,8 +2,9 @@
 
 Least squares and likelihood of the prediction errors are biased in the inertia. Noise of the
 current sensor reaches the true torque through the drive's current loop and returns through its
-velocity loop, so that the measured torque is neither the true one plus noise nor the reverse. With
-instruments free of a segment's own noise the errors need only have zero mean.
+velocity loop, so that neither is the measured torque the true torque plus independent noise, nor
+the true torque the measured one plus independent noise. With instruments free of a segment's own
+noise, the errors need only have zero mean.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from identification.numerics.levenberg_marquardt import huber_weight
 SOLVED = 3.0
 """Chi-square below which the estimating equations count as solved (M29)."""
 ROUNDS = 6
-"""Times that instruments, weights and derivatives are renewed at most."""
+"""Greatest number of renewals of instruments, weights and derivatives."""
 _LEVEL_ROUNDS = (0, 2)
 _CHORDS = 8
 _HALVINGS = 5
@@ -36,14 +37,14 @@ _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
 _MOST = 3.0
-"""Information of a segment, in median segments of its recording, above which its variance is
-inflated (M13).
+"""Information of a segment, over the median of its recording's segments, above which its variance
+is inflated (M13).
 """
 _CHORD_SETTLED = 0.02
 
 
 def solve(point: Point) -> Point:
-    """Return the solution of the estimating equations, searched from a point.
+    """Return the solution of the estimating equations, starting from a point.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
@@ -110,13 +111,14 @@ def equations_chi2(point: Point) -> float:
 def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Searched:
     """Fit the inertia by its estimating equation and all else by likelihood, in turn.
 
-    Likelihood is badly biased in the inertia only. For the other parameters it is more precise than
-    instruments that are means over a few segments, and it stays in its basin. The step of the
-    inertia has all else eliminated, so that errors of the others enter in second order (M30, M31).
+    The likelihood is strongly biased in the inertia only. For the other parameters it is more
+    precise than instruments that are means over a few segments, and its search stays in its basin.
+    In the step of the inertia all other unknowns are eliminated, so their errors enter in second
+    order only (M30, M31).
 
     Args:
-        point: At the end of the unloaded and loaded fits.
-        refine: Searches the likelihood over the free parameters from a point.
+        point: Point at the end of the unloaded and loaded fits.
+        refine: Function that maximises the likelihood over the free parameters from a point.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
@@ -143,19 +145,19 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
         point, iterations = replace(point, vector=vector), iterations + 1
         if abs(there - here) < _SETTLED * deviation:
             break
-    # Inflation depends on the values: it is renewed where the fit ends.
+    # Inflation depends on the values, so it is renewed at the end of the fit.
     return Searched(_inflated(point, others).freeing(free), iterations)
 
 
 def _inflated(point: Point, others: tuple[int, ...]) -> Point:
-    """Return the point with these parameters free and the variance inflation that they ask for."""
+    """Return the point with these parameters free and their variance inflation."""
     there = point.freeing(others)
     return replace(there, inflation=segment_inflation(there))
 
 
 def _inertia_step(point: Point) -> tuple[float, float]:
     """Return the step in the logarithm of the inertia that solves its linearised equation, and its
-    deviation.
+    standard deviation.
     """
     held = point.weighted()
     x = point.origin()
@@ -168,8 +170,8 @@ def _inertia_step(point: Point) -> tuple[float, float]:
 
 
 def segment_inflation(point: Point) -> Array:
-    """Return the variance inflation of each segment at a point, shape (m,) (M13); the point's own
-    does not count.
+    """Return the variance inflation of each segment at a point, shape (m,) (M13); the inflation
+    stored in the point is ignored.
     """
     held = replace(point, inflation=np.ones(point.breakaways)).weighted()
     x = point.origin()
@@ -177,9 +179,7 @@ def segment_inflation(point: Point) -> Array:
 
 
 def inflation_by(experiment: Experiment, jacobian: BlockArrow) -> Array:
-    """Return the variance inflation from sensitivities of the prediction errors without inflation,
-    shape (m,).
-    """
+    """Return the variance inflation computed from sensitivities without inflation, shape (m,)."""
     information = jacobian.information_by_block()
     numbers = np.arange(len(experiment.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in experiment.motions])

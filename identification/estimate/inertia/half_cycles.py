@@ -1,6 +1,7 @@
-"""Sensitivities over single motion segments, in recordings and in simulated replicates of them.
+"""Sensitivities over single motion segments, in recordings and in their simulated replicates.
 
-Breakaway times differ a little between noises, so curves are aligned by the time since breakaway.
+Breakaway times differ slightly between noise realisations, so curves are aligned by the time since
+breakaway.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ class Replicate:
 
     Attributes:
         point: The simulated recordings, in the order of the real ones, at the simulated values.
-        sensitivities: d prediction errors over their deviations / d x there, for the free
-            parameters of the real experiment.
-        residuals: Those errors over their deviations, shape (r,).
-        noise: Number of its noise; the same noise with its sign turned has the same number.
+        sensitivities: Derivatives of the residuals at that point, for the free parameters of the
+            real experiment.
+        residuals: Prediction errors over their standard deviations, shape (r,).
+        noise: Number of its noise realisation; the realisation with reversed sign has the same
+            number.
     """
 
     point: Point
@@ -45,9 +47,10 @@ class Curve:
     """Sensitivities over one segment of a replicate.
 
     Attributes:
-        values: In the parameters, then in the breakaway time, shape (n, p + 1).
-        onset: Breakaway, samples after its first.
-        noise: Noise of its replicate.
+        values: Derivatives with respect to the parameters, then to the breakaway time, shape (n, p
+            + 1).
+        onset: Breakaway time, in samples after the segment's first sample.
+        noise: Number of the replicate's noise realisation.
     """
 
     values: Array
@@ -61,9 +64,9 @@ class ReplicatedSegment:
 
     Attributes:
         number: Number of the segment, over all recordings.
-        rows: Its residuals.
-        onset: Breakaway, samples after its first.
-        curves: Its counterparts, of those replicates that have one.
+        rows: Rows of its residuals.
+        onset: Breakaway time, in samples after the segment's first sample.
+        curves: Counterparts of the segment, from the replicates that have one.
     """
 
     number: int
@@ -72,8 +75,8 @@ class ReplicatedSegment:
     curves: tuple[Curve, ...]
 
     def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
-        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and their
-        number, (n, 1).
+        """Return the mean of one or more curves at the segment's samples, (n, p + 1), and the
+        number of curves at each sample, (n, 1).
         """
         length = self.rows.stop - self.rows.start
         return mean_curve([c.values for c in curves], [c.onset for c in curves], length, self.onset)
@@ -94,7 +97,7 @@ def replicated_segments(
 
 
 def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
-    """Return, by recording, the segments of a replicate: row of the table, and curve."""
+    """Return the segments of a replicate by recording: row of the table, and curve."""
     point, slopes = replicate.point, replicate.sensitivities
     curves = np.column_stack([slopes.parameters, slopes.own])
     out, row = [], 0
@@ -111,8 +114,8 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment in the same direction over most of the same samples, None
-    without one.
+    """Return the curve of the segment with the same direction that shares most samples; None if
+    none shares half of them.
     """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:
@@ -123,7 +126,7 @@ def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | Non
 
 
 def onsets_of(m: Motion, begins: Array) -> Array:
-    """Return the breakaway of each segment, in samples after its first, shape (m,)."""
+    """Return the breakaway time of each segment, in samples after its first sample, shape (m,)."""
     first = m.table[:, FIRST].astype(np.int64)
     return np.asarray((begins - m.time[first]) / m.recording.period)
 
@@ -131,14 +134,14 @@ def onsets_of(m: Motion, begins: Array) -> Array:
 def mean_curve(
     curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float
 ) -> tuple[Array, Array]:
-    """Return the mean of curves shifted to one ``onset``, shape (length, p), and their number,
-    (length, 1).
+    """Return the mean of curves shifted to one ``onset``, shape (length, p), and the number of
+    curves at each sample, (length, 1).
 
     Args:
-        curves: At least one, each of its own length.
-        onsets: Breakaway of each, samples after its first.
+        curves: One or more curves, of any lengths.
+        onsets: Breakaway time of each, in samples after its first.
         length: Length of the mean.
-        onset: Breakaway of the mean.
+        onset: Breakaway time of the mean.
     """
     total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
     for curve, begun in zip(curves, onsets, strict=True):

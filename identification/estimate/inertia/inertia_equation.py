@@ -1,7 +1,7 @@
 """The estimating equation of the inertia, all other unknowns eliminated (M30 to M32).
 
-The instrument is made orthogonal to those of all other unknowns, so that their errors enter in
-second order.
+The instrument of the inertia is made orthogonal to those of all other unknowns, so that their
+errors enter in second order only.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from identification.numerics.levenberg_marquardt import huber_weight
 
 @dataclass(frozen=True)
 class Equation:
-    """The linearised equation, per residual.
+    """The linearised equation of the inertia, by residual.
 
     Attributes:
         influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
-        parts: Decrease by each residual, through itself and through its part in other instruments,
-            shape (r,).
+        parts: Decrease due to each residual, directly and through its effect on other segments'
+            instruments, shape (r,).
     """
 
     influence: Array
@@ -45,8 +45,8 @@ def influence_on_inertia(
 
 
 def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the mixture of instruments that only the inertia changes, by one with its logarithm,
-    shape (p + m,).
+    """Return the combination of instruments whose equation responds to the inertia only, with unit
+    slope in its logarithm, shape (p + m,).
     """
     j = point.free.index(INERTIA)
     power = z.product()
@@ -70,7 +70,7 @@ def equation_of_half_cycles(
     """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of
     segments.
 
-    A segment enters by its residuals, and by its sensitivities, which are in the instruments of
+    A segment contributes through its residuals, and through its sensitivities in the instruments of
     other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
     """
     j = point.free.index(INERTIA)
@@ -86,8 +86,8 @@ def equation_of_half_cycles(
 
 
 def least_variance(one: Equation, other: Equation) -> Equation:
-    """Return the mean of two equations for one unknown with the least variance (M32), both weights
-    not negative.
+    """Return the weighted mean of two equations for one unknown that has the least variance (M32),
+    with nonnegative weights.
     """
     a, b = one.influence, other.influence
     away = a - b
@@ -102,15 +102,15 @@ def combined_equation(
     residual: Array,
     replicates: Sequence[Replicate],
 ) -> Equation:
-    """Return the combination of least variance of the equations by half cycles and by replicates
-    (M32).
+    """Return the least-variance combination of the equations with instruments from half cycles and
+    from replicates (M32).
 
     Args:
-        point: Where the sensitivities were taken.
-        z: Its instruments by matching half cycles.
-        jacobian: d residuals / d x there.
-        residual: There.
-        replicates: Empty for half cycles alone.
+        point: Point at which the sensitivities are computed.
+        z: Instruments from matching half cycles.
+        jacobian: d residuals / d x at the point.
+        residual: Residuals at the point.
+        replicates: Replicates; empty for half cycles alone.
     """
     half_cycles = equation_of_half_cycles(point, z, jacobian, residual)
     if not replicates:

@@ -3,8 +3,8 @@
 A segment's own sensitivities contain the noise of its measured torque, and so do its prediction
 errors, because the drive follows that noise within its bandwidth. The mean over matching half
 cycles, at the same time since breakaway, is nearly the same curve without that noise (Soderstrom
-and Stoica, Instrumental Variable Methods for System Identification, 1983, ch. 4). So is the mean
-over simulated replicates of the segment itself.
+and Stoica, Instrumental Variable Methods for System Identification, 1983, ch. 4). The mean over
+simulated replicates of the segment has the same property.
 """
 
 from __future__ import annotations
@@ -32,19 +32,19 @@ from identification.numerics.block_arrow import BlockArrow
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Deviation of the smoothing, samples: a share of the time since breakaway, less a constant, at
-most 2^7.
+"""Standard deviation of the smoothing, in samples: a share of the time since breakaway, less a
+constant, at most 2^7.
 """
 _TRUNCATED = 4.0
-"""Standard deviations at which a Gaussian is cut off."""
+"""Number of standard deviations at which a Gaussian is truncated."""
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero where no other segment lasts as long.
+    """Return the instruments of every residual; zero where no other matching segment lasts as long.
 
     Args:
-        point: Where the sensitivities were taken.
-        jacobian: d residuals / d x there.
+        point: Point at which the sensitivities are computed.
+        jacobian: d residuals / d x at the point.
     """
     count = len(point.free)
     both_ways = np.array([k == OFFSET for k in point.free] + [False])
@@ -81,17 +81,18 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
 def replicate_instruments(
     point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
-    """Return the instruments of every residual by replicates; ``plain`` where no replicate has its
-    segment.
+    """Return the instruments of every residual from replicates; ``plain`` where no replicate has
+    its segment.
 
-    Matching half cycles are few and differ a little; a replicate is the same motion under another
-    noise. Its mean is not smoothed: the drive answers the steps of command and encoder in the same
-    way each time, and with a coarse encoder these samples carry most information on the inertia.
+    Matching half cycles are few and differ slightly; a replicate is the same motion with other
+    noise. The mean over replicates is not smoothed: the drive's response to steps of command and
+    encoder repeats exactly, and with a coarse encoder these samples carry most information on the
+    inertia.
 
     Args:
-        point: Where the sensitivities were taken.
-        plain: Instruments by matching half cycles.
-        replicates: At least one.
+        point: Point at which the sensitivities are computed.
+        plain: Instruments from matching half cycles.
+        replicates: One or more.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
     for segment in replicated_segments(point, replicates):
@@ -106,8 +107,8 @@ def replicate_instruments(
 
 
 def _smooth(curve: Array, onset: float) -> Array:
-    """Return a curve smoothed over a time that grows with the time since ``onset`` (samples), shape
-    (n, p).
+    """Return a curve smoothed with a width that grows with the time since ``onset`` (samples),
+    shape (n, p).
 
     Sensitivities change fast after a breakaway and slowly later.
     """
@@ -120,9 +121,10 @@ def _smooth(curve: Array, onset: float) -> Array:
 
 
 def _smoothed(curve: Array) -> Array:
-    """Return a curve as it is, then smoothed by Gaussians of 2^0 to 2^7 samples, shape (9, n, p).
+    """Return the original curve and the curve smoothed by Gaussians of 2^0 to 2^7 samples, shape
+    (9, n, p).
 
-    One Fourier transform serves all of them: the widest has a thousand taps.
+    All share one Fourier transform, since the widest has a thousand taps.
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)

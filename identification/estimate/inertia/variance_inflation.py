@@ -1,11 +1,11 @@
 """Variance inflation: down-weighting of segments that claim too much information (M13).
 
-Where a joint almost stops, friction's falling branch amplifies noise, and the filter, which is
-linear about its prediction, is too certain. The segments of a recording make much the same motion,
-so one that claims far more information than the others met such a place (bounded influence: Hampel
-et al., Robust Statistics, 1986, ch. 6).
+Where a joint almost stops, friction's falling branch amplifies noise, and the filter, linearised
+about its prediction, is overconfident. The segments of a recording are similar motions, so a
+segment with far more information than the others contains such a near stop (bounded influence:
+Hampel et al., Robust Statistics, 1986, ch. 6).
 
-The median is weighted by samples: where friction falls steeply, a recording may hold more short
+The median is weighted by samples: where friction falls steeply, a recording may have more short
 slips than half cycles.
 """
 
@@ -27,9 +27,9 @@ def inflation_factors(
 
     Args:
         segments: Information of each segment, breakaway times eliminated, shape (m, p, p).
-        lengths: Samples of each, shape (m,).
+        lengths: Number of samples of each segment, shape (m,).
         recordings: Number of each segment's recording, shape (m,).
-        most: Greatest information of a segment, in median segments of its recording.
+        most: Greatest information of a segment, over the median of its recording's segments.
     """
     information = np.einsum("mkk->mk", segments)
     information = np.where(information > _ROUNDING * np.sum(information, axis=0), information, 0.0)
@@ -41,12 +41,12 @@ def inflation_factors(
 
 
 def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
-    """Return the information of each segment in median ones, for the parameter with most of it,
-    shape (m,).
+    """Return each segment's information over the median segment's, for the parameter where this
+    ratio is greatest, shape (m,).
 
     Args:
-        information: Of each segment on each parameter, shape (m, p).
-        lengths: Samples of each, shape (m,).
+        information: Information of each segment on each parameter, shape (m, p).
+        lengths: Number of samples of each segment, shape (m,).
     """
     order = np.argsort(information, axis=0)
     middle = np.argmax(2 * np.cumsum(lengths[order], axis=0) >= np.sum(lengths), axis=0)

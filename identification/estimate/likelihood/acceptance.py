@@ -1,4 +1,4 @@
-"""Acceptance tests of refined values: missing physics would be absorbed by parameters
+"""Acceptance tests of refined values, which reject fits whose parameters absorb unmodelled physics
 (docs/method.md, section 12).
 """
 
@@ -18,18 +18,19 @@ def try_refinements(
     values: Mapping[str, float],
     limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> tuple[Refined | None, str]:
-    """Refine with white torque noise, and with correlated noise where innovations refuse white
+    """Refine with white torque noise, and with correlated noise if the innovations contradict white
     noise.
 
     Args:
-        attempt: Refines, with or without a correlated part; a text where prediction errors do not
-        apply.
-        error: Values to typical equation error.
+        attempt: Function that refines, with or without a correlated part; it returns a text if
+            prediction errors do not apply.
+        error: Function from values to typical equation error.
         values: Start values.
-        limits: Of the tests.
+        limits: Limits of the tests.
 
     Returns:
-        The refinement, None where there is none, and why it is refused; empty where it is accepted.
+        The refinement, or None, and the reason why it is refused; the reason is empty if it is
+        accepted.
     """
     refined = attempt(False)
     if isinstance(refined, str):
@@ -37,7 +38,7 @@ def try_refinements(
     before = error(values)
     fault = refusal(refined, before, error(refined.values), limits)
     if fault and _coloured(refined, limits):
-        # What correlates may be noise of the sensor and not physics.
+        # The correlation may be sensor noise and not unmodelled physics.
         other = attempt(True)
         if not isinstance(other, str):
             also = refusal(other, before, error(other.values), limits)
@@ -50,8 +51,8 @@ def try_refinements(
 
 
 def _coloured(refined: Refined, limits: AcceptanceLimits) -> bool:
-    """Return whether innovations correlate, or require more torque noise than the torque
-    scatters.
+    """Return whether innovations are correlated, or their torque noise exceeds the torque
+    scatter.
     """
     return (
         abs(refined.whiteness) > limits.whiteness
@@ -65,13 +66,13 @@ def refusal(
     after: float,
     limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> str:
-    """Return why the refined values are refused; empty where they are accepted.
+    """Return the reason why the refined values are refused; empty if they are accepted.
 
     Args:
         refined: The refinement.
         before: Typical equation error of the start values.
-        after: That of the refined values.
-        limits: Of the tests.
+        after: Typical equation error of the refined values.
+        limits: Limits of the tests.
     """
     judged = (
         refined.whiteness,
@@ -81,35 +82,33 @@ def refusal(
         *refined.values.values(),
     )
     if not np.all(np.isfinite(judged)):
-        return "the search ran off to values that are no numbers"
+        return "the search diverged to values that are not finite"
     if abs(refined.whiteness) > limits.whiteness:
         return (
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, "
             f"limit {limits.whiteness}), "
-            "so physics is missing that the refinement would hide in the parameters"
+            "so the parameters would absorb physics that the model lacks"
         )
     if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
             f"prediction errors ask for a torque noise of {refined.noise.torque:.3g}, but the "
-            f"torque scatters by "
-            f"{refined.torque_scatter:.3g} from sample to sample, so physics is missing that the "
-            f"refinement would hide "
-            "in the parameters"
+            f"torque scatter is {refined.torque_scatter:.3g} from sample to sample, so the "
+            f"parameters would absorb physics that the model lacks"
         )
     if refined.repeating_share > limits.repeating_share:
         return (
-            f"{100.0 * refined.repeating_share:.0f} % of what correlates comes again with the "
+            f"{100.0 * refined.repeating_share:.0f} % of the correlated noise repeats with the "
             f"motion (limit "
-            f"{100.0 * limits.repeating_share:.0f} %), so physics is missing"
+            f"{100.0 * limits.repeating_share:.0f} %), so there is physics that the model lacks"
         )
     if refined.equations_chi2 > limits.chi2:
         return (
-            f"no start solves the estimating equations of the unloaded stage (defect "
+            f"no start solves the estimating equations of the unloaded stage (chi-square "
             f"{refined.equations_chi2:.3g})"
         )
     if refined.likelihood_drop > limits.drop:
         return (
-            f"the loaded stage's search ends less likely than it began (deviance "
+            f"the loaded stage's search ends at a lower likelihood than its start (deviance "
             f"{refined.likelihood_drop:+.0f})"
         )
     if after > limits.error_ratio * before:

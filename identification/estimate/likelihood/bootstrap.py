@@ -1,9 +1,9 @@
 """Bootstrap: estimates from motion segments drawn with replacement.
 
-It assumes only that segments err independently, and so checks intervals that rest on a noise model
-(Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the
-estimating equations with every segment counted as often as it was drawn; weights, noise levels and
-the inertia's instrument are those of the estimate.
+It assumes only that the errors of segments are independent, and so checks intervals that depend on
+a noise model (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw
+solves the estimating equations with every segment counted as often as it was drawn; weights, noise
+levels and the inertia's instrument are held at the estimate.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from identification.result import Resampled
 
 _ROUNDS = 6
 _SETTLED = 0.1
-"""Step, over the standard deviation, below which a draw is solved."""
+"""Step, over the standard deviation, below which a draw counts as solved."""
 _LONGEST = 3.0
-"""Longest step of a round, over the standard deviation."""
+"""Longest step of an iteration, over the standard deviation."""
 
 
 def bootstrap(
@@ -39,17 +39,17 @@ def bootstrap(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Resampled, ...]:
-    """Return the spread of every parameter over draws of the segments of each recording.
+    """Return the spread of every parameter over bootstrap draws of each recording's segments.
 
     Args:
         refined: The estimate.
         units: Parameter name to unit.
         draws: Number of draws.
-        rng: Draws the segments.
+        rng: Random generator for the draws.
         progress: Called with the share done.
 
     Returns:
-        One per name; bounds are None where fewer than half of the draws were solved.
+        One result per name; bounds are None if fewer than half of the draws were solved.
     """
     joint = refined.joint
     equations = _Equations(joint, _deviations(refined))
@@ -94,8 +94,8 @@ def _deviations(refined: Refined) -> Array:
 
 
 class _Equations:
-    """Estimating equations about the estimate: least squares for all but the inertia, its own
-    equation for that.
+    """Estimating equations around the estimate: least squares for all parameters but the inertia,
+    and the inertia's own equation.
     """
 
     def __init__(self, point: Point, deviations: Array) -> None:
@@ -110,14 +110,13 @@ class _Equations:
         if self.inertia is not None:
             z = instruments(point, jacobian)
             self.influence = influence_on_inertia(point, z, jacobian, residual)
-        # The search may have ended a little beside the solution; draws are compared with the
-        # solution.
+        # The search may have ended slightly off the solution; draws are compared with the solution.
         self.rest = self.sums(residual, jacobian, np.ones(point.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the equations and their derivatives, shape (x,) and (x, x), for these counts of
-        segments.
+        """Return the left sides of the equations and their derivatives, shape (x,) and (x, x), for
+        these counts of the segments.
         """
         weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
@@ -128,8 +127,8 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves them for these counts; None where the search does not
-        settle.
+        """Return the free vector that solves the equations for these counts; None if the search
+        does not converge.
         """
         x = self.origin.copy()
         residual, jacobian = self.begun

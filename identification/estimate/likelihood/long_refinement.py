@@ -1,9 +1,9 @@
-"""Maximum likelihood in bounded memory: passes over any number of pieces (M44).
+"""Maximum likelihood in bounded memory, by passes over any number of pieces (M44).
 
-The objective splits into motion segments that share nothing but the parameters. Each piece has its
-breakaway times optimised with the parameters held, is reduced to its normal equations and dropped;
-after each pass the parameters take one Gauss-Newton step. The first piece of each recording,
-refined in memory, gives the start, the noise and the inertia.
+The objective is a sum over motion segments that share only the parameters. For each piece the
+breakaway times are optimised with the parameters held, and the piece is reduced to its normal
+equations; after each pass the parameters take one Gauss-Newton step. The first piece of each
+recording, refined in memory, gives the start, the noise and the inertia.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from identification.recording import Model, Recording
 
 PASSES = 3
 SETTLED = 0.2
-"""Rms over the parameters of a step, in standard errors, at which the passes end."""
+"""Step size at which the passes end: rms over the parameters, in standard errors."""
 
 
 def refine_pieces(
@@ -40,23 +40,23 @@ def refine_pieces(
     progress: Callable[[float], None],
     correlated: bool = False,
 ) -> Refined | str:
-    """Return the refined estimate over all pieces, or a text that says why prediction errors do not
-    apply.
+    """Return the refined estimate over all pieces, or a text with the reason why prediction errors
+    do not apply.
 
     Args:
-        heads: The pieces for the start, one or more of each load condition.
-        pieces: All pieces, heads among them.
+        heads: Pieces for the start values, one or more of each load condition.
+        pieces: All pieces, including the heads.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
         model: Declared terms and fixed values.
-        progress: Called with the share of the passes done, at most.
+        progress: Called with the number of passes done, over the greatest number of passes.
         correlated: Whether the torque noise has a correlated part.
     """
     start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
-    # Least squares are biased in the inertia (noise of the loop counts as motion); it keeps the
-    # heads' value.
+    # Least squares are biased in the inertia (noise in the loop counts as motion); the value of the
+    # heads is kept.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
@@ -84,7 +84,7 @@ def refine_pieces(
 
 
 def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
-    """Return the Gauss-Newton step of the parameters, and its squared length in standard errors."""
+    """Return the Gauss-Newton step of the parameters, and its squared norm in standard errors."""
     normal = np.sum([r.normal for r in found], axis=0)
     gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
     step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
@@ -125,15 +125,16 @@ def _settled(
     noise: Noise,
     begins: tuple[Array, ...] | None,
 ) -> Point | None:
-    """Return a piece at its best breakaway times; None where prediction errors do not apply to it.
+    """Return a piece with optimised breakaway times; None where prediction errors do not apply to
+    it.
 
     Args:
         piece: The piece.
         vector: Parameters.
-        free: Free ones among them.
+        free: Indices of the free parameters.
         model: Declared terms and fixed values.
         noise: Noise of torque and angle.
-        begins: Breakaway times of the pass before; None in the first.
+        begins: Breakaway times of the previous pass; None in the first.
     """
     moving = motion(piece)
     if moving is None:
@@ -147,8 +148,8 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters, the larger of information and sandwich, and
-    its bound.
+    """Return the covariance of the named parameters, the larger of inverse information and
+    sandwich, and its Cramer-Rao bound.
     """
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])

@@ -2,8 +2,8 @@
 optimised.
 
 All other parameters and all breakaway times are optimised at each point. The estimate does not
-maximise a likelihood, because the inertia solves an estimating equation (M31). Two things therefore
-differ from a plain profile:
+maximise a likelihood, because the inertia solves an estimating equation (M31). The profile
+therefore differs from a plain one in two ways:
 
 - The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared
   estimating equation over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
@@ -32,11 +32,11 @@ from identification.numerics.spread import CONFIDENCE
 from identification.result import Profile
 
 REACH = (0.8, 1.6, 2.4, 3.2)
-"""Points to either side of the estimate, in standard deviations."""
+"""Points on either side of the estimate, in standard deviations."""
 LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
-"""Half deviance below which no further step is taken."""
+"""Gain of half the deviance below which no further step is taken."""
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4
@@ -45,7 +45,7 @@ _DEGREE = 4
 class _Criterion:
     """Half the deviance (M45) above its minimum at the inertia of the estimate.
 
-    ``curve`` is the part that depends on the change of log J alone.
+    ``curve`` is the part that depends only on the change of log J.
     """
 
     def __init__(self, point: Point) -> None:
@@ -69,8 +69,8 @@ class _Criterion:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
-        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that
-        of the cost alone.
+        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and the
+        normal equations of the cost alone.
         """
         cost = self.held.jacobian(x, residual).eliminated(
             residual, huber_weight(residual, HUBER_THRESHOLD)
@@ -85,7 +85,7 @@ class _Criterion:
         """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and
         its value.
 
-        Nothing is held where ``along`` is all zeros.
+        Nothing is held if ``along`` is all zeros.
         """
         residual = self.held.residuals(x)
         value = self.value(x, residual)
@@ -151,10 +151,10 @@ def profiles(
 
 
 def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
-    """Return where the deviance passes :data:`LEVEL` on either side of its minimum; None where it
-    does not.
+    """Return the values at which the deviance crosses :data:`LEVEL` on either side of its minimum;
+    None where it does not.
 
-    Its root is interpolated, which is a straight line where the likelihood is a parabola.
+    The root of the deviance is interpolated linearly, which is exact for a parabolic deviance.
     """
     root, level = np.sqrt(np.maximum(deviance, 0.0)), LEVEL**0.5
     middle = int(np.argmin(deviance))
@@ -184,10 +184,10 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
     estimate.
 
     Args:
-        criterion: About the estimate.
-        along: Weights of the parameters; their sum is held.
-        shape: Change of the parameters per unit of it, shape (p,).
-        sigma: Its standard deviation.
+        criterion: Criterion around the estimate.
+        along: Weights of the parameters, whose weighted sum is held.
+        shape: Change of the parameters per unit of the weighted sum, shape (p,).
+        sigma: Standard deviation of the weighted sum.
     """
     steps, deviance = [0.0], [0.0]
     for way in (-1.0, 1.0):
@@ -205,11 +205,11 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q; the criterion keeps Q/2 less the least cost at each
-    J.
+    """Return steps of log J and the deviance Q; store Q/2 less the least cost at each J in the
+    criterion.
 
-    The equation is the error of J with the other parameters at their least squares: its slope is -1
-    where the experiment is linear.
+    The equation is the error of log J with the other parameters at their least squares; its slope
+    is -1 if the model is linear.
     """
     held, x = criterion.held, criterion.x
     jacobian = held.jacobian(x, criterion.residual)

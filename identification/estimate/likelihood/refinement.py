@@ -1,4 +1,6 @@
-"""The estimate from given recordings: prediction errors where accepted, else the equation error."""
+"""The estimate from given recordings: refined by prediction errors if accepted, else the equation
+error's.
+"""
 
 from __future__ import annotations
 
@@ -36,12 +38,12 @@ class Found:
 
     Attributes:
         values: Name to value.
-        spread: Covariance of the fitted ones.
+        spread: Covariance of the fitted parameters.
         floors: Name to half width at the Cramer-Rao bound; empty without refinement.
-        taken: The refinement, where it is accepted.
-        starts: Ends of its searches, accepted or not.
-        stages: How the search went.
-        warnings: Why it was refused.
+        taken: The refinement, if it is accepted.
+        starts: Search ends of the refinement, accepted or not.
+        stages: Record of each search.
+        warnings: Reason why the refinement was refused.
     """
 
     values: dict[str, float]
@@ -64,18 +66,19 @@ def refine(
     settings: EstimatorSettings = DEFAULT,
     progress: Progress = silent,
 ) -> Found:
-    """Refine equation-error values by prediction errors, test them, and correct their bias.
+    """Refine equation-error values by prediction errors, apply the acceptance tests, and correct
+    the bias.
 
     Args:
-        recordings: To fit.
-        active: The same, prepared for the equation error.
+        recordings: Recordings to fit.
+        active: The same recordings, prepared for the equation error.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
         model: Declared terms and fixed values.
         bandwidth_Hz: Bandwidth of the equation error.
-        rng: Spawns the noises of the simulated replicates.
-        settings: Of the estimator.
-        progress: Called as each fit begins, and with every pair of replicates.
+        rng: Random generator for the noise of the simulated replicates.
+        settings: Settings of the estimator.
+        progress: Called at the start of each fit, and with every pair of replicates.
     """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
@@ -107,8 +110,8 @@ def refine(
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); no correction that leaves the parameter
-    range.
+    """Subtract the bias (M36) and add its variance (M42); omit a correction that leaves the
+    parameter range.
     """
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(
@@ -128,12 +131,14 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 
 def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
-    """Solve the inertia's equation with instruments of replicates too (M32); the others follow.
+    """Solve the inertia's equation with instruments from replicates too (M32); the other parameters
+    follow the inertia.
 
-    Floors are theirs.
+    Floors are computed from the replicates.
 
-    It is solved at the bias-corrected values, as replicates solve it at their true values: errors
-    of the others enter in second order, which counts at several standard deviations.
+    The equation is solved at the bias-corrected values, because replicates are simulated at their
+    true values: errors of the other parameters enter in second order, which matters at several
+    standard deviations.
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))
@@ -155,22 +160,24 @@ def refine_recordings(
     correlated: bool = False,
     progress: Progress = silent,
 ) -> Refined | str:
-    """Return the refined estimate, or a text that says why prediction errors do not apply.
+    """Return the refined estimate, or a text with the reason why prediction errors do not apply.
 
     Args:
-        recordings: To fit.
+        recordings: Recordings to fit.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
-        progress: Called as each fit begins.
+        progress: Called at the start of each fit.
     """
     if not names:
         return "every parameter is fixed"
     if model.friction != NOMINAL:
-        return f"they know the {NOMINAL} friction only, and {model.friction} is declared"
+        return (
+            f"prediction errors support {NOMINAL} friction only, and {model.friction} is declared"
+        )
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
-        return "no rise of friction toward rest was found to refine"
+        return "the equation error finds no rise of friction toward rest"
     motions = {id(r): motion(r) for r in recordings}
     for r in recordings:
         if motions[id(r)] is None:
@@ -187,12 +194,12 @@ def refine_recordings(
     if not unloaded:
         return "there is no unloaded recording to start from"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
-        # At the bandwidth of the equation error a rise may not show, and in the breakaways it does.
+        # A rise may not show at the bandwidth of the equation error but in the breakaways.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
         return staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
     except np.linalg.LinAlgError:
-        return "these recordings do not pin the parameters of the prediction error"
+        return "these recordings do not determine the parameters of the prediction error"
 
 
 def spread_of(refined: Refined) -> Spread:
@@ -201,7 +208,7 @@ def spread_of(refined: Refined) -> Spread:
 
 
 def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
-    """Return the noise of a refined estimate, torque in ``unit``."""
+    """Return the measured noise of a refined estimate, with torques in ``unit``."""
     noise, steps = (
         refined.noise,
         [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions],
@@ -212,7 +219,7 @@ def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
 
 
 def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
-    """Return name to the half width of a 90 % interval at the Cramer-Rao bound ``floor``, shape (p,
+    """Return name to half width of the 90 % interval at the Cramer-Rao bound ``floor``, shape (p,
     p).
     """
     exact = Spread(names, floor, math.inf)
@@ -220,7 +227,7 @@ def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
 
 
 def joint_convergence(refined: Refined) -> Convergence:
-    """Return how the joint fit went."""
+    """Return the record of the joint fit."""
     return Convergence(
         stage="joint",
         method="prediction error",

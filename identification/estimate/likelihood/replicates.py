@@ -1,16 +1,16 @@
-"""Bias of the maximum-likelihood estimate, measured by simulating the experiment at the estimate
-(M33 to M36).
+"""Monte Carlo estimate of the bias of maximum likelihood, by simulating the experiment at the
+estimate (M33 to M36).
 
-Just after a breakaway friction falls steeply, and the filter, which is linear about its prediction,
-overestimates how much noise speeds the onset up; within the period of a breakaway the torque is no
-straight line. The maximum of the likelihood is therefore biased, most where static friction is
-high. Replicates are simulated under the recorded commands and the drive loop that the recordings
-show; the mean of one scoring step from the simulated values is the bias (parametric bootstrap;
-indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise
-is used twice, the second time with its sign turned, so that odd terms cancel.
+Just after a breakaway friction falls steeply, and the filter, linearised about its prediction,
+overestimates how much noise accelerates the onset; also, the torque is not linear within the period
+of a breakaway. The maximum of the likelihood is therefore biased, most where static friction is
+high. Replicates are simulated with the recorded commands and the drive loop estimated from the
+recordings; the mean of one scoring step from the simulated values is the bias (parametric
+bootstrap; indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85).
+Each noise realisation is used twice, the second time with reversed sign, so that odd terms cancel.
 
-The sensitivities of replicates are instruments too, and products of two of them give the Cramer-Rao
-bound.
+The sensitivities of replicates also serve as instruments, and products of the sensitivities of two
+replicates give the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
 
 _SEEDS = 1 << 63
-"""Seeds of the noises are drawn below this."""
+"""Upper limit of the random seeds of the noise."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Bias:
 
     Attributes:
         shifts: Name to bias, SI.
-        variances: Name to the variance of the bias, from the number of replicates.
+        variances: Name to the variance of the bias, due to the finite number of replicates.
         replicates: The replicates.
     """
 
@@ -68,17 +68,18 @@ def likelihood_bias(
     settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Bias | None:
-    """Return the bias of the likelihood at a point (M35); none for the inertia.
+    """Return the bias of the likelihood at a point (M35), without the inertia's.
 
-    None where the experiment cannot be simulated: the recordings do not show the drive's loop, a
-    load is not made by a weight, or the filter does not follow the replicates.
+    None where the experiment cannot be simulated: the recordings do not show the drive loop, a load
+    is not a weight, or the filter diverges on the replicates.
 
     Args:
         joint: The estimate.
-        names: Of the fitted parameters.
-        rng: Spawns the source of all noises; its own stream stays where it is.
-        settings: Number of noises, and when they are repeated or dropped.
-        progress: Called with every pair.
+        names: Names of the fitted parameters.
+        rng: Random generator; the noise generator is spawned from it, so its own stream does not
+            advance.
+        settings: Number of noise series, and criteria for repeating or dropping them.
+        progress: Called with every pair of replicates.
     """
     loop = _loop(joint.motions, settings.headroom)
     if loop is None or OFFSET in joint.free:
@@ -109,7 +110,7 @@ def likelihood_bias(
         replicates = tuple(r.replicate for pair in pairs for r in pair)
         if last:
             break
-        # The bias at the true values is that at the corrected estimate.
+        # The bias at the true values is approximated by the bias at the corrected estimate.
         there = replace(joint, vector=joint.parameters(_away(joint, mean)))
     if found is None:
         return None
@@ -129,18 +130,18 @@ def logged_share(
     rng: np.random.Generator,
     unseen: float = DEFAULT.replicates.unseen,
 ) -> float:
-    """Return the share of the torque noise's variance that is in the logged torque and not in the
-    true one (M34).
+    """Return the logged share: the share of the torque noise's variance that is in the logged
+    torque and not in the true torque (M34).
 
     A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves
-    the joint and is not logged. Scatter of the logged torque beyond the drive's answer to it is
-    noise of the measurement. Where that answer exceeds the noise, half is taken.
+    the joint and is not logged. Scatter of the logged torque beyond the drive's response to this
+    motion is measurement noise. Where the response exceeds the noise, ``unseen`` is returned.
 
     Args:
         joint: The estimate.
         loop: The drive.
-        rng: Of the noise that the simulated drive answers to.
-        unseen: The share where the recordings do not show it.
+        rng: Random generator of the noise to which the simulated drive responds.
+        unseen: Share that is assumed where the recordings do not show it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
@@ -162,8 +163,9 @@ class _Scored:
     """A replicate and one scoring step of the likelihood from the simulated values.
 
     Attributes:
-        step: Shape (p,).
-        deviation: Standard deviation of it; infinite, with no step, for the inertia, shape (p,).
+        step: Scoring step, shape (p,).
+        deviation: Standard deviation of the step, shape (p,); infinite for the inertia, whose step
+            is zero.
         replicate: The replicate.
     """
 
@@ -173,19 +175,19 @@ class _Scored:
 
 
 _Pair = tuple[_Scored, _Scored]
-"""Replicates with one noise, and with its sign turned."""
+"""Two replicates with the same noise realisation, the second with reversed sign."""
 
 
 def _pairs(
     there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
 ) -> Iterator[_Pair]:
-    """Yield pairs of replicates that both succeed, until the noises are used up.
+    """Yield pairs of replicates that both succeed, until the seeds are used up.
 
     Args:
         there: The experiment, at the simulated values.
         loop: The drive.
         share: Logged share of the noise variance.
-        noises: Their seeds.
+        noises: Seeds of the noise.
         farthest: Step, in standard deviations, above which a replicate is dropped.
     """
     for noise in noises:
@@ -205,22 +207,22 @@ def _deviation(pairs: Sequence[_Pair]) -> Array:
 
 
 def _uncertain(pairs: Sequence[_Pair], most: float) -> bool:
-    """Return whether the bias of some parameter is uncertain beside the standard error of the
-    estimate.
+    """Return whether the standard error of some parameter's bias exceeds ``most`` standard errors
+    of the estimate.
     """
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
     return bool(np.max(error / _deviation(pairs)) > most)
 
 
 def _away(joint: Point, step: Array) -> Array:
-    """Return the free vector that lies a step of the parameters before the point."""
+    """Return the free vector of the point less a step of the parameters."""
     there = joint.origin()
     there[: len(step)] -= step
     return there
 
 
 def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of named parameters in a step that ends at the point, in their own units,
+    """Return the change of named parameters, in their own units, for a step that ends at the point,
     shape (p,).
     """
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.vector))
@@ -228,7 +230,9 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive's loop, where recordings show it and their loads can be simulated."""
+    """Return the drive loop, if the recordings show it and their loads can be simulated; else
+    None.
+    """
     recordings = [m.recording for m in motions]
     plain = all(
         r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings
@@ -246,7 +250,7 @@ def _step_of_encoder(m: Motion) -> float:
 def _step(
     joint: Point, loop: Loop, share: float, seed: int, sign: float, farthest: float
 ) -> _Scored | None:
-    """Simulate a replicate and return its scoring step; None where the filter does not follow."""
+    """Simulate a replicate and return its scoring step; None where the filter diverges."""
     rng = np.random.default_rng(seed)
     motions = [
         _replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions
@@ -263,13 +267,13 @@ def _step(
 
 
 def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
-    """Return the parameters' part of a scoring step (M23) over them and breakaway times, the
+    """Return the parameters' part of a scoring step (M23) over parameters and breakaway times, the
     inertia held.
 
     Args:
-        point: Of the replicate.
+        point: Point of the replicate.
         noise: Seed of its noise.
-        farthest: Step, in standard deviations, above which there is none.
+        farthest: Step, in standard deviations, above which None is returned.
     """
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -297,7 +301,9 @@ def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
 
 
 def _drawn(joint: Point, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
-    """Return the torque noise that moves the joint, and that of the log, N m, shape (2, n)."""
+    """Return simulated torque noise, N m, shape (2, n): noise that moves the joint, and noise of
+    the log.
+    """
     rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
     return rows * np.sqrt([[1.0 - share], [share]])
 

@@ -1,5 +1,5 @@
-"""Searches of the likelihood: grid of starts, tempered least squares, neighbours of the best end,
-basins.
+"""Searches of the likelihood: grid of starts, least squares at raised noise, neighbours of the best
+end, basins.
 """
 
 from __future__ import annotations
@@ -17,26 +17,26 @@ from identification.numerics import levenberg_marquardt as levenberg
 from identification.numerics.levenberg_marquardt import huber
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
-"""Torque noise of the loaded fit's searches, over its own level; with fewer levels they miss the
-best end.
+"""Torque noise levels of the loaded fit's searches, over the estimated level; with fewer levels
+they miss the best end.
 """
 _START_SPEEDS = 6
 _START_STATICS = 7
 STARTS = 3
-"""Starts that are followed to their end: the likeliest of the grid is not always in the right
+"""Number of starts from which a search is run: the likeliest of the grid is not always in the right
 basin.
 """
 _MISSED = 0.8
-"""Mean Huber cost of a residual above which an end is in no basin: it is 0.26 to 0.55 at true
-values, and 1.4 and more at ends where searches are stuck.
+"""Mean Huber cost of a residual above which an end counts as outside any basin. It is 0.26 to 0.55
+at true values, and 1.4 and more where searches get stuck.
 """
 _WIDE_STEP = 0.3
-"""Difference of a coordinate (a parameter, or its logarithm) over its size, for slopes of stuck
-searches.
+"""Relative step of a coordinate (a parameter, or its logarithm) for finite differences in searches
+that got stuck.
 """
 _START_CLIP = 10.0
 _SEEKS = 3
-"""Fits in alternation with a grid search of the breakaway times."""
+"""Greatest number of fits in alternation with a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
 """Gain of the negative log likelihood below which a fit ends."""
 _LEAST_RESOLVED = 0.05
@@ -44,19 +44,25 @@ _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
     ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
-"""Neighbours of the best end of the loaded fit, far ones and then near ones: place and factor."""
+"""Neighbours of the best end of the loaded fit, far ones and then near ones: index of the parameter
+and factor.
+"""
 _ROUNDS = 2
-"""Rounds of neighbours of a kind, each from the best end so far; the second only after a gain."""
+"""Rounds of searches from far or near neighbours, each from the best end so far; the second only
+after a gain.
+"""
 _APART = 0.1
 """Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
 basins.
 """
 SAME_END = 1.0
-"""Deviance within which two searches count as ended alike: half a standard error of one
-parameter.
+"""Difference in deviance up to which two search ends count as the same: half a standard error of
+one parameter.
 """
 _AS_LIKELY = 4.0
-"""Deviance within which recordings do not decide between two ends: two standard errors."""
+"""Difference in deviance within which recordings do not decide between two ends: two standard
+errors.
+"""
 _SEVERAL = 2.0
 
 
@@ -65,9 +71,9 @@ class End:
     """End of a search of the loaded fit.
 
     Attributes:
-        unresolved: Whether its Stribeck speed is below what a sample resolves.
-        deviance: Deviance (M24) there; infinite where the search ended in no number.
-        point: Where it ended.
+        unresolved: Whether its Stribeck speed is below the resolution of the samples.
+        deviance: Deviance (M24) at the end; infinite if it is not finite.
+        point: End point of the search.
     """
 
     unresolved: bool
@@ -76,18 +82,18 @@ class End:
 
     @property
     def rank(self) -> tuple[bool, float]:
-        """The better end has the lower rank."""
+        """Sort key; the better end has the lower rank."""
         return self.unresolved, self.deviance
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedFit:
-    """How the searches of the loaded fit ended.
+    """Result of the loaded fit.
 
     Attributes:
         point: The likeliest end.
-        drop: Its deviance above that of the likeliest start.
-        ends: Ends of all searches, in their order.
+        drop: Deviance of this end less the deviance of the likeliest start.
+        ends: Ends of all searches, in order.
     """
 
     point: Point
@@ -96,10 +102,11 @@ class LoadedFit:
 
 
 def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
-    """Search a grid of static limits and Stribeck speeds, as far as they are free.
+    """Return start points from a grid of static limits and Stribeck speeds, as far as they are
+    free.
 
-    The static limit is at or below the peak torque before visible motion, because motion takes time
-    to show.
+    The static limit is at or below the peak torque before visible motion, because motion becomes
+    visible with a delay.
 
     Returns:
         A point for every Stribeck speed with its likeliest static limit, likeliest first.
@@ -136,12 +143,13 @@ def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[
 
 
 def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
-    """Search the loaded fit from the likeliest starts in turn, or from the point where there are
-    none.
+    """Search the loaded fit from the likeliest starts in turn, or from the point if there are no
+    starts.
 
-    A start that is likelier than every end, because the raised noise led out of its basin, is
-    searched once more at the noise's own level. Ends whose Stribeck speed no sample resolves count
-    only where there are no others: there the rise enters no prediction and fits noise.
+    If a start is likelier than every end, because the raised noise led out of its basin, it is
+    searched once more at the estimated noise level. Ends with a Stribeck speed below the samples'
+    resolution count only if there are no others: with them the rise affects no prediction and fits
+    noise.
     """
     starts = list(starts) or [point]
     followed = starts[:STARTS]
@@ -165,7 +173,7 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
 def basins(fit: LoadedFit) -> list[Point]:
     """Return the loaded fit's end, then the best ends of other basins, likeliest first.
 
-    Without ends whose Stribeck speed no sample resolves.
+    Ends with a Stribeck speed below the samples' resolution are omitted.
     """
     found = [fit.point]
     for end in sorted(fit.ends, key=lambda end: end.rank):
@@ -184,18 +192,18 @@ def _apart(one: Point, other: Point) -> bool:
 
 
 def likeliest_together(starts: Sequence[Point]) -> Searched:
-    """Return the start of the joint fit whose joint search, with the inertia held, ends likeliest.
+    """Return the start of the joint fit whose search, with the inertia held, has the likeliest end.
 
-    The searches of the loaded fit hold the system parameters. With the errors of these a wrong
-    basin may be likelier, which a search of all parameters corrects. Of ends that are as likely,
-    one of several times the Stribeck speed is preferred: toward a speed that no sample resolves the
-    likelihood is flat, and the search would drift there.
+    The searches of the loaded fit hold the system parameters. Due to errors of these a wrong basin
+    may be likelier, which a search of all parameters corrects. Of equally likely ends, one with a
+    several times larger Stribeck speed is preferred, as below the samples' resolution the
+    likelihood is flat.
 
     Args:
-        starts: Of the joint fit, each from an end of the loaded fit.
+        starts: Starts of the joint fit, each from an end of the loaded fit.
 
     Returns:
-        The start itself, and the iterations of all searches.
+        The chosen start, not its end, and the iterations of all searches.
     """
     ends, iterations = [], 0
     for start in starts:
@@ -220,15 +228,15 @@ def _missed(end: End) -> bool:
 
 
 def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
-    """Search from every start with slopes over wide steps, until an end explains the recordings;
-    return the best.
+    """Search from the starts with finite differences over wide steps, until an end explains the
+    recordings; return the best end.
 
-    Away from the true values the filter may stick and slip in slow ramps, and its errors then
-    depend on the parameters without order: slopes over small steps are a hundred times those over
-    wide ones, and lead nowhere.
+    Away from the true values the filter's model may stick and slip in slow ramps, and the errors
+    then depend irregularly on the parameters: differences over small steps give slopes a hundred
+    times those over wide steps, and no useful direction.
 
     Args:
-        starts: Of the searches.
+        starts: Starts of the searches.
         best: The best end so far.
         ends: Gains the ends of the searches.
     """
@@ -245,8 +253,8 @@ def _neighbours(best: End, ends: list[End]) -> End:
     """Search again from neighbours of an end, with new breakaway times; return the likeliest end
     found.
 
-    Parameters and breakaway times move together, so that a search may end where no single change is
-    a gain.
+    Parameters and breakaway times are coupled, so a search may end where no change of one kind
+    alone is a gain.
 
     Args:
         best: The end.
@@ -265,7 +273,7 @@ def _neighbours(best: End, ends: list[End]) -> End:
 
 
 def _searched(begun: Point, place: int, factor: float) -> End:
-    """Return the end of a search that starts at another end with one parameter multiplied by a
+    """Return the end of a search that starts from an end with one parameter multiplied by a
     factor.
     """
     vector = begun.vector.copy()
@@ -280,14 +288,14 @@ def _ended(start: Point, tempering: Sequence[float], step: float = PARAMETER_STE
 
 
 def _deviance(point: Point) -> float:
-    """Return the deviance at a point; infinite where the search ended in no number."""
+    """Return the deviance at a point; infinite if it is not finite."""
     found = deviance(*point.run())
     return found if math.isfinite(found) else math.inf
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether load friction falls over more than a share of the speed that its fall adds
-    within a period.
+    """Return whether the load Stribeck speed is resolved: above a share of the speed that the fall
+    of load friction adds within one period.
     """
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
@@ -298,16 +306,17 @@ def _resolved(point: Point) -> bool:
 def refine(
     point: Point, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP
 ) -> Searched:
-    """Search at falling noise, the last by likelihood.
+    """Search by least squares at decreasing noise levels, then by likelihood at the estimated
+    level.
 
-    Above the noise's own level least squares lead into the basin. At its level the deviations count
-    as well: they depend on the parameters, and least squares with held weights miss the maximum of
-    the likelihood.
+    Above the estimated level least squares lead into the basin. At that level the standard
+    deviations matter too: they depend on the parameters, and least squares with held weights miss
+    the maximum of the likelihood.
 
     Args:
         point: Start of the search.
-        tempering: Torque noise of each search, over its own level.
-        step: Difference for slopes at raised noise, over the size of a coordinate.
+        tempering: Torque noise of each search, over the estimated level.
+        step: Relative step for finite differences at raised noise.
     """
     iterations = 0
     for factor in tempering:
@@ -320,7 +329,7 @@ def refine(
 
 
 def _least_squares(point: Point, step: float) -> Searched:
-    """Search by least squares with the deviations of the start."""
+    """Search by least squares with the standard deviations of the start."""
     held = point.weighted(step)
     found = levenberg.minimise(
         held.residuals,

@@ -1,11 +1,11 @@
 """The unloaded, loaded and joint fit of the prediction errors, from the start values of the
 equation error.
 
-Unknown beside the parameters is the breakaway time of each segment, which is tied to the static
-limit by the torque measured then (M22). Least squares with the inertia held lead into the right
-basin: the torque noise is first taken large and then lowered, because a filter that trusts the
-encoder more has a smoother cost. At the noise's own level the likelihood is searched. The inertia
-follows from its estimating equation, because least squares and likelihood are biased in it
+The unknowns are the parameters and the breakaway time of each segment, which is tied to the static
+limit by the torque measured at that time (M22). Least squares with the inertia held lead into the
+right basin: the torque noise is first assumed large and then lowered, because the cost is smoother
+if the filter trusts the encoder more. At the estimated noise level the likelihood is maximised. The
+inertia follows from its estimating equation, because least squares and likelihood are biased in it
 (:mod:`identification.estimate.inertia.estimating_equations`).
 """
 
@@ -63,16 +63,18 @@ from identification.recording import Model
 from identification.result import Starts
 
 _Free = tuple[Sequence[int], Sequence[int]]
-"""Parameters that least squares find first, then the inertia; empty where it is known."""
+"""Free parameters: those that least squares estimate first, then the inertia; empty if it is
+fixed.
+"""
 _AGAIN = 2
-"""Solutions started from the best end where no start is solved; the first without a gain is the
-last.
+"""Greatest number of solutions started from the best end if no start is solved; they stop at the
+first without a gain.
 """
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
-"""Inertias tried, over that of the equation error, which errs upward under noise."""
+"""Inertias tried, over the equation error's inertia, which is biased upward by noise."""
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Inertias tried where none of these is solved: for short, fast slips the equation error may find a
-fiftieth.
+"""Inertias tried if none of these is solved: in short, fast slips the equation error may give a
+fiftieth of the inertia.
 """
 
 
@@ -82,12 +84,13 @@ class Refined:
 
     Attributes:
         values: Name to value.
-        covariance: Of the fitted ``names``, shape (p, p), in the units of the values.
-        floor: Its Cramer-Rao bound (:mod:`identification.estimate.uncertainty.cramer_rao`), shape
-        (p, p).
-        names: Fitted names in that order.
-        innovation_rms: Of innovations with variance inflation; 1 where the noise model holds.
-        whiteness: Correlation of neighbouring innovations, likewise.
+        covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
+        floor: Cramer-Rao bound of the covariance
+            (:mod:`identification.estimate.uncertainty.cramer_rao`), shape (p, p).
+        names: Names of the fitted parameters, in the order of the covariance.
+        innovation_rms: Rms of normalised innovations with variance inflation; 1 where the noise
+            model holds.
+        whiteness: Correlation of neighbouring innovations, with variance inflation.
         noise: Noise of torque and angle.
         repeating_share: Share of the correlated noise that repeats (M26); zero without correlated
         noise.
@@ -100,7 +103,7 @@ class Refined:
             not return to it.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
-        starts: Ends of the searches by start.
+        starts: Search ends of each search.
     """
 
     values: Mapping[str, float]
@@ -127,7 +130,7 @@ class Solved:
 
     Attributes:
         chi2: Chi-square of the estimating equations (M29).
-        point: Where it ended.
+        point: Point at which it ended.
     """
 
     chi2: float
@@ -141,18 +144,18 @@ def solve_unloaded(
     solved.
 
     Least squares with the inertia held lead into the basin of that inertia; the equation error's
-    may be off by half and more.
+    inertia may be wrong by half and more.
 
     Args:
-        begun: At the equation error's values.
-        system: Free parameters but the inertia.
-        inertia: The inertia, where it is free.
+        begun: Point at the equation error's values.
+        system: Indices of the free parameters except the inertia.
+        inertia: Index of the inertia, if it is free.
 
     Returns:
         The best end, and the chi-square of every solution.
 
     Raises:
-        numpy.linalg.LinAlgError: The instruments determine the parameters from none of the starts.
+        numpy.linalg.LinAlgError: The instruments do not determine the parameters from any start.
     """
     free = system, inertia
     both = bool(system) and bool(inertia)
@@ -176,7 +179,7 @@ def solve_unloaded(
     if both and (best is None or not best.chi2 < SOLVED):
         best = _best_of(_far(at_system), free, best, found)
     if best is None:
-        raise np.linalg.LinAlgError("no start pins the parameters")
+        raise np.linalg.LinAlgError("no start determines the parameters")
     return best, tuple(found)
 
 
@@ -198,11 +201,11 @@ def _far(point: Point) -> Iterator[Point]:
 def _best_of(
     starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
 ) -> Solved | None:
-    """Solve from one start after another until the equations are solved; return the best end,
-    including ``best``.
+    """Solve from one start after another until the equations are solved; return the best end, which
+    may be ``best``.
 
     Args:
-        starts: Tried in turn.
+        starts: Starts, tried in turn.
         free: Free parameters.
         best: The best end so far.
         found: Gains the chi-square of every solution.
@@ -230,16 +233,14 @@ def _solved_from(start: Point, free: _Free) -> Solved | None:
             point = solve(point)
         chi2 = equations_chi2(point) if point.free else 0.0
     except np.linalg.LinAlgError:
-        # From a start without a rise, as the equation error finds it in slips, the Stribeck speed
-        # is undetermined.
+        # Without a rise, as the equation error may find in slips, the Stribeck speed is
+        # undetermined.
         return None
     return Solved(chi2, point) if math.isfinite(chi2) else None
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the places of the parameters that are not fixed: of the system, of the load, and of
-    the inertia.
-    """
+    """Return the indices of the parameters that are not fixed: system, load, and inertia."""
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [
         k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
@@ -262,8 +263,8 @@ def _first_point(
     """Return the point of the unloaded fit at the equation error's values, with the likeliest noise
     there.
     """
-    # Without load the equation error is a good start already; with it, friction falls too steeply
-    # to be filtered.
+    # Without load the equation error is a good start; under load, friction falls too steeply to be
+    # resolved after filtering.
     first = Point.of(
         unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
     )
@@ -288,14 +289,14 @@ def refine_stages(
         start: Equation-error values of all parameters.
         model: Declared terms and fixed values.
         correlated: Whether the torque noise has a correlated part.
-        progress: Called as each of the three fits begins.
+        progress: Called at the start of each of the three fits.
     """
     system, load, inertia = _sought(model)
     progress(f"unloaded fit, recordings: {len(unloaded)}", 0.0)
     begun = _first_point(unloaded, start, system, model, correlated)
     first, chi2s = solve_unloaded(begun, system, inertia)
     starts = [
-        Starts("unloaded", "defect of the estimating equations", chi2s, SOLVED, absolute=True)
+        Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
     ]
     evaluations, likelihood_drop = begun.filter.evaluations, 0.0
     free, ends = [*system, *inertia], [first.point]
@@ -335,8 +336,8 @@ def refine_stages(
 def _loaded_fit(
     first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
 ) -> tuple[LoadedFit, int]:
-    """Return the fit of the load parameters, the others held at the end of the unloaded fit, and
-    the runs of the filter.
+    """Return the fit of the load parameters, with the others held at the end of the unloaded fit,
+    and the number of filter runs.
     """
     begun = Point.of(loaded, first.vector, load, model, first.noise)
     found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
@@ -355,13 +356,13 @@ def _joint_fit(
     ends: Sequence[Point],
     model: Model,
 ) -> Searched:
-    """Fit all recordings jointly, from the likeliest end where there are several.
+    """Fit all recordings jointly, from the likeliest end if there are several.
 
     Args:
         first: End of the unloaded fit.
         motions: Unloaded recordings, then loaded ones.
         free: Free parameters.
-        ends: Ends of the loaded fit; the end of the unloaded one where nothing is loaded.
+        ends: Ends of the loaded fit; the end of the unloaded fit if nothing is loaded.
         model: Declared terms and fixed values.
     """
     joint = Point.of(motions, first.vector, free, model, first.noise)
@@ -385,11 +386,11 @@ def _joint_fit(
 def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, float]:
     """Return the rms of the innovations and the correlation of neighbouring ones, outliers clipped.
 
-    A segment of twenty samples that the filter loses is one of many; missing physics is in most of
-    them.
+    Clipping bounds the effect of a few short segments on which the filter diverges; unmodelled
+    physics affects most segments.
 
     Args:
-        residual: Innovations over their deviations, then ties, shape (r,).
+        residual: Innovations over their standard deviations, then ties, shape (r,).
         breakaways: Number of ties.
     """
     inside = np.clip(residual[: len(residual) - breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD)

@@ -1,1 +1,1 @@
-"""The paper's genetic algorithm, and the comparison of searches on its equation error."""
+"""The paper's genetic algorithm, and the comparison of optimisers on its equation error."""

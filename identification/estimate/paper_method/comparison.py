@@ -1,9 +1,9 @@
-"""All estimators side by side: the searches on one equation error, and the whole default method.
+"""Comparison of estimators: several optimisers on one equation error, and the whole default method.
 
-A search fails where it ends more than 0.1 % above the least cost that any of them found: in a wrong
-basin, or unfinished (over the 2000 samples of a 20 s stage that is worse by two standard errors of
-white noise). What is left between the least cost and the truth is the equation error's own limit,
-which no search can lift.
+An optimiser fails if it ends more than 0.1 % above the least cost that any of them found: in a
+wrong basin, or unfinished. (Over the 2000 samples of a 20 s stage this is two standard errors of
+white noise.) The remaining difference between the parameters of least cost and the true ones is the
+error of the equation-error method itself, not of an optimiser.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 
 COST_TOLERANCE = 1e-3
-"""A search that ends higher than this above the least cost found has failed."""
+"""Relative excess over the least cost found above which a search counts as failed."""
 DEFAULT = "default method"
 
 
@@ -32,19 +32,19 @@ class Contender:
     """One estimator over all its runs, one per seed.
 
     Attributes:
-        name: Of the estimator.
-        runs: Seeds tried; searches without chance are tried once.
-        failures: Runs that ended above the least cost found in either stage.
-        evaluations: Median over the runs, both stages.
-        seconds: Median over the runs.
-        excess: Median over the runs of the greater cost over the least found, less one; None for
-            the default method, which goes on from the equation error to the prediction errors.
+        name: Name of the estimator.
+        runs: Number of seeds tried; a deterministic optimiser is run once.
+        failures: Number of runs that failed in either stage.
+        evaluations: Evaluations in both stages, median over the runs.
+        seconds: Time, median over the runs.
+        excess: Cost over the least cost found, less one, in the worse stage; median over the runs.
+            None for the default method, which continues with prediction errors.
         values: Parameters of the run with the median error.
-        error: Worst relative error against the default method over its identified parameters,
-        median of the runs.
-        worst: The parameter that it belongs to.
-        true_error: The same against the true parameters, where those are known.
-        true_worst: The parameter that it belongs to.
+        error: Greatest relative difference from the default method over its identified parameters,
+            median over the runs.
+        worst: Parameter with this difference.
+        true_error: Greatest relative error against the true parameters, if known, likewise.
+        true_worst: Parameter with this error.
     """
 
     name: str
@@ -76,28 +76,27 @@ def compare(
     truth: Mapping[str, float] | None = None,
     progress: Callable[[str, float], None] | None = None,
 ) -> tuple[Contender, ...]:
-    """Run every search on the recordings that the default method was fitted to.
+    """Run every optimiser on the recordings to which the default method was fitted.
 
     Args:
         dataset: Recordings with role fit, unloaded ones among them, of the nominal nine parameters.
         default: Result of the default method on the dataset; its bandwidth is used and its values
         are the reference.
-        seeds: One run of each search that has chance in it per seed.
-        truth: True parameters of a simulated bench; used for the tables only, after all searches
-        are done.
-        progress: Called with the name of the search and the share of its runs done.
+        seeds: Seeds; a stochastic optimiser is run once per seed.
+        truth: True parameters of a simulated bench; used only for the tables, after all runs.
+        progress: Called with the name of the optimiser and the share of its runs done.
 
     Returns:
-        The default method first, then the searches in the order of :data:`OPTIMISERS`.
+        The default method first, then the optimisers in the order of :data:`OPTIMISERS`.
 
     Raises:
-        RecordingError: Fixed values or declared terms, which the one problem of all searches does
-            not have, or nothing that moves.
+        RecordingError: The model has fixed values or declared terms, which the comparison does not
+            support, or nothing moves.
     """
     if dataset.model.fixed or dataset.model.terms:
         held = ", ".join((*dataset.model.fixed, *dataset.model.terms))
         raise RecordingError(
-            f"a comparison takes the nominal model; remove model.fixed and model.terms ({held})"
+            f"a comparison needs the nominal model; remove model.fixed and model.terms ({held})"
         )
     prepared = [prepare(r, default.fit.bandwidth_Hz) for r in dataset.part("fit")]
     stages = {s: [p for p in prepared if p.recording.stage == s] for s in ("unloaded", "loaded")}
@@ -169,7 +168,9 @@ def _contender(
 
 
 def _worst(values: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
-    """Return the greatest relative error over the parameters that both know, and its name."""
+    """Return the greatest relative error over the common parameters, and the name of that
+    parameter.
+    """
     errors = [
         (abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0
     ]

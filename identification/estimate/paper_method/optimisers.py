@@ -1,4 +1,4 @@
-"""The searches of ``rig identify --compare``, each on a :class:`StageProblem`."""
+"""The optimisers of ``rig identify --compare``, each applied to a :class:`StageProblem`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from identification.numerics.optimisers import (
 )
 
 Optimiser = Callable[[StageProblem, np.random.Generator], Array]
-"""Problem and random generator to the best point found, in the unit cube."""
+"""Function from problem and random generator to the best point found, in the unit cube."""
 
 
 def variable_projection(problem: StageProblem, rng: np.random.Generator) -> Array:
@@ -35,4 +35,4 @@ OPTIMISERS: Mapping[str, Optimiser] = {
     "CMA-ES": cma_es,
     "multi-start least squares": multi_start,
 }
-"""Name to search; the first is the one that the default method uses."""
+"""Name to optimiser; the default method uses the first."""

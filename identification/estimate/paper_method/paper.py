@@ -1,13 +1,13 @@
 """The paper's method (Sec. 4): the equation error of eq. 15/16, minimised in two stages by a
 genetic algorithm.
 
-Stage 1 takes the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 takes
-the loaded ones, holds those five and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum
-e(k)^2), targets 0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
+Stage 1 uses the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 uses
+the loaded ones, holds these five parameters and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness
+sqrt(sum e(k)^2), targets 0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
 
-Settled here, because the paper does not say: friction opposes motion, so eq. 13 and 15 carry
-sgn(omega); samples at rest are left out, for there friction balances the drive and gives an
-inequality, not an equation; the search box comes from the size of the recorded signals
+The paper leaves open, and this module defines: friction opposes motion, so eq. 13 and 15 contain
+sgn(omega); samples at rest are omitted, since friction then balances the drive and gives an
+inequality, not an equation; the search box is computed from the size of the recorded signals
 (:func:`search_box`). The method gives no intervals.
 """
 
@@ -34,11 +34,11 @@ TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
 """Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""
 POPULATION = 40
 GENERATIONS = 1000
-_AT_BOUND = 1e-3  # of the width of the box
+_AT_BOUND = 1e-3  # distance from a bound, over the width of the box
 
 STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
-"""Parameters that each stage searches: Coulomb, static, Stribeck speed, viscous, and without load
-J.
+"""Parameters that each stage searches: Coulomb level, static level, Stribeck speed, viscous
+coefficient, and J in the unloaded stage.
 """
 
 Progress = Callable[[str, float], None]
@@ -66,14 +66,14 @@ def identify_paper(
 
     Args:
         dataset: Recordings of one bench.
-        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what those to
-        fit bear.
+        bandwidth_Hz: Bandwidth of the filter that all signals pass; None chooses the least of the
+            fitted recordings' default bandwidths.
         rng: Source of all randomness.
-        progress: Called with the stage and the share of its generations that is done.
-        generations: Limit per stage.
+        progress: Called with the stage and the share of its generations done.
+        generations: Greatest number of generations per stage.
 
     Raises:
-        RecordingError: No unloaded recording to fit, or one in which nothing moves.
+        RecordingError: There is no unloaded recording to fit, or nothing moves in a recording.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
@@ -115,10 +115,10 @@ def identify_paper(
 
 
 def _left_out(model: Model) -> tuple[str, ...]:
-    """Say which declared terms the paper's method has not.
+    """Return a warning about declared terms that the paper's method does not have.
 
     Raises:
-        RecordingError: Another friction is declared than the paper's.
+        RecordingError: A friction model other than the paper's is declared.
     """
     if model.friction != NOMINAL:
         raise RecordingError(
@@ -135,7 +135,7 @@ def _left_out(model: Model) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class _Search:
-    """What both stages share."""
+    """Settings and search that both stages share."""
 
     dataset: Dataset
     generations: int
@@ -145,8 +145,8 @@ class _Search:
     def solve(
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
-        """Return one stage's values, estimates, and how its search went (nothing where all are
-        held).
+        """Return one stage's values, estimates, and the record of its search (none if all
+        parameters are held).
         """
         names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)
@@ -174,7 +174,9 @@ class _Search:
         box: Mapping[str, tuple[float, float]],
         held: Mapping[str, float],
     ) -> Convergence:
-        """Run the genetic algorithm on one stage and keep what it had after every generation."""
+        """Run the genetic algorithm on one stage and record its best point after every
+        generation.
+        """
         alpha = self.dataset.model.alpha
         misfit = TorqueMisfit(
             samples.torque, samples.velocity, samples.acceleration, samples.load, alpha
@@ -211,11 +213,12 @@ class _Search:
 
 
 def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the search box, from the size of the signals alone.
+    """Return the search box, computed only from the size of the signals.
 
-    Dry friction up to twice the largest torque per load (breakaway may fall between samples),
-    viscous friction and inertia up to what would explain that torque at the largest speed and
-    acceleration, the Stribeck speed from 1/500 of the largest speed up to it.
+    Upper bounds are twice the largest torque per load for dry friction (a breakaway may fall
+    between samples), and the values that would explain that torque at the largest speed and
+    acceleration for viscous friction and inertia. The Stribeck speed ranges from 1/500 of the
+    largest speed to the largest speed.
     """
     torque = float(np.max(np.abs(samples.torque / samples.load)))
     speed = float(np.max(np.abs(samples.velocity)))
@@ -234,7 +237,8 @@ def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[f
 def collect(
     stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
 ) -> StageSamples:
-    """Return the equations of one stage; what earlier stages found is moved to the left side.
+    """Return the equations of one stage; terms of parameters from the earlier stage are moved to
+    the left side.
 
     Raises:
         RecordingError: Too little motion, or no load where there should be one.
@@ -269,13 +273,11 @@ def _parameter(
     samples: StageSamples,
     cost: float,
 ) -> Parameter:
-    """Return one parameter; J is not identifiable where its torque is smaller than what the fit
-    leaves over.
-    """
+    """Return one parameter; J is not identifiable if its torque is smaller than the misfit."""
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
-            f"its torque, {inertial:.3g} (norm over the samples), drowns in the misfit of "
+            f"its torque, {inertial:.3g} (norm over the samples), is below the misfit of "
             f"{cost:.3g}; "
             "excite with higher acceleration"
         )

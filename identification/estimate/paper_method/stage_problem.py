@@ -3,7 +3,7 @@ optimiser.
 
 All optimisers see the same samples, the same cost sqrt(sum e(k)^2) and the same box, in the paper's
 own coordinates: x = [Mc, Ms, omega_sf, sigma_2, J] without load, [mu_c, mu_s, omega_sL, mu_2] with
-it. Coordinates are scaled to the unit cube, so that a step means the same share of the box in each.
+it. Coordinates are scaled to the unit cube, so that a step is the same share of the box in each.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from identification.prepare import Prepared
 
 
 class StageProblem:
-    """Cost and residuals of one stage over the unit cube; counts what is asked of it.
+    """Cost and residuals of one stage over the unit cube; it counts evaluations.
 
     Args:
         stage: ``unloaded`` or ``loaded``.
-        prepared: Its recordings.
+        prepared: Recordings of the stage.
         known: The system parameters, held while the loaded stage is searched.
         alpha: Stribeck exponent.
     """
@@ -74,8 +74,8 @@ class StageProblem:
         return np.asarray(s.torque - friction - (inertia[0] if inertia else 0.0) * s.acceleration)
 
     def design(self, omega_s: float) -> Design:
-        """Return the linear problem left at one Stribeck speed, for variable projection; the rise
-        stands for static.
+        """Return the linear problem at one Stribeck speed, for variable projection; the rise
+        replaces the static level.
         """
         s = self.samples
         shape = s.load * stribeck_shape(s.velocity, omega_s, self._alpha)
@@ -86,9 +86,7 @@ class StageProblem:
         return Design(np.column_stack(columns), s.torque, np.zeros(len(columns)), self.high[kept])
 
     def unlinear(self, omega_s: float, coefficients: Array) -> Array:
-        """Return the point of the unit cube that a solution of :meth:`design` stands for, shape
-        (d,).
-        """
+        """Return a solution of :meth:`design` as a point of the unit cube, shape (d,)."""
         coulomb, rise, *others = coefficients
         physical = np.array([coulomb, coulomb + rise, omega_s, *others])
         return np.asarray((physical - self.low) / (self.high - self.low))

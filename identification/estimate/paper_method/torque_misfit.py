@@ -12,18 +12,19 @@ import numpy as np
 from identification.numerics.arrays import Array
 
 _CHUNK = 2048  # samples per block, so that a population's block stays in the cache
-_LOG_NEGLIGIBLE = -80.0  # exp(-80) is nothing beside 1; below -708 it would be a slow denormal
+_LOG_NEGLIGIBLE = -80.0  # exp(-80) is negligible against 1; below -708 it would be a denormal
 
 
 class TorqueMisfit:
     """sqrt(sum e^2) with e = torque - load (sgn(w) (c + (s - c) exp(-|w/w_s|^alpha)) + v w) - J dw.
 
     Args:
-        torque: Drive torque less what is already known, N m, shape (n,).
-        velocity: w, rad/s, shape (n,); sgn(0) has no equation, so samples at rest must be left out.
+        torque: Drive torque less known torques, N m, shape (n,).
+        velocity: w, rad/s, shape (n,); samples at rest must be omitted, since friction has no
+            equation there.
         acceleration: dw, rad/s^2, shape (n,).
-        load: What multiplies the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m
-            for the working load (eq. 13).
+        load: Factor of the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m for
+            the working load (eq. 13).
         alpha: Stribeck exponent.
     """
 

@@ -1,4 +1,4 @@
-"""Covariance of the refined estimate, its Cramer-Rao bound, and the last step of the inertia (M38
+"""Covariance of the refined estimate, its Cramer-Rao bound, and the final step of the inertia (M38
 to M41).
 """
 
@@ -27,24 +27,22 @@ from identification.numerics.least_squares import equilibrated
 from identification.numerics.levenberg_marquardt import huber_weight
 
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
-"""Weight of the prior scatter, in segments: without replicates, and of replicates (M41)."""
+"""Weight of the prior scatter, in segments, without and with replicates (M41)."""
 _FARTHEST = 1.0
-"""Change of a logarithm beyond which a parameter does not follow the inertia: it is not
-identifiable, as a Stribeck speed below all sampled speeds, and the linearisation does not hold
-there.
+"""Change of a logarithm above which a parameter does not follow the inertia: it is not identifiable
+(such as a Stribeck speed below all sampled speeds), and the linearisation is invalid.
 """
 
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters as estimated, and its bound, in their own units, shape (p,
-    p).
+    """Covariance of the free parameters and its bound, in the free vector's units, shape (p, p).
 
     Attributes:
-        achieved: With the inertia at the solution of its equation.
-        floor: The bound.
-        step: Step of the free parameters to that solution, the others following the inertia, shape
-            (p,).
+        achieved: Covariance with the inertia at the solution of its equation.
+        floor: Cramer-Rao bound.
+        step: Step of the free parameters to that solution, with the other parameters following the
+            inertia, shape (p,).
     """
 
     achieved: Array
@@ -57,12 +55,12 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 
     The inertia has the variance of its estimating equation, and the others follow it (M39). Each
     parameter is scaled by the scatter of its scores from segment to segment (M40, M41; Liang and
-    Zeger, Biometrika 73 (1986) 13); that of the inertia is never lowered.
+    Zeger, Biometrika 73 (1986) 13); the inertia's variance is never lowered.
 
     Args:
-        point: At the estimate.
-        replicates: Of its experiment there, for the bound, the prior of the scatter, and
-            instruments of the inertia.
+        point: Point at the estimate.
+        replicates: Replicates of the experiment at the estimate, for the bound, the prior of the
+            scatter, and instruments of the inertia.
     """
     x = point.origin()
     held = point.weighted()
@@ -101,10 +99,10 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 def _replicate_bounds(
     point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the bound with variance inflation, and without, (p, p) each; None where replicates
-    give none.
+    """Return the bound with and without variance inflation, (p, p) each; None where the replicates
+    determine no bound.
 
-    Inflation is a choice of the estimator and no part of the floor (M38).
+    Inflation is a choice of the estimator and not part of the floor (M38).
     """
     if not replicates:
         return None
@@ -121,8 +119,8 @@ def _replicate_bounds(
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
-    """Return the covariance of least squares with the ``j``-th parameter, the inertia, of this
-    variance (M39).
+    """Return the least-squares covariance with the given variance of the ``j``-th parameter, the
+    inertia (M39).
     """
     others = [k for k in range(len(floor)) if k != j]
     known = np.ix_(others, others)
@@ -137,17 +135,17 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
 def _spread(
     jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]
 ) -> Array:
-    """Return the scatter of scores between segments over that of the noise model, as deviations,
+    """Return the ratio of the scores' standard deviation between segments to the noise model's,
     shape (p,) (M41).
 
-    A recording has few segments, so the ratio is drawn toward its mean over replicates, or toward
-    one without any. It may be below one: the drive's loop compensates part of the current noise
-    within a segment.
+    A recording has few segments, so the ratio is shrunk toward its mean over replicates, or toward
+    one without replicates. It may be below one: the drive's loop compensates part of the current
+    noise within a segment.
 
     Args:
-        jacobian: Of the residuals.
-        residual: Shape (r,).
-        replicates: Jacobian and residuals of each.
+        jacobian: Jacobian of the residuals.
+        residual: Residuals, shape (r,).
+        replicates: Jacobian and residuals of each replicate.
     """
     ratio, segments = _scatter(jacobian, residual)
     prior, worth = np.ones_like(ratio), _PRIOR
@@ -157,15 +155,15 @@ def _spread(
 
 
 def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
-    """Return the ratio of clustered to plain variance of each parameter, and the number of segments
-    behind it (M40).
+    """Return each parameter's ratio of clustered to plain variance and the effective number of
+    segments, shape (p,) each (M40).
 
-    Both of shape (p,). Scores are taken about their mean, so that an estimate beside the
-    least-squares one does not count as scatter.
+    The mean of the scores is subtracted, so that a distance from the least-squares estimate does
+    not count as scatter.
     """
     weight = huber_weight(residual, HUBER_THRESHOLD)
     normal, scale = equilibrated(jacobian.product(weight))
-    # A segment may hold no information on its own breakaway time.
+    # A segment may have no information on its own breakaway time.
     inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
     plain, sums = np.zeros((2, jacobian.blocks, influence.shape[1]))
@@ -181,8 +179,8 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
 def named_covariances(
     found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return achieved covariance and floor in the order of ``names``, for static limits in place of
-    rises, (p, p).
+    """Return achieved covariance and floor in the order of ``names``, with static limits in place
+    of rises, (p, p).
     """
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)

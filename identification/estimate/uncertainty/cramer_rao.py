@@ -1,14 +1,14 @@
-"""The Cramer-Rao bound of an experiment as it was made (M37, M38).
+"""The Cramer-Rao bound of an experiment (M37, M38).
 
-The measured current is a given input, because the drive's loop is unknown; the encoder is
-quantised; breakaway times are unknown. The Fisher information is that of the mean of the prediction
+The measured current is a given input, because the drive loop is unknown; the encoder is quantised;
+breakaway times are unknown. The Fisher information is computed from the mean of the prediction
 errors: products of sensitivities over standard deviations, summed over samples (Ljung, System
 Identification, 2nd ed., 7.4), breakaway times eliminated.
 
 A segment's own sensitivities contain the current noise, whose square would count as excitation.
-With replicates, products of two different noises are taken. Without, the mean over matching half
-cycles is taken: the share of the noise falls with their number, but differences between them are
-lost, so that this bound is up to a quarter too high.
+With replicates, products of sensitivities under two different noise realisations are used. Without
+replicates, the mean over matching half cycles is used: the share of the noise falls with their
+number, but differences between them are lost, so that this bound is up to a quarter too high.
 """
 
 from __future__ import annotations
@@ -35,19 +35,18 @@ def matching_means(jacobian: BlockArrow, others: BlockArrow, counts: Array) -> B
     """Return the mean of sensitivities over matching half cycles.
 
     Args:
-        jacobian: A segment's own, of r rows.
-        others: Mean over its other matching half cycles.
-        counts: Number of matching half cycles of each row, its own included, shape (r,).
+        jacobian: Sensitivities of each segment itself, of r rows.
+        others: Mean over the other matching half cycles.
+        counts: Number of matching half cycles of each row, including itself, shape (r,).
     """
     return jacobian.mixed(1.0 / counts, others)
 
 
 def bound(matching: BlockArrow) -> Array:
-    """Return the smallest covariance that an unbiased estimate can have, by matching half cycles.
+    """Return the Cramer-Rao bound from matching half cycles, shape (p, p).
 
     Args:
-        matching: d residuals / d unknowns, residuals over their deviations, of r rows and p
-            columns; from :func:`matching_means`.
+        matching: d residuals / d unknowns, of r rows and p columns, from :func:`matching_means`.
 
     Returns:
         Shape (p, p).
@@ -64,14 +63,14 @@ def bound(matching: BlockArrow) -> Array:
 def replicate_information(
     point: Point, matching: BlockArrow, replicates: Sequence[Replicate]
 ) -> Array:
-    """Return the information of each segment on the free parameters by replicates (M37, M12), shape
+    """Return each segment's information on the free parameters, from replicates (M37, M12), shape
     (m, p, p).
 
     Args:
-        point: Where the sensitivities were taken.
-        matching: Sensitivities by matching half cycles without inflation, for ties and for samples
-            that fewer than two noises cover.
-        replicates: With two noises at least.
+        point: Point at which the sensitivities are computed.
+        matching: Sensitivities from matching half cycles without inflation, for ties and for
+            samples covered by fewer than two noise realisations.
+        replicates: Replicates with at least two noise realisations.
     """
     count = len(point.free)
     rows = np.column_stack([matching.parameters, matching.own])
@@ -89,13 +88,13 @@ def replicate_information(
 
 
 def replicate_bound(information: Array) -> Array | None:
-    """Return the smallest covariance that an unbiased estimate can have, by replicates (M38).
+    """Return the Cramer-Rao bound from replicates (M38).
 
     Args:
-        information: Of each segment (:func:`replicate_information`), shape (m, p, p).
+        information: Information of each segment (:func:`replicate_information`), shape (m, p, p).
 
     Returns:
-        Of the free parameters, shape (p, p); None where the information has no inverse.
+        Covariance of the free parameters, shape (p, p); None if the information is singular.
     """
     total = np.sum(information, axis=0)
     if np.any(np.diag(total) <= 0.0):
@@ -110,8 +109,8 @@ def _products(segment: ReplicatedSegment, matching: Array) -> Array:
     """Return the sum over a segment's samples of the expected products of its sensitivities, shape
     (p + 1, p + 1).
 
-    The mean of products over all pairs of different noises (Hoeffding, Ann. Math. Statist. 19
-    (1948) 293).
+    The expectation is the mean over all pairs of different noise realisations (Hoeffding, Ann.
+    Math. Statist. 19 (1948) 293).
     """
     noises = {curve.noise for curve in segment.curves}
     total, squares, seen = (

@@ -1,5 +1,5 @@
-"""The parameter table and the fit errors of a report: values, intervals, and why a value is
-withheld (M43).
+"""The parameter table and the fit errors of a report: values, intervals, and the reason why a value
+is withheld (M43).
 """
 
 from __future__ import annotations
@@ -29,13 +29,15 @@ from identification.recording import Model
 from identification.result import Fit, Parameter, Trace
 
 WIDEST = 0.5
-"""Half width of the 90 % interval over the value, above which a parameter is not identifiable."""
+"""Ratio of the 90 % interval's half width to the value above which a parameter is not
+identifiable.
+"""
 LEAST_RISE = 1e-3
-"""Rise over the Coulomb level below which it is not identifiable."""
+"""Ratio of the rise to the Coulomb level below which the rise is not identifiable."""
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Return name to unit; torques read A where no torque constant is known."""
+    """Return name to unit; torques are in A where no torque constant is known."""
     recording = prepared[0].recording
     amperes = torque_unit(recording) == "A"
     motion = recording.bench.motion
@@ -48,10 +50,10 @@ def fit_of(
     alpha: float,
     validate: Sequence[Prepared] = (),
 ) -> Fit:
-    """Return the error over the used samples, and over those set aside.
+    """Return the torque error over the used samples, and over the validation recordings.
 
-    In the unit of the torque; on a bench where only the voltage was measured, in volts: the
-    armature voltage R I that the torque error stands for.
+    The unit is the torque's; if only the voltage was measured, it is V, and the error is the
+    armature voltage R I of the torque error.
     """
     first = prepared[0]
     volts = volts_per_torque(first.recording)
@@ -73,8 +75,9 @@ def fit_of(
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
     """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    Recordings have unknown error levels of their own: one that turns too fast for the bandwidth has
-    an error many times that of the others. In the geometric mean each counts alike, however long.
+    Recordings have different unknown error levels: one that is too fast for the bandwidth has an
+    error many times that of the others. In the geometric mean each recording has the same weight,
+    whatever its length.
     """
     errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
     return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
@@ -83,7 +86,7 @@ def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alp
 def _errors(
     prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
 ) -> tuple[float, float]:
-    """Return (rms torque error, its norm over that of the drive's torque) over the used samples."""
+    """Return the rms torque error over the used samples, and its ratio to the rms drive torque."""
     error = torque = 0.0
     count = 0
     for p in prepared:
@@ -96,7 +99,7 @@ def _errors(
 
 
 def trace_of(p: Prepared, values: Mapping[str, float], alpha: float) -> Trace:
-    """Return the signals of one recording as the fit saw them."""
+    """Return the signals of one recording as used in the fit."""
     return Trace(
         recording=p.recording.name,
         role=p.recording.role,
@@ -118,8 +121,8 @@ def parameter_table(
     model: Model,
     floors: Mapping[str, float],
 ) -> dict[str, Parameter]:
-    """Return every parameter with its interval and its floor where that is known, or the words why
-    it has none.
+    """Return every parameter with its interval and its floor if known, or with the reason why it
+    has none.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -168,8 +171,8 @@ def _judge_rise(
     *,
     keep_speed: bool,
 ) -> None:
-    """Withhold static friction, and the Stribeck speed unless another rise shows it, where the rise
-    is not seen.
+    """Withhold the static friction, and the Stribeck speed unless another rise determines it, if
+    the rise is not significant.
     """
     coulomb, static, speed = names
     rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
@@ -206,7 +209,7 @@ def _judge(
     prepared: Sequence[Prepared],
     values: Mapping[str, float],
 ) -> Parameter:
-    """Return the parameter, flagged in words where the data do not pin it."""
+    """Return the parameter, with a reason where the data do not determine it."""
     speed = name in ("omega_sf", "omega_sL")
     at_bound = value <= 0.0 if name != "offset" and not speed else False
     if speed:
@@ -241,7 +244,7 @@ def _why(
     prepared: Sequence[Prepared],
     values: Mapping[str, float],
 ) -> str:
-    """Say in words why a parameter is not pinned."""
+    """Return the reason why a parameter is not identifiable."""
     if at_bound and name in ("omega_sf", "omega_sL"):
         return (
             f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction "

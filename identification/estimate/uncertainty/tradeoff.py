@@ -1,5 +1,5 @@
-"""What the covariance of an estimate says in words: which parameters trade off, and what of them is
-pinned together.
+"""Trade-offs of an estimate as text: pairs of strongly correlated parameters, and the combinations
+that are determined.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from identification.numerics.spread import Spread
 from identification.result import Tradeoff
 
 TRADE_OFF = 0.9
-"""Correlation from which two parameters count as hardly shown apart."""
+"""Correlation from which two parameters count as a trade-off."""
 _SHOWN = 0.3
-"""Least share of a combination that is listed, over its greatest."""
+"""Least share in a combination that is listed, over the greatest share."""
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
 """Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck
@@ -32,7 +32,7 @@ def tradeoffs(
     """Return the pairs that correlate by :data:`TRADE_OFF` or more, the closest first.
 
     Args:
-        spread: Of the fitted parameters.
+        spread: Covariance of the fitted parameters.
         values: Name to value.
         units: Name to unit.
     """
@@ -50,7 +50,7 @@ def tradeoffs(
 
 
 def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
-    """Say what combination of relative changes the recordings pin least; empty where nothing was
+    """Return a text with the least determined combination of relative changes; empty if nothing was
     fitted.
 
     It is the eigenvector of the relative covariance with the greatest eigenvalue.
@@ -70,7 +70,7 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     )
     upper = np.triu(np.abs(correlation), 1)
     line = (
-        f"least pinned is {where}: relative standard deviation "
+        f"least determined is {where}: relative standard deviation "
         f"{100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
     )
     if len(names) > 1:
@@ -101,7 +101,7 @@ def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> 
 def _pinned(
     a: str, b: str, spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
 ) -> str:
-    """Say which combination of two parameters has the least variance."""
+    """Return a text with the combination of two parameters that has the least variance."""
     j, k = spread.names.index(a), spread.names.index(b)
     c = spread.covariance
     weight = -float(c[j, k] / c[k, k])
@@ -116,7 +116,7 @@ def _pinned(
             else f"a contact moment of {weight:.3g} {units['Mc']}"
         )
         return (
-            f"only their sum at {at} is pinned, {a} + {weight:.3g} {b} = {total:.5g} +- "
+            f"only their sum at {at} is determined, {a} + {weight:.3g} {b} = {total:.5g} +- "
             f"{half:.2g}{unit}"
         )
     power = -float(c[j, k] / c[k, k] * values[b] / values[a])
@@ -124,4 +124,4 @@ def _pinned(
     kind, shown = (
         ("product", f"{a} {b}^{power:.2g}") if power > 0.0 else ("ratio", f"{a} / {b}^{-power:.2g}")
     )
-    return f"only the {kind} {shown} is pinned, to {half:.2g} %"
+    return f"only the {kind} {shown} is determined, to {half:.2g} %"
