@@ -78,13 +78,9 @@ from typing import NamedTuple
 
 
 class Parameter(NamedTuple):
-<<<<<<< HEAD
-    """One parameter of an effect: its slot in the vector, what it may be, and what it is where it
-    is not given (None: it must be).
+    """One parameter of an effect: its slot in the vector, its range, and its default value; None
+    where it must be given.
     """
-=======
-    """One parameter of an effect: its slot in the vector and its range."""
->>>>>>> words-rig
 
     slot: int
     low: float
