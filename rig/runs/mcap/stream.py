@@ -99,8 +99,8 @@ def _items(
                 wrong = next((len(content) for content in contents if len(content) != size), None)
                 if wrong is not None or size not in SAMPLE_SIZES:
                     raise DamageError(
-                        f"a sample of {wrong or size} bytes, which this program does not write: another "
-                        "program's recording"
+                        f"a sample of {wrong or size} bytes, which this program does not write: "
+                        "another program's recording"
                     )
                 pending += contents
                 waiting += size * len(contents)
