@@ -1,4 +1,4 @@
-"""What a bench file says about a drive that speaks its own CAN frames: which signal means what.
+"""Map of the signals of a drive with its own CAN frames, as given in the bench file.
 
 Signals are named ``Message.Signal`` as in the DBC. Units are those of the DBC (its factor and
 offset applied), brought to SI by ``scale`` and ``sign``; position, velocity, torque and target are

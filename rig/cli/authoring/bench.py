@@ -179,7 +179,7 @@ QUESTIONS: Final = (
     Question("speed_limit", "Limit on the joint speed", "deg/s", default=_free_speed_deg_s),
     Question("following_error", "Largest following error", "deg", kind=Number(), default=2.0),
 )
-"""What is asked, in order."""
+"""Questions in order."""
 
 
 def bench_text(name: str, answers: Answers) -> str:

@@ -39,7 +39,7 @@ QUESTIONS: Final = (
         "center", "Angle about which the joint swings", "deg", kind=Number(above=None), default=0.0
     ),
 )
-"""What is asked, in order."""
+"""Questions in order."""
 
 
 def sequence_text(name: str, answers: Answers) -> str:

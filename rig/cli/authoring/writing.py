@@ -16,7 +16,7 @@ class RefusedError(InputError):
 
 
 def require_new(path: Path, kind: str) -> None:
-    """Check, before anything is asked, that a file and the schema beside it can be written.
+    """Check, before any question, that a file and its schema can be written.
 
     Raises:
         InputError: The file is there already, its folder is not, or it can't be written.
@@ -32,7 +32,7 @@ def require_new(path: Path, kind: str) -> None:
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
-    """Write a file whose text was made from answers, and its schema beside it.
+    """Write a file made from answers, and its schema.
 
     Args:
         path: The file.

@@ -21,7 +21,7 @@ from rig.wiring.ownership import say_taken_over
 @shared.simulated_seed
 @shared.record_file("Also write the findings to this file.")
 def command(bench: str, seed: int, json_file: Path | None) -> int:
-    """Connect to BENCH, and read identities, live values, state and limits.
+    """Connect to BENCH and read identities, live values, state and limits.
 
     Nothing moves, is energised or written.
 

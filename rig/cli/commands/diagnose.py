@@ -45,12 +45,12 @@ def command(
     out: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Say what physics is missing from the model of SOURCE, a run folder or a campaign file.
+    """Find the physics missing in the model of SOURCE, a run folder or a campaign file.
 
-    The verdict is one of four, and all of them end with status 0: a name, several names that these
-    recordings cannot tell apart (with the experiment that would, as a sequence file), something
-    outside the catalogue, or nothing missing. Recordings of role validate are never used for a
-    decision. The corrected model lies beside the report.
+    There are four verdicts, all with status 0: one or more identified effects, several effects that
+    these recordings do not distinguish (with an experiment that would, as a sequence file),
+    something outside the catalogue, or nothing missing. Recordings of role validate are never used
+    for a decision. The corrected model is written next to the report.
 
     \b
     Example:

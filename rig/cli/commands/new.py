@@ -32,8 +32,8 @@ def command() -> None:
     """Write a bench, sequence or campaign file to start from, after a few questions or from
     options.
 
-    Every key of the file is explained in a comment. Its first line names a JSON Schema, written
-    beside it into the folder schemas, by which an editor completes and checks it.
+    Every key of the file is explained in a comment. Its first line names a JSON Schema, written to
+    the folder schemas next to it, that editors use to complete and check it.
 
     \b
     Example:

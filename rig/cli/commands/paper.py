@@ -1,4 +1,4 @@
-"""``rig paper``: the paper's tables and figures beside the printed values."""
+"""``rig paper``: reproduces the paper's tables and figures, with the printed values."""
 
 from __future__ import annotations
 

@@ -27,8 +27,8 @@ def command(run: Path, json_file: Path | None) -> int:
     """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and
     its page.
 
-    The damaged file is kept beside it. A whole run is left as it is; its page is written where it
-    is missing.
+    The damaged file is kept next to it. A complete run is not changed; only a missing page is
+    written.
 
     \b
     Example:

@@ -34,8 +34,8 @@ def command(
 
     Torque, voltage and the difference of the encoders are predicted from the motion, with the
     effects of a diagnosis and without. Where the campaign declares a controller the closed loop is
-    simulated too, from its command alone; its errors stand beside those with half of the friction
-    and with none. The model as a simulated bench lies beside the report.
+    simulated too, from its command alone; its errors are listed with the errors at half and at zero
+    friction. The model as a simulated bench is written next to the report.
 
     \b
     Example:

@@ -16,7 +16,7 @@ Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 
 @dataclass(frozen=True)
 class Exhibit:
-    """What the page shows under one heading.
+    """Content of the page under one heading.
 
     Attributes:
         name: Key in the result file, and file name of its data: ``fig_2``.

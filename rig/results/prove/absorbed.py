@@ -25,7 +25,7 @@ from rig.results.prove.simulate import Recorded
 from rig.sources import load_source
 
 FLOOR_SUFFIX = ".floor.json"
-"""Suffix of the file beside a sealed truth with the noise floors of its reference simulation."""
+"""Suffix of the file with the noise floors of a trial's reference simulation."""
 
 
 def residual_rms(joint: Joint) -> dict[str, float]:

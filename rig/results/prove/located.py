@@ -39,8 +39,8 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
     Returns:
         ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is
         the catalogue's; ``place``: whether it is that or one like it, or for effects of one
-        recording, whether at most one other is listed beside it. All null where the diagnosis
-        found nothing, which the power curve shows.
+        recording, whether at most one other is listed with it. All null where the diagnosis found
+        nothing, which the power curve shows.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] == "nothing_missing" or where is None:

@@ -139,4 +139,4 @@ OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
     "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},
 }
-"""The same for effects outside the catalogue."""
+"""Effect outside the catalogue -> parameter -> its draw."""
