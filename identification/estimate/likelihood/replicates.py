@@ -76,8 +76,7 @@ def likelihood_bias(
     Args:
         joint: The estimate.
         names: Names of the fitted parameters.
-        rng: Random generator; the noise generator is spawned from it, so its own stream does not
-            advance.
+        rng: The generator of the noises is spawned from it; its own stream does not advance.
         settings: Number of noise series, and criteria for repeating or dropping them.
         progress: Called with every pair of replicates.
     """

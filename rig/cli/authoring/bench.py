@@ -47,9 +47,7 @@ def _real_can(answers: Mapping[str, Any]) -> bool:
 
 
 def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
-    """Return the default speed limit: the speed that the supply allows, capped at a useful
-    value.
-    """
+    """Return the default speed limit, deg/s: what the supply allows, at most a useful value."""
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
 
