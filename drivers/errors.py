@@ -1,6 +1,7 @@
-"""Errors of the device side, divided by who must act.
+"""Errors of devices and buses, one class per cause: bus, object access, state, drive fault,
+configuration.
 
-Every message states the value found, the violated limit, the unit and the remedy.
+Messages state what was found, the limit or expectation, the unit and the remedy, where they apply.
 """
 
 from __future__ import annotations

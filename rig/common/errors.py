@@ -1,4 +1,4 @@
-"""Errors of the bench side that the user can correct."""
+"""Errors that the user can correct: unusable input, unwritable output, a bench in use."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from rig.config.configuration import Document, Loc, Schema, load_located
 
 
 class Campaign(Schema):
-    """A campaign file, `defaults` already merged into every recording.
+    """A campaign file, after `defaults` were merged into every recording.
 
     Attributes:
         campaign: Version of the file format.

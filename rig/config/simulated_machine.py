@@ -1,8 +1,8 @@
-"""The ``mock`` section of a bench file: derived defaults and ranges of its values.
+"""Derives defaults of the ``mock`` section from the rest of a bench file, and checks its values.
 
-A simulated bench then has the same motor, gear, lever, encoders, supply and current limit as the
-real one. Friction and inertia, unknown before an identification, are the paper's values scaled by
-the torque limit.
+By default a simulated bench has the same motor, gear, lever, encoders, supply and current limit as
+the real one. Friction and inertia, unknown before an identification, are the paper's values scaled
+by the torque limit.
 """
 
 from __future__ import annotations

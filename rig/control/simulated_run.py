@@ -21,7 +21,7 @@ from rig.wiring.connect import connect
 
 
 class _Unattended(AutomaticOperator):
-    """Answers as planned and shows no messages."""
+    """Operator of a simulated run: answers every prompt as planned and shows no messages."""
 
     def tell(self, words: str) -> None:
         """Say nothing."""

@@ -89,7 +89,9 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     parts = _elements(stream, order, matrix.start, matrix.start + matrix.length)
     flags = _part(parts, matrix, "flags", UINT32)
     if flags.length != 8:
-        raise DamagedElementError(f"array flags of {flags.length} bytes, at byte {flags.start}")
+        raise DamagedElementError(
+            f"the array flags at byte {flags.start} have {flags.length} bytes; they must have 8"
+        )
     stream.seek(flags.start)
     word = int(struct.unpack(f"{order}I", stream.read(4))[0])
     if word & 0xFF not in CLASSES:
@@ -102,7 +104,8 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     count, odd = divmod(dimensions.length, 4)
     if odd or not 2 <= count <= _MOST_DIMENSIONS:
         raise DamagedElementError(
-            f"dimensions of {dimensions.length} bytes, at byte {dimensions.start}"
+            f"the array dimensions at byte {dimensions.start} have {dimensions.length} bytes; they "
+            f"must have 4 for each of 2 to {_MOST_DIMENSIONS} dimensions"
         )
     stream.seek(dimensions.start)
     shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))

@@ -1,4 +1,4 @@
-"""Checks the weight of each stage of a run from its control cycles."""
+"""Checks the weight on the lever in each stage by the friction measured in its first pass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Simulates the machine without a bus: exact channels for the literal bench, and fast figures."""
+"""Simulates machine and servo loop at a commanded angle, without bus or drive protocol.
+
+Returns the true state and the latched current and voltage, for `rig paper` and for tests.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Trade-offs of an estimate as text: pairs of strongly correlated parameters, and the combinations
-that are determined.
+"""Trade-offs of an estimate as text: strongly correlated pairs of parameters with the combination
+that is determined, and the least determined combination of all.
 """
 
 from __future__ import annotations

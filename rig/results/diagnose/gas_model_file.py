@@ -1,4 +1,4 @@
-"""File of a gas generator diagnosis next to its report: corrected constants and effects."""
+"""Text of `gas_generator.yaml`: corrected constants and effects of a gas generator diagnosis."""
 
 from __future__ import annotations
 

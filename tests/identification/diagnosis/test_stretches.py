@@ -71,7 +71,7 @@ def test_most_of_what_is_left_lies_in_one_recording_and_a_second_of_it() -> None
     )
     (line,) = crowded([*plain, trace("loud", loud)])
     assert line.startswith("loud: ")
-    assert "of the torque mismatch" in line
+    assert "of the remaining torque mismatch" in line
     first, last = shortest(0.1 * np.arange(100), loud**2)
     assert first == pytest.approx(4.0, abs=0.25)
     assert last == pytest.approx(4.9, abs=0.25)

@@ -1,4 +1,4 @@
-"""Sensor effects: measured values from the true state."""
+"""Injected effects of the joint encoder (slip, eccentricity, delay) and skew of the current."""
 
 from __future__ import annotations
 
