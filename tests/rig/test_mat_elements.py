@@ -64,7 +64,7 @@ def test_big_endian_passes() -> None:
         (HEADER_BYTES, 77, "no variable"),
         (HEADER_BYTES + 4, 1 << 30, "does not fit"),
         (FLAGS, 7, "flags of the impossible type 7"),
-        (FLAGS + 4, 16, "flags of 16 bytes"),
+        (FLAGS + 4, 16, "flags at byte 144 have 16 bytes"),
         (FLAGS + 8, 99, "impossible class 99"),
         (DIMENSIONS, 9, "dimensions of the impossible type 9"),
         (DIMENSIONS + 8, 10, "72 bytes of values for 10 x 1"),
