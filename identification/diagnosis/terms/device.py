@@ -38,6 +38,8 @@ STOPS = 10
 SKEWS_S: tuple[Shape, ...] = tuple(
     (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
 )
+WITH_VOLTAGE = (1.0,)
+"""End of a skew's shape where the voltage is sampled together with the current."""
 SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
 
 
@@ -150,11 +152,26 @@ def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
 def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     bench = view.recording.bench
     assert view.current is not None
+    if shape[1:] == WITH_VOLTAGE:
+        speed = view.motor_speed
+        return rows(
+            (bench.back_emf_constant or 0.0) * (delayed(speed, view.step, shape[0]) - speed)
+        )
     change = delayed(view.current, view.step, -shape[0]) - view.current
     return rows(
         (bench.resistance or 0.0) * change
         + (bench.inductance or 0.0) * central_difference(change, view.step)
     )
+
+
+def _skews(context: Context) -> list[Shape]:
+    """Return trial skews of the current alone and, where a voltage is known, of current and voltage
+    together: the angles are then the late ones.
+    """
+    alone = [(*shape, 0.0) for shape in SKEWS_S]
+    if all(v.voltage is None for v in context.views):
+        return alone
+    return [*alone, *((*shape, *WITH_VOLTAGE) for shape in SKEWS_S)]
 
 
 TERMS = (
@@ -238,7 +255,7 @@ TERMS = (
         "time_skew",
         {"torque": _skew, "voltage": _skew_voltage},
         shaped("time_s"),
-        lambda _context: SKEWS_S,
+        _skews,
         refine={0: 2e-3},
         positive=(0,),
         size=1.0,

@@ -1,4 +1,4 @@
-"""Late angles where the voltage was computed from them."""
+"""Late angles where the voltage was computed from them, and where it was sampled."""
 
 from __future__ import annotations
 
@@ -7,9 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.terms.lateness import computed, too_early
-from identification.recording import Bench, Controller, Recording
+from identification.recording import Bench, Controller, Dataset, Model, Recording
+
+from .benches import campaign
 
 TIME = np.arange(3000) / 140.0
 LATE_S, GAIN, SUPPLY_V = 0.007, 2.0, 6.0
@@ -58,3 +61,25 @@ def test_without_a_channel_of_the_law_nothing_is_computed(name: str) -> None:
     recording = _recording()
     channels = {n: c for n, c in recording.channels.items() if n != name}
     assert not computed(replace(recording, channels=channels))
+
+
+@pytest.mark.parametrize(("late", "early"), [("angles", 0.004), ("current", 0.004)])
+def test_a_skew_is_found_whichever_channel_is_late(late: str, early: float) -> None:
+    """Angles that are late against current and voltage are no lag of the current loop."""
+    moved = ("motor_angle", "angle") if late == "angles" else ("current",)
+
+    def skewed(recording: Recording) -> Recording:
+        time = recording.time
+        channels = {
+            name: np.interp(time - early, time, values) if name in moved else values
+            for name, values in recording.channels.items()
+        }
+        return replace(recording, channels=channels)
+
+    found = diagnose(
+        Dataset(tuple(skewed(r) for r in campaign({}, 21, 8.0)), Model()),
+        rng=np.random.default_rng(0),
+    )
+    assert [e.name for e in found.effects] == ["time_skew"]
+    expected = -early if late == "angles" else early
+    assert found.effects[0].parameters["time_s"].value == pytest.approx(expected, rel=0.05)
