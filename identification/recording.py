@@ -157,7 +157,7 @@ class Recording:
         weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
         pendulum: A weight that turns with the joint, or None.
         controller: The loop in which it was made, if known; only simulations need it.
-        role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
+        role: ``fit``, or ``validate``: in no fit, but tests the effects of a diagnosis.
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
         sha256: SHA-256 digest of that file.

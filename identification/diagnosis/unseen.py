@@ -121,8 +121,8 @@ def unpaid(found: Search) -> tuple[str, ...]:
     """Say which effects are no names because they do not pay (:func:`paying`)."""
     kept = {e.term.name for e in found.final.effects}
     return tuple(
-        f"{title(s.name)} explains part of the recordings fitted and is no name: {s.note}, where "
-        f"{REJECTED:.1f} are asked for"
+        f"{title(s.name)} explains part of the fitted recordings and is not identified: {s.note}; "
+        f"required is less by {REJECTED:.2f}"
         for s in found.steps
         if s.action == UNPAID and s.name not in kept
     )
@@ -141,9 +141,9 @@ class _Case(NamedTuple):
 
 def _step(action: str, name: str, gain: float, worth: float, case: _Case) -> Step:
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
-    return Step(
-        action, name, None, gain, f"on {judges} the error is less by {worth:.1f} standard errors"
-    )
+    change = "less" if worth >= 0.0 else "larger"
+    note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
+    return Step(action, name, None, gain, note)
 
 
 def _beside(case: _Case, joint: Joint, rival: Contender) -> Joint | None:

@@ -143,7 +143,7 @@ def test_what_is_printed_has_values_rivals_errors_and_shifts(
     assert "0 to 0.418 deg" in printed
     lines = [" ".join(line.split()) for line in printed.splitlines()]
     assert "backlash compliance 0.03 the lag does not grow with the torque: p = 0.002" in lines
-    assert "torque never used 0.62 0.09 0.08 N m 20 Hz" in lines
+    assert "torque set aside 0.62 0.09 0.08 N m 20 Hz" in lines
     assert "Mc 7.1 6.8 -4.23 % N m" in lines
     assert "J - 0.204 - kg m^2" in lines
     assert "warning: free: 3 % of the samples are <unused>" in lines

@@ -148,8 +148,8 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
     found = diagnose_source(path, 0, bandwidth_Hz=25.0).record()
     assert found["verdict"] == "outside_catalogue"
     assert found["effects"] == []
-    (line,) = [w for w in found["warnings"] if "is no name" in w]
-    assert re.match(r"time skew explains part .* set aside the error is less by -\d", line)
+    (line,) = [w for w in found["warnings"] if "is not identified" in w]
+    assert re.match(r"time skew explains part .* set aside the error is larger by \d", line)
     assert found["fit"]["equation"] == "torque"
 
 

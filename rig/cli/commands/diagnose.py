@@ -49,8 +49,9 @@ def command(
 
     There are four verdicts, all with status 0: one or more identified effects, several effects that
     these recordings do not distinguish (with an experiment that would, as a sequence file),
-    something outside the catalogue, or nothing missing. Recordings of role validate are never used
-    for a decision. The corrected model is written next to the report.
+    something outside the catalogue, or nothing missing. Recordings of role validate are used in no
+    fit; an effect is kept if it lowers their error. The corrected model is written next to the
+    report.
 
     \b
     Example:

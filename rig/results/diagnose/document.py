@@ -196,7 +196,7 @@ def _curve(found: Diagnosis) -> list[Picture]:
 def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
     fits: dict[str, Fit] = {fit.equation: fit for fit in (*found.fits, found.fit)}
     fit = fits.get(trace.equation)
-    role = "never used for a decision" if trace.role == "validate" else "fitted"
+    role = "set aside" if trace.role == "validate" else "fitted"
     return Picture.of(
         f"mismatch_{trace.equation}_{trace.recording}",
         f"{trace.recording} ({role}): mismatch of the {trace.equation} equation before and after",

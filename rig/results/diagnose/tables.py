@@ -135,7 +135,7 @@ def _fit_rows(fit: Fit) -> list[tuple[str, ...]]:
     factor, unit = (_DEG, "deg") if fit.unit == "rad" else (1.0, fit.unit)
     pairs = [("fitted", fit.baseline_rms, fit.final_rms)]
     if fit.validate_baseline_rms is not None and fit.validate_final_rms is not None:
-        pairs.append(("never used", fit.validate_baseline_rms, fit.validate_final_rms))
+        pairs.append(("set aside", fit.validate_baseline_rms, fit.validate_final_rms))
     return [
         (
             fit.equation,
