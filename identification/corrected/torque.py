@@ -147,8 +147,13 @@ def return_spring(s: Any, m: Any, stiffness_Nm_rad: float, rest_rad: float) -> A
     return np.asarray(stiffness_Nm_rad * (s["angle"] - rest_rad))
 
 
-def end_stop(s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float) -> Array:
-    """k (theta - a) beyond a, on the side of a's sign."""
+def end_stop(
+    s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float, other_rad: float = 0.0
+) -> Array:
+    """k (theta - a) beyond a, on the side of a's sign; with another stop b: above a and below b."""
+    if other_rad != 0.0:
+        beyond = np.maximum(s["angle"] - angle_rad, 0.0) + np.minimum(s["angle"] - other_rad, 0.0)
+        return np.asarray(stiffness_Nm_rad * beyond)
     side = np.copysign(1.0, angle_rad)
     return np.asarray(side * stiffness_Nm_rad * np.maximum(side * (s["angle"] - angle_rad), 0.0))
 

@@ -103,6 +103,14 @@ def test_end_stop_pushes_only_beyond_its_angle(side: float) -> None:
     np.testing.assert_allclose(extra[inside], 50.0 * (depth[inside] + 2e-3 * 0.2), atol=0.05)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_pair_of_end_stops_pushes_from_either_end(side: float) -> None:
+    both = {"end_stop": {"angle_rad": 0.2, "stiffness_Nm_rad": 50.0, "other_rad": -0.2}}
+    single = {"end_stop": {"angle_rad": side * 0.2, "stiffness_Nm_rad": 50.0}}
+    path = side * cruise(0.2, 2.0)
+    np.testing.assert_allclose(Track(both, path).current, Track(single, path).current, atol=1e-9)
+
+
 def test_load_friction_follows_a_power_of_the_force() -> None:
     speed = 0.5
     for weight, exponent in ((10.0, 0.7), (30.6, 0.7), (20.0, 1.3)):

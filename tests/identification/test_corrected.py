@@ -56,7 +56,11 @@ LINEAR = {
         (2.0 * math.cos(0.3), 2.0 * math.sin(0.3)),
     ),
     "return_spring": ({"stiffness_Nm_rad": 3.0, "rest_rad": 0.2}, (), (3.0, 0.6)),
-    "end_stop": ({"angle_rad": -0.25, "stiffness_Nm_rad": 40.0}, (-1.0, -0.25), (40.0,)),
+    "end_stop": (
+        {"angle_rad": 0.2, "stiffness_Nm_rad": 40.0, "other_rad": -0.25},
+        (0.0, 0.2, -0.25),
+        (40.0,),
+    ),
     "load_position_dependence": ({"slope_per_rad": 0.3}, (), (0.3,)),
     "load_inertia": ({"inertia_kgm2": 0.3}, (), (0.3,)),
     "lever_pivot_friction": ({"torque_Nm": 1.1}, (), (1.1,)),

@@ -65,6 +65,7 @@ DEVICE: tuple[Entry, ...] = (
         parameters=(
             Quantity("angle_rad", "rad", -pi, pi),
             Quantity("stiffness_Nm_rad", "N m/rad", 1.0, 1e5),
+            Quantity("other_rad", "rad", -pi, pi),
         ),
         look_alikes=("return_spring", "position_dependent_friction", "gravity_imbalance"),
         experiment=(
@@ -72,7 +73,10 @@ DEVICE: tuple[Entry, ...] = (
             "a stop pushes "
             "back at rest too, friction does not."
         ),
-        sentence="an elastic stop of {stiffness_Nm_rad:N m/deg} begins at {angle_rad:deg}",
+        sentence=(
+            "an elastic stop of {stiffness_Nm_rad:N m/deg} begins at {angle_rad:deg}"
+            "{other_rad:?/, and another one at the other end of the travel}"
+        ),
     ),
     Entry(
         name="load_exponent",

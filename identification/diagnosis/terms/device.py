@@ -33,6 +33,8 @@ REFERENCE_FORCE_N = 3000.0
 REFERENCE_MASS_KG = 30.6
 """Case 2 of the paper, the reference of load exponent and load inertia."""
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
+BOTH = 0.0
+"""Side of a pair of end stops."""
 STOPS = 10
 """Number of trial stops on either side, over the outer half of the travel."""
 SKEWS_S: tuple[Shape, ...] = tuple(
@@ -109,16 +111,33 @@ def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
 
 
 def _stop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    side, angle = shape
+    side, angle, other = shape
+    if side == BOTH:
+        beyond = np.maximum(view.angle - angle, 0.0) + np.minimum(view.angle - other, 0.0)
+        return rows(beyond)
     return rows(side * np.maximum(side * (view.angle - angle), 0.0))
 
 
 def _stops(context: Context) -> list[Shape]:
+    """Return trial stops at either end of the travel, and at both."""
     low = min(float(np.min(v.angle)) for v in context.views)
     high = max(float(np.max(v.angle)) for v in context.views)
     shares = np.linspace(0.5, 0.97, STOPS)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    return [(side, float(middle + side * share * half)) for side in (1.0, -1.0) for share in shares]
+    single = [
+        (side, float(middle + side * share * half), 0.0) for side in (1.0, -1.0) for share in shares
+    ]
+    both = [(BOTH, float(middle + share * half), float(middle - share * half)) for share in shares]
+    return [*single, *both]
+
+
+def _read_stop(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
+    side, angle, other = shape
+    return {
+        "angle_rad": angle,
+        "stiffness_Nm_rad": float(c[0]),
+        "other_rad": other if side == BOTH else 0.0,
+    }
 
 
 def _gravity(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -180,9 +199,9 @@ TERMS = (
     Term(
         "end_stop",
         in_motion(_stop),
-        lambda c, shape, _context: {"angle_rad": shape[1], "stiffness_Nm_rad": float(c[0])},
+        _read_stop,
         _stops,
-        refine={1: 0.08},
+        refine={1: 0.08, 2: 0.08},
         positive=(0,),
         at_angle=True,
     ),

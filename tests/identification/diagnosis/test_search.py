@@ -247,3 +247,17 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert found.effects[0].parameters["rate_Nm_s"].value == pytest.approx(0.12, rel=0.15)
     assert found.effects[0].parameters["time_s"].value == pytest.approx(5.0, rel=0.3)
     assert any("no clock in common" in w for w in found.warnings)
+
+
+@pytest.mark.parametrize("other", [0.0, -0.3])
+def test_end_stops_are_found_at_one_end_of_the_travel_or_at_both(other: float) -> None:
+    stop = {"angle_rad": 0.28, "stiffness_Nm_rad": 60.0, "other_rad": other}
+    found = diagnose(
+        Dataset(campaign({"end_stop": stop}, 8, 8.0), Model()), rng=np.random.default_rng(0)
+    )
+    assert [e.name for e in found.effects] == ["end_stop"]
+    sizes = found.effects[0].parameters
+    assert sizes["angle_rad"].value == pytest.approx(0.28, abs=0.01)
+    assert sizes["other_rad"].value == pytest.approx(other, abs=0.01)
+    assert sizes["stiffness_Nm_rad"].value == pytest.approx(60.0, rel=0.1)
+    assert ("at the other end" in found.statement) == (other < 0.0)

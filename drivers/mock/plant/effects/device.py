@@ -11,6 +11,7 @@ from drivers.mock.plant.effects.table import (
     SPRING_REST,
     SPRING_STIFFNESS,
     STOP_ANGLE,
+    STOP_OTHER,
     STOP_STIFFNESS,
     SWING_DECAY,
     SWING_FRACTION,
@@ -26,7 +27,8 @@ _STOP_DAMPING_S = 2e-3
 def device_torque(theta: float, omega: float, e: Vector) -> float:
     """Return the torque of imbalance, spring and end stop on the joint, N m.
 
-    A stop only pushes. It acts beyond ``angle_rad``, on the side of its sign.
+    A stop only pushes. It acts beyond ``angle_rad``, on the side of its sign; with a second stop
+    (``other_rad``, 0 for none) above the one and below the other.
     """
     torque = 0.0
     if e[GRAVITY_TORQUE] != 0.0:
@@ -34,10 +36,13 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
     if e[SPRING_STIFFNESS] != 0.0:
         torque -= e[SPRING_STIFFNESS] * (theta - e[SPRING_REST])
     if e[STOP_STIFFNESS] != 0.0:
-        side = math.copysign(1.0, e[STOP_ANGLE])
+        side = math.copysign(1.0, e[STOP_ANGLE]) if e[STOP_OTHER] == 0.0 else 1.0
         depth = side * (theta - e[STOP_ANGLE])
         if depth > 0.0:
             torque -= side * max(e[STOP_STIFFNESS] * (depth + _STOP_DAMPING_S * side * omega), 0.0)
+        if e[STOP_OTHER] != 0.0 and theta < e[STOP_OTHER]:
+            depth = e[STOP_OTHER] - theta
+            torque += max(e[STOP_STIFFNESS] * (depth - _STOP_DAMPING_S * omega), 0.0)
     return torque
 
 

@@ -54,6 +54,7 @@ from typing import NamedTuple
     SPRING_REST,
     STOP_ANGLE,
     STOP_STIFFNESS,
+    STOP_OTHER,
     LOAD_EXPONENT,
     LOAD_SLOPE,
     WEIGHT_MASS,
@@ -74,7 +75,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(63)
+) = range(64)
 
 
 class Parameter(NamedTuple):
@@ -162,6 +163,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "end_stop": {
         "angle_rad": Parameter(STOP_ANGLE, -3.2, 3.2),
         "stiffness_Nm_rad": Parameter(STOP_STIFFNESS, 0.0, 1e5),
+        "other_rad": Parameter(STOP_OTHER, -3.2, 3.2, 0.0),
     },
     "load_exponent": {"exponent": Parameter(LOAD_EXPONENT, 0.2, 3.0)},
     "load_position_dependence": {"slope_per_rad": Parameter(LOAD_SLOPE, -2.0, 2.0)},
