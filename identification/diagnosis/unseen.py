@@ -33,7 +33,7 @@ UNPAID = "unpaid"
 PARTS = 4
 """Parts that blocks of time are dealt to where a recording tells of something alone."""
 MOST_OF_ONE = 0.99
-"""Share of what is told of a constant from which on a recording tells of it alone."""
+"""Share of a column's squares in one part of the rows above which that part alone determines it."""
 
 
 def rows_left(joint: Joint, aside: Sequence[View], unit: str) -> tuple[Stack, Array] | None:
@@ -201,7 +201,8 @@ def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
         shown[stack.part(name)] = True
     squares = stack.sums(np.stack(left, axis=1) ** 2 * shown[:, None])
     lessened = np.diff(np.sqrt(squares), axis=1)[:, 0]
-    spread = float(np.std(lessened, ddof=1)) * math.sqrt(len(lessened))
+    scatter = float(np.std(lessened, ddof=1)) if len(lessened) > 1 else 0.0
+    spread = scatter * math.sqrt(len(lessened))
     worth = float(np.sum(lessened)) / spread if spread > 0.0 else math.inf
     first, second = np.sum(squares, axis=0)
     return worth if first < second else min(worth, 0.0)

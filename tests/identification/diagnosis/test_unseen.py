@@ -13,7 +13,14 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.search import Search
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.unseen import UNPAID, folds, held_out, paying, unpaid
+from identification.diagnosis.unseen import (
+    UNPAID,
+    _lessened,
+    folds,
+    held_out,
+    paying,
+    unpaid,
+)
 from identification.recording import Recording
 
 from .benches import campaign, nominal_fit
@@ -97,3 +104,15 @@ def test_without_a_row_that_moves_the_recordings_fitted_judge() -> None:
     quiet = views([replace(hidden()[-1], channels=still)], 25.0)
     found = paying(search(RIGHT), here(), quiet, "N m")
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
+
+
+def test_a_single_block_has_no_scatter_to_be_compared_with() -> None:
+    stack = nominal().stack
+    whole = replace(
+        stack,
+        gather=tuple(type(g)(np.ones((1, g.shape[1]))) for g in stack.gather),
+        blocks=1,
+    )
+    before = np.ones(len(stack.residual))
+    assert _lessened(whole, [0.5 * before, before], ["torque"]) == np.inf
+    assert _lessened(whole, [before, 0.5 * before], ["torque"]) == 0.0
