@@ -32,6 +32,7 @@ from identification.estimate.likelihood.searches import (
     likeliest_together,
     refine,
     refine_from,
+    spent,
 )
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.filter.likelihood import Point, Searched
@@ -104,6 +105,8 @@ class Refined:
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
         starts: Search ends of each search.
+        left_out: Names of recordings that prediction errors do not apply to.
+        stopped: Whether the unloaded or the loaded fit used up its passes of the filter.
     """
 
     values: Mapping[str, float]
@@ -122,6 +125,8 @@ class Refined:
     equations_chi2: float
     joint: Point
     starts: tuple[Starts, ...] = ()
+    left_out: tuple[str, ...] = ()
+    stopped: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,15 +176,15 @@ def solve_unloaded(
     best = _best_of(starts, free, None, found)
     last: Solved | None = None
     for _ in range(_AGAIN if both else 0):
-        if best is None or best is last or best.chi2 < SOLVED:
+        if best is None or best is last or best.chi2 < SOLVED or spent(begun):
             break
         last = best
         again = replace(best.point, noise=begun.noise)
         best = _best_of([again], free, best, found)
-    if both and (best is None or not best.chi2 < SOLVED):
+    if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
         best = _best_of(_far(at_system), free, best, found)
     if best is None:
-        raise np.linalg.LinAlgError("no start determines the parameters")
+        raise np.linalg.LinAlgError("no start of the search leads to a solution")
     return best, tuple(found)
 
 
@@ -216,7 +221,7 @@ def _best_of(
             found.append(solved.chi2)
             if best is None or solved.chi2 < best.chi2:
                 best = solved
-        if best is not None and best.chi2 < SOLVED:
+        if best is not None and best.chi2 < SOLVED or spent(start):
             break
     return best
 
@@ -299,11 +304,13 @@ def refine_stages(
         Starts("unloaded", "chi-square of the estimating equations", chi2s, SOLVED, absolute=True)
     ]
     evaluations, likelihood_drop = begun.filter.evaluations, 0.0
+    stopped = spent(begun)
     free, ends = [*system, *inertia], [first.point]
     if loaded:
         progress(f"loaded fit, recordings: {len(loaded)}", 0.0)
         second, count = _loaded_fit(first.point, loaded, load, model)
         evaluations, likelihood_drop = evaluations + count, second.drop
+        stopped = stopped or second.stopped
         starts.append(_loaded_starts(second))
         free, ends = [*system, *load, *inertia], basins(second)
     progress(f"joint fit, recordings: {len(unloaded) + len(loaded)}", 0.0)
@@ -330,6 +337,7 @@ def refine_stages(
         equations_chi2=first.chi2,
         joint=joint,
         starts=tuple(starts),
+        stopped=stopped,
     )
 
 
