@@ -38,6 +38,7 @@ from typing import NamedTuple
     QUADRATIC_DRAG,
     STRIBECK_ALPHA,
     MEMORY_TIME,
+    MEMORY_OF_SPEED,
     DWELL_GROWTH,
     DWELL_TIME,
     PRESLIDING_STIFFNESS,
@@ -75,7 +76,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(64)
+) = range(65)
 
 
 class Parameter(NamedTuple):
@@ -133,7 +134,10 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "asymmetric_viscous": {"coefficient_Nms_rad": Parameter(ASYMMETRIC_VISCOUS, -20.0, 20.0)},
     "quadratic_drag": {"coefficient_Nms2_rad2": Parameter(QUADRATIC_DRAG, 0.0, 100.0)},
     "stribeck_shape": {"alpha": Parameter(STRIBECK_ALPHA, 0.3, 6.0)},
-    "friction_memory": {"time_s": Parameter(MEMORY_TIME, 0.0, 1.0)},
+    "friction_memory": {
+        "time_s": Parameter(MEMORY_TIME, 0.0, 1.0),
+        "of_speed": Parameter(MEMORY_OF_SPEED, 0.0, 1.0, 0.0),
+    },
     "dwell_static_friction": {
         "growth_Nm": Parameter(DWELL_GROWTH, 0.0, 30.0),
         "time_s": Parameter(DWELL_TIME, 0.01, 1e4),
