@@ -309,20 +309,7 @@ def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> A
         rest = others.rest(effect, others.columns(effect, shape))
         return float(rest @ rest)
 
-    found = [_search(cost, begun, share) for begun in _forms(effect)]
-    return replace(effect, shape=min(found, key=cost))
-
-
-def _forms(effect: Added) -> list[Added]:
-    """Return an effect in each of its forms, with the other entries of its shape as they are."""
-    shapes = [effect.shape]
-    for index, values in effect.term.forms.items():
-        shapes += [
-            (*effect.shape[:index], value, *effect.shape[index + 1 :])
-            for value in values
-            if value != effect.shape[index]
-        ]
-    return [replace(effect, shape=shape) for shape in shapes]
+    return replace(effect, shape=_search(cost, effect, share))
 
 
 def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:

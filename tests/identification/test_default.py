@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.likelihood import searches, stages
+from identification.estimate.likelihood import searches, unloaded
 from identification.estimate.likelihood.acceptance import refusal
 from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import innovation_statistics, refine_stages
@@ -158,13 +158,13 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
 def test_strong_hidden_ripple_does_not_break_the_search(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solved_from, begun = stages._solved_from, []
+    solved_from, begun = unloaded._solved_from, []
 
     def tried(start: Point, *given: object) -> object:
-        begun.append((start.filter.evaluations, start.vector[stages.INERTIA]))
+        begun.append((start.filter.evaluations, start.vector[unloaded.INERTIA]))
         return solved_from(start, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(stages, "_solved_from", tried)
+    monkeypatch.setattr(unloaded, "_solved_from", tried)
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
     result = identify(Dataset((recording,)))
     assert "physics that the model lacks" in result.warnings[0]
@@ -182,13 +182,13 @@ def test_far_inertias_are_tried_where_no_near_one_solves_the_equations(
 ) -> None:
     inertias = []
 
-    def unsolved(start: Point, *_given: object) -> stages.Solved:
-        inertias.append(start.vector[stages.INERTIA])
-        return stages.Solved(2.0 * stages.SOLVED, start)
+    def unsolved(start: Point, *_given: object) -> unloaded.Solved:
+        inertias.append(start.vector[unloaded.INERTIA])
+        return unloaded.Solved(2.0 * unloaded.SOLVED, start)
 
-    monkeypatch.setattr(stages, "_solved_from", unsolved)
+    monkeypatch.setattr(unloaded, "_solved_from", unsolved)
     identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
-    for share in stages._FAR:
+    for share in unloaded._FAR:
         assert np.any(np.isclose(inertias, share * inertias[0]))
 
 

@@ -53,8 +53,8 @@ class Term:
         shapes: Trial shapes; empty if these recordings cannot show the effect.
         refine: Index of each continuous shape entry to its search range around the trial; 0 for
             scales, which are searched within a factor.
-        forms: Index of a shape entry that says which form of the effect it is, to its values; a fit
-            tries every form.
+        forms: Index of a shape entry that says which form of the effect it is, to its values, the
+            usual form first.
         positive: Indices of coefficients that must be positive to be physical.
         follows: Whether the regressors depend on the nominal values, so that they change during a
             fit.

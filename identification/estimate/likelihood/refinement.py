@@ -31,7 +31,6 @@ from identification.prepare import Prepared
 from identification.recording import Model, Recording
 from identification.result import Convergence, MeasuredNoise, Starts
 
-
 NEEDED = (
     "prediction errors need even sampling, a quantised encoder, measured torque and two breakaways "
     "from rest"

@@ -66,7 +66,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "stribeck_shape": {
         "alpha": lambda rng: float(2.0 * math.exp(rng.choice((-1, 1)) * rng.uniform(0.1, 0.9)))
     },
-    "friction_memory": {"time_s": log(1e-3, 5e-2), "of_speed": one_of(0.0, 1.0)},
+    "friction_memory": {"time_s": log(1e-3, 5e-2)},
     "dwell_static_friction": {"growth_Nm": log(0.3, 8.0), "time_s": log(0.3, 5.0)},
     "presliding": {"stiffness_Nm_rad": log(2e3, 1e5)},
     "position_dependent_friction": {

@@ -18,6 +18,7 @@ from typing import NamedTuple
     RIPPLE_ORDER,
     RIPPLE_PHASE,
     SATURATION_KNEE,
+    SATURATION_RATIONAL,
     LAG_TIME,
     DEAD_TIME_VOLTAGE,
     BRUSH_VOLTAGE,
@@ -76,7 +77,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(65)
+) = range(66)
 
 
 class Parameter(NamedTuple):
@@ -106,7 +107,10 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "per_motor_turn": Parameter(RIPPLE_ORDER, 0.01, 100.0),
         "phase_rad": Parameter(RIPPLE_PHASE, *_PHASE),
     },
-    "torque_saturation": {"knee_A": Parameter(SATURATION_KNEE, 1.0, 1e4)},
+    "torque_saturation": {
+        "knee_A": Parameter(SATURATION_KNEE, 1.0, 1e4),
+        "rational": Parameter(SATURATION_RATIONAL, 0.0, 1.0, 0.0),
+    },
     "current_loop_lag": {"time_s": Parameter(LAG_TIME, 0.0, 0.02)},
     "inverter_dead_time": {"voltage_V": Parameter(DEAD_TIME_VOLTAGE, 0.0, 10.0)},
     "brush_drop": {
