@@ -8,7 +8,7 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.pdo import Input, configure, plan
+from drivers.canopen.pdo import RECEIVE, TRANSMIT, Input, configure, plan
 from drivers.canopen.sdo import PumpedNode, Wire, translated, variable
 from drivers.errors import ConfigurationError, LinkError
 from drivers.objects import PdoLayout
@@ -142,8 +142,8 @@ class CanopenNode:
 
         Sends nothing.
         """
-        for maps, layouts in ((self.remote.rpdo, outputs), (self.remote.tpdo, inputs)):
-            plan(self.remote, maps, layouts)
+        for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
+            plan(self._dictionary, self.label, direction, layouts)
 
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
@@ -164,13 +164,13 @@ class CanopenNode:
         self.write(0x1017, 0, round(HEARTBEAT_S * 1e3))
         self.outputs, self._staged = {}, {}
         for layout, (identifier, packing) in zip(
-            outputs, configure(self.remote, self.remote.rpdo, outputs), strict=True
+            outputs, configure(self, self._dictionary, RECEIVE, outputs), strict=True
         ):
             self.outputs[identifier] = bytes(packing.size)
             self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered, self._slow = {}, {}, []
         for layout, (identifier, packing) in zip(
-            inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True
+            inputs, configure(self, self._dictionary, TRANSMIT, inputs), strict=True
         ):
             slot = Input(packing, layout.every, layout.slack)
             slot.values = tuple(self.read(*address) for address in layout.objects)

@@ -97,11 +97,13 @@ class PumpedNode(canopen.RemoteNode):
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
         self._wire = wire
-        super().__init__(node_id, dictionary)
+        self._described = dictionary
+        # canopen would look up all PDO records, and fails where the EDS has only some of them.
+        super().__init__(node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
         """Add an SDO channel."""
-        client = PumpedSdoClient(rx_cobid, tx_cobid, self.object_dictionary, self._wire)
+        client = PumpedSdoClient(rx_cobid, tx_cobid, self._described, self._wire)
         self.sdo_channels.append(client)
         if self.has_network():
             self.network.subscribe(client.tx_cobid, client.on_response)
@@ -134,12 +136,15 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
     """Find an object in the EDS.
 
     Raises:
-        ConfigurationError: The EDS has no such object.
+        ConfigurationError: The EDS has no such object, or describes it wrongly.
     """
     found = dictionary.get_variable(index, subindex)
     # For an object without members canopen returns that object, whatever the subindex.
     if found is None or found.subindex != subindex:
+        fault = getattr(dictionary, "faults", {}).get((index, subindex))
         raise ConfigurationError(
-            f"object {index:04X}h:{subindex:02X}h is not in the device's EDS; use its own EDS file"
+            f"object {index:04X}h:{subindex:02X}h cannot be used: {fault}; correct the file"
+            if fault
+            else f"object {index:04X}h:{subindex:02X}h is not in the device's EDS"
         )
     return found
