@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, ParamSpec, Protocol
+from typing import Final, ParamSpec, Protocol, TypeVar
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Identity
 
 ObjectAddress = tuple[int, int]
 """Index and subindex of an object."""
-IDENTITY: Final = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
-"""Vendor, product, revision and serial number."""
+VENDOR: Final = (0x1018, 1)
+"""Vendor of a device, the only part of its identity that CiA 301 prescribes."""
+ABSENT: Final = (0x06020000, 0x06090011)
+"""Abort codes of a device that lacks an object or a subindex."""
 P = ParamSpec("P")
+V = TypeVar("V")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
@@ -151,13 +154,37 @@ class ProcessChannel(ObjectAccess, Protocol):
 
 
 def read_identity(objects: ObjectAccess) -> Identity:
-    """Read who the device is (1018h, 1008h, 1009h, 100Ah)."""
+    """Read who the device is (1018h, 1008h, 1009h, 100Ah).
+
+    CiA 301 prescribes only the vendor (1018h:01h); what else a device lacks is empty or 0.
+
+    Raises:
+        ObjectAccessError: The device refuses to tell its vendor.
+        LinkError: No answer.
+    """
     return Identity(
-        name=objects.read_text(0x1008),
-        vendor_id=objects.read(*IDENTITY[0]),
-        product_code=objects.read(*IDENTITY[1]),
-        revision=objects.read(*IDENTITY[2]),
-        serial_number=objects.read(*IDENTITY[3]),
-        hardware_version=objects.read_text(0x1009),
-        software_version=objects.read_text(0x100A),
+        name=optional(objects.read_text, 0x1008, 0) or "",
+        vendor_id=objects.read(*VENDOR),
+        product_code=optional(objects.read, 0x1018, 2) or 0,
+        revision=optional(objects.read, 0x1018, 3) or 0,
+        serial_number=optional(objects.read, 0x1018, 4) or 0,
+        hardware_version=optional(objects.read_text, 0x1009, 0) or "",
+        software_version=optional(objects.read_text, 0x100A, 0) or "",
     )
+
+
+def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:
+    """Read an object that a device may lack; None where it, or its EDS, has none.
+
+    Raises:
+        ObjectAccessError: The device refuses for another reason.
+        LinkError: No answer.
+    """
+    try:
+        return read(index, subindex)
+    except ConfigurationError:
+        return None
+    except ObjectAccessError as refused:
+        if refused.code in ABSENT:
+            return None
+        raise

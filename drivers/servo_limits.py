@@ -101,7 +101,12 @@ def write(drive: ObjectAccess, scales: ServoScales, limits: ServoLimits) -> None
 
 
 def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
-    """Write one object and verify it; raises as :func:`write`."""
+    """Write one object and verify it; raises as :func:`write`.
+
+    What the drive holds already is not written, as it may be fixed there.
+    """
+    if drive.read(*address) == value:
+        return
     drive.write(*address, value)
     found = drive.read(*address)
     if found != value:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from drivers import servo_limits
 from drivers.canopen import cia402_objects as objects
 from drivers.errors import ConfigurationError, DeviceError
-from drivers.objects import IDENTITY, ProcessChannel, refusal
+from drivers.objects import VENDOR, ProcessChannel, refusal
 from drivers.units import ServoScales
 
 
@@ -15,7 +15,7 @@ def description_refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool
 ) -> Iterator[DeviceError]:
     """Yield the objects that the servo needs and the EDS lacks. Sends nothing."""
-    for address in (*IDENTITY, *objects.SINGLE, *servo_limits.OBJECTS):
+    for address in (VENDOR, *objects.SINGLE, *servo_limits.OBJECTS):
         yield from refusal(channel.require_fit, *address, 0)
     yield from refusal(channel.require_mappable, *objects.layouts(scales, torque_offset))
 

@@ -31,6 +31,7 @@ CYCLE_EXPONENT: Final = (0x60C2, 2)
 ON_ABORT: Final = (0x6007, 0)
 MODE: Final = (0x6060, 0)
 MODE_DISPLAY: Final = (0x6061, 0)
+MODES: Final = (0x6502, 0)
 ERROR_CODE: Final = (0x603F, 0)
 SINGLE: Final = (CYCLE, CYCLE_EXPONENT, ON_ABORT, MODE, MODE_DISPLAY, ERROR_CODE, *RATED)
 """Objects read or written singly, other than identity, limits and process data."""

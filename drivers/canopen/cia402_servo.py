@@ -36,6 +36,7 @@ from drivers.interfaces import (
 from drivers.objects import (
     ObjectAddress,
     ProcessChannel,
+    optional,
     read_identity,
     refusal,
 )
@@ -45,6 +46,10 @@ WATCH_S: Final = 0.1
 """Heartbeat time-out after which the drive stops by itself, s."""
 _US: Final = 1e-6
 _MILLI: Final = 1e-3
+_OFFERS_CSP: Final = 1 << 7
+"""Bit of 6502h."""
+_WITH_MODE: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
+"""States in which the mode of operation must be in force before the next step toward power."""
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -340,16 +345,29 @@ class Cia402Servo(Servo):
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> None:
+        offered = optional(self._channel.read, *objects.MODES)
+        if offered is not None and not offered & _OFFERS_CSP:
+            raise StateError(
+                f"the drive does not offer mode 8, cyclic synchronous position (6502h reads "
+                f"{offered:08X}h, bit 7 is 0): it cannot be used here"
+            )
         self._channel.write(*objects.MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
-        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            mode = self._channel.read(*objects.MODE_DISPLAY)
-            if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
-                return
-            if not in_time:
-                raise StateError(
-                    f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP "
-                    f"(6502h)"
-                )
+
+    def _in_mode(self, state: ServoState, in_time: bool) -> bool:
+        """Return whether the mode of operation is in force. Some drives take it over only when
+        they are switched on, so that it is asked for only there.
+
+        Raises:
+            StateError: It is not, and no time is left.
+        """
+        mode = self._channel.read(*objects.MODE_DISPLAY)
+        if mode != cia402.CYCLIC_SYNCHRONOUS_POSITION and not in_time:
+            raise StateError(
+                f"mode of operation 6061h still reads {mode} in state '{state.value}', "
+                f"{self._timeout_s:g} s after 8 (cyclic synchronous position) was written to "
+                f"6060h: check in the drive's manual how this mode is selected"
+            )
+        return mode == cia402.CYCLIC_SYNCHRONOUS_POSITION
 
     def _walk(self) -> None:
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
@@ -357,6 +375,8 @@ class Cia402Servo(Servo):
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()
+            if state in _WITH_MODE and not self._in_mode(state, in_time):
+                continue
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
                 return
             if not in_time:

@@ -8,7 +8,7 @@ from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Encoder, EncoderSample, Identity
-from drivers.objects import IDENTITY, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, refusal
 from drivers.units import EncoderScales, Unwrapper
 
 _POSITION: Final = 1
@@ -52,7 +52,7 @@ class Cia406Encoder(Encoder):
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
-        for address in (*IDENTITY, _RESOLUTION, _RANGE, _ALARMS):
+        for address in (VENDOR, _RESOLUTION, _RANGE, _ALARMS):
             yield from refusal(self._channel.require_fit, *address, 0)
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 

@@ -17,8 +17,6 @@ from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.emergency import explain
 from drivers.canopen.node import (
-    HEARTBEAT_S,
-    HEARTBEATS_MISSED,
     INITIALISING,
     NMT_NAMES,
     OPERATIONAL,
@@ -35,7 +33,6 @@ MASTER_ID: Final = 0x7F
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
-_SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
 _SYNC: Final = 0x080
 _SDO_ANSWER: Final = 0x580
 _HIGHEST_ID: Final = 0x7FF
@@ -175,9 +172,9 @@ class CanopenLink(Link):
         self._receive(0.0)
         self.cycle += 1
         self._missing = 0
-        heard_since = self.clock.now_ns() - _SILENCE_NS
+        now = self.clock.now_ns()
         for node in self._nodes.values():
-            if node.heard_ns < heard_since and node.monitored:
+            if node.monitored and now - node.heard_ns > node.silence_ns:
                 self._troubles.append((node.node_id, self._lost(node)))
             node.cycle = self.cycle
             node.missing = node.expected
@@ -314,7 +311,7 @@ class CanopenLink(Link):
     def _lost(self, node: CanopenNode) -> LinkError:
         silent_s = (self.clock.now_ns() - node.heard_ns) / NS
         return LinkError(
-            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {_SILENCE_NS / NS:g} s); "
+            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {node.silence_ns / NS:g} s); "
             "check its supply and the bus cable"
         )
 

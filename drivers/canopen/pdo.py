@@ -114,6 +114,7 @@ _OFF: Final = 1 << 31
 _NO_REMOTE: Final = 1 << 30
 """Bits of a COB-ID: the PDO does not exist; it is not sent on a remote frame (TPDO)."""
 _IDENTIFIER: Final = 0x7FF
+_OUT_OF_RANGE: Final = 0x06090030
 _READ_ONLY: Final = (0x06010002, 0x06010000)
 
 
@@ -195,7 +196,7 @@ def _map(
     _store(device, index, 2, layout.every)
     _store_mapping(device, dictionary, index + _MAPPING, layout)
     if not fixed:
-        _store(device, index, 1, before & _NO_REMOTE | own)
+        _write_cob_id(device, index, before & _NO_REMOTE | own)
     return own
 
 
@@ -204,12 +205,22 @@ def _switch_off(device: Node, index: int, cob_id: int) -> bool:
     if cob_id & _OFF:
         return True
     try:
-        device.write(index, 1, cob_id | _OFF)
+        _write_cob_id(device, index, cob_id | _OFF)
     except ObjectAccessError as refused:
         if refused.code not in _READ_ONLY:
             raise
         return False
     return True
+
+
+def _write_cob_id(device: Node, index: int, cob_id: int) -> None:
+    """Write a COB-ID; with the flag "no remote frames" where a device refuses it without."""
+    try:
+        device.write(index, 1, cob_id)
+    except ObjectAccessError as refused:
+        if refused.code != _OUT_OF_RANGE or index < TRANSMIT.communication or cob_id & _NO_REMOTE:
+            raise
+        device.write(index, 1, cob_id | _NO_REMOTE)
 
 
 def _store_mapping(
