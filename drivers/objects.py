@@ -99,6 +99,22 @@ class ProcessChannel(ObjectAccess, Protocol):
         """Whether all data due at the last exchange arrived complete."""
         ...
 
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the last exchange's sampling, microseconds modulo 2^32; stands in for the
+        time stamp of a device that has none.
+        """
+        ...
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        """Return whether the device's description has an object, and, with ``mappable``, allows it
+        in process data. Without ``mappable`` a faulty description of it counts, so that its use is
+        refused.
+
+        Sends nothing.
+        """
+        ...
+
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an object that must be sent even if no answer can be received; raises as
         :meth:`write`.

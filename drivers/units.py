@@ -157,11 +157,14 @@ class EncoderScales:
         counts_per_turn: Expected value of 6001h.
         sign: 1 if rising counts are a rising joint angle, else -1.
         offset_rad: Joint angle at 6004h = 0.
+        middle_rad: Middle of the joint's travel, to which the first angle is taken as near as the
+            encoder's range allows; None for the angle at 6004h = 0.
     """
 
     counts_per_turn: int
     sign: int = 1
     offset_rad: float = 0.0
+    middle_rad: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse invalid scales.
@@ -181,26 +184,41 @@ class EncoderScales:
         """Joint angle of one count, with sign."""
         return self.sign * 2.0 * math.pi / self.counts_per_turn
 
+    @cached_property
+    def middle(self) -> int:
+        """Count of the middle of the joint's travel; 0 where none is given."""
+        if self.middle_rad is None:
+            return 0
+        return round((self.middle_rad - self.offset_rad) / self.rad_per_count)
+
+
+def nearest(value: int, modulus: int, near: int) -> int:
+    """Return the count nearest to ``near`` that equals ``value`` modulo ``modulus``.
+
+    The lower one of two that are equally near is returned.
+    """
+    half = modulus // 2
+    return near + (value - near + half) % modulus - half
+
 
 class Unwrapper:
     """Unwraps a counter modulo ``modulus``.
 
     Each new value is unwrapped to the nearest to the last one, so the counter must move less than
-    half its range between calls. The first value is unchanged or, with ``signed``, the nearest to
-    zero.
+    half its range between calls. The first value is unchanged or, with ``near``, the nearest to
+    that count.
     """
 
-    def __init__(self, modulus: int, signed: bool = False) -> None:
+    def __init__(self, modulus: int, near: int | None = None) -> None:
         self._modulus = modulus
         self._half = modulus // 2
-        self._total: int | None = None
-        self._signed = signed
+        self._total = near
 
     def update(self, raw: int) -> int:
         """Return the unwrapped count for a new raw value."""
         total = self._total
         if total is None:
-            total = 0 if self._signed else raw
+            total = raw
         modulus = self._modulus
         step = (raw - total) % modulus
         if step > self._half:

@@ -64,6 +64,7 @@ class CanopenLink(Link):
 
     Attributes:
         cycle: Number of exchanges so far.
+        sync_ns: Time of the last SYNC.
     """
 
     def __init__(
@@ -76,6 +77,7 @@ class CanopenLink(Link):
     ) -> None:
         self.clock = clock
         self.cycle = 0
+        self.sync_ns = 0
         self.master_id = master_id
         self.sdo_timeout_s = sdo_timeout_s
         self._name = name
@@ -181,6 +183,7 @@ class CanopenLink(Link):
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             self._missing += node.expected
+        self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")
         if self.cycle % self._heartbeat_every == 0:
             self.heartbeat()

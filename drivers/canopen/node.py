@@ -9,7 +9,7 @@ from typing import Final
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen.pdo import RECEIVE, TRANSMIT, Input, configure, plan
-from drivers.canopen.sdo import PumpedNode, Wire, translated, variable
+from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
 from drivers.clock import NS
 from drivers.errors import ConfigurationError, LinkError
 from drivers.objects import PdoLayout, optional
@@ -128,6 +128,15 @@ class CanopenNode:
         data = self._packed(index, subindex, value)
         with translated(self.node_id, index, subindex):
             self.remote.sdo.download(index, subindex, data)
+
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the last SYNC, microseconds modulo 2^32."""
+        return self._wire.sync_ns // 1000 & 0xFFFFFFFF
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        """Return whether the EDS has an object, and allows it in process data. Sends nothing."""
+        return described(self._dictionary, index, subindex, mappable)
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object whose type can hold a value; raises as :meth:`write`.

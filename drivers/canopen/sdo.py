@@ -31,6 +31,7 @@ class Wire(Protocol):
     sdo_timeout_s: float
     cycle: int
     master_id: int
+    sync_ns: int
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame."""
@@ -148,3 +149,16 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
             else f"object {index:04X}h:{subindex:02X}h is not in the device's EDS"
         )
     return found
+
+
+def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable: bool) -> bool:
+    """Return whether the EDS has an object, and, with ``mappable``, allows it in process data.
+
+    An object whose description is faulty counts, except for process data.
+    """
+    if (index, subindex) in getattr(dictionary, "faults", {}):
+        return not mappable
+    found = dictionary.get_variable(index, subindex)
+    return found is not None and found.subindex == subindex and (
+        not mappable or bool(found.pdo_mappable)
+    )

@@ -110,6 +110,11 @@ class EposSerialNode(ObjectAccess):
         """Whether everything that was due at the last exchange was written and read."""
         return self._complete
 
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the cycle's first request, microseconds modulo 2^32."""
+        return self._time_us
+
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
 

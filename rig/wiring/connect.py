@@ -29,6 +29,7 @@ from rig.config.bench import Bench
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
+from rig.config.limits_section import LimitsSection
 from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.devices import Devices
 from rig.wiring.guard import Guard
@@ -166,11 +167,11 @@ def _wire(
         )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
-        encoder = amt21 = amt21_encoder(bench.encoder, simulated, link.clock)
+        encoder = amt21 = amt21_encoder(bench.encoder, bench.limits.middle_rad, simulated, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
-        encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
+        encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     ignite = None if simulated is None or pressure is None else simulated.machine.ignite
     return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
@@ -288,10 +289,11 @@ def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:
     )
 
 
-def encoder_scales(encoder: EncoderSection) -> EncoderScales:
+def encoder_scales(encoder: EncoderSection, limits: LimitsSection) -> EncoderScales:
     """Return the joint encoder's scales in SI units."""
     return EncoderScales(
         counts_per_turn=encoder.counts_per_turn,
         sign=encoder.sign,
         offset_rad=math.radians(encoder.offset_deg),
+        middle_rad=limits.middle_rad,
     )

@@ -113,7 +113,7 @@ def _profile(bench: Bench, role: Role, link: Link, node: ProcessChannel) -> _Des
         return Cia402Servo(node, link, servo_scales(bench.servo, bench.machine.gear_ratio))
     if role == "encoder":
         assert isinstance(bench.encoder, EncoderSection)
-        return Cia406Encoder(node, encoder_scales(bench.encoder))
+        return Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     assert bench.pressure is not None
     return bench.pressure.transmitter(node)
 
