@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, ParamSpec, Protocol, TypeVar
 
-from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
+from drivers.errors import ConfigurationError, DeviceError, NotDescribedError, ObjectAccessError
 from drivers.interfaces import Identity
 
 ObjectAddress = tuple[int, int]
@@ -73,12 +73,15 @@ class PdoLayout:
         every: Period of the exchange in cycles.
         slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
             for inputs with slack.
+        mean: Object that is a mean over the cycle, which a transport without SYNC brings to the
+            instant of the position; None where there is none.
     """
 
     number: int
     objects: tuple[ObjectAddress, ...]
     every: int = 1
     slack: int = 0
+    mean: ObjectAddress | None = None
 
 
 class ProcessChannel(ObjectAccess, Protocol):
@@ -112,6 +115,21 @@ class ProcessChannel(ObjectAccess, Protocol):
         refused.
 
         Sends nothing.
+        """
+        ...
+
+    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
+        """Return whether these objects can travel in one layout; True for unknown ones, which
+        :meth:`require_mappable` refuses. Sends nothing.
+        """
+        ...
+
+    def require_watchable(self) -> None:
+        """Check against the description that the device can watch the control loop, as far as the
+        transport leaves this to the device. Sends nothing.
+
+        Raises:
+            ConfigurationError: It cannot.
         """
         ...
 
@@ -194,11 +212,12 @@ def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | No
 
     Raises:
         ObjectAccessError: The device refuses for another reason.
+        ConfigurationError: Its EDS describes the object wrongly.
         LinkError: No answer.
     """
     try:
         return read(index, subindex)
-    except ConfigurationError:
+    except NotDescribedError:
         return None
     except ObjectAccessError as refused:
         if refused.code in ABSENT:

@@ -13,6 +13,7 @@ from drivers import servo_limits
 from drivers.canopen import cia402, cia402_checks
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
+from drivers.canopen.cia402_values import CyclicValues
 from drivers.canopen.emergency import explain
 from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
@@ -33,6 +34,7 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
+from drivers.lacks import Lacks
 from drivers.objects import (
     ObjectAddress,
     ProcessChannel,
@@ -40,12 +42,10 @@ from drivers.objects import (
     read_identity,
     refusal,
 )
-from drivers.units import ServoScales, Unwrapper
+from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
 """Heartbeat time-out after which the drive stops by itself, s."""
-_US: Final = 1e-6
-_MILLI: Final = 1e-3
 _OFFERS_CSP: Final = 1 << 7
 """Bit of 6502h."""
 _WITH_MODE: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
@@ -79,6 +79,9 @@ class Cia402Servo(Servo):
         self._link = link
         self._clock = link.clock
         self._scales = scales
+        self._told = objects.cyclic(channel, scales)
+        self._held = cia402_checks.held_limits(channel)
+        self._values = CyclicValues(channel, scales, self._told)
         self.watch_s = self._watch_s = watch_s
         self._timeout_s = state_timeout_s
         self._cycle_ns = 0
@@ -88,7 +91,6 @@ class Cia402Servo(Servo):
         self._offset = 0
         self._previous = 0
         self._staged_in = 0
-        self._time = Unwrapper(1 << 32)
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -100,7 +102,11 @@ class Cia402Servo(Servo):
 
     def read_limits(self) -> ServoLimits:
         """Read back the limits the drive itself holds."""
-        return servo_limits.read(self._channel, self._scales)
+        return servo_limits.read(self._channel, self._scales, self._held)
+
+    def lacks(self, cycle_s: float) -> Lacks:
+        """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
+        return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each limit's object, at the joint."""
@@ -109,7 +115,8 @@ class Cia402Servo(Servo):
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
         """Yield each limit that its object cannot hold."""
         for address, value in servo_limits.encode(limits, self._scales).items():
-            yield from refusal(self._channel.require_fit, *address, value)
+            if address in self._held:
+                yield from refusal(self._channel.require_fit, *address, value)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
@@ -118,45 +125,52 @@ class Cia402Servo(Servo):
             ConfigurationError: The drive holds another value, or one does not fit.
             ObjectAccessError: The drive refuses one.
         """
-        servo_limits.write(self._channel, self._scales, limits)
+        servo_limits.write(self._channel, self._scales, limits, self._held)
 
     def readings(self) -> ServoReadings:
         """Read each value singly; NaN for values that the drive does not have."""
-        scales = self._scales
+        scales, told = self._scales, self._told
         counts, speed, current, supply, temperature = map(
             self._read_or_nan,
             (
                 objects.POSITION,
                 objects.SPEED_ACTUAL,
-                objects.CURRENT,
-                objects.DC_LINK,
+                told.current,
+                scales.supply_object,
                 scales.temperature_object,
             ),
         )
         return ServoReadings(
             counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
             speed * scales.joint_speed_unit_rad_s * scales.sign,
-            current * scales.current_unit_A * scales.sign,
-            supply * _MILLI,
+            current * told.current_unit_A * scales.sign,
+            supply * scales.supply_unit_V,
             temperature * scales.temperature_unit_C,
         )
 
     def fault(self) -> DriveFault:
         """Read why the drive is in fault (603Fh)."""
-        code = self._channel.read(*objects.ERROR_CODE)
+        code = optional(self._channel.read, *objects.ERROR_CODE)
+        if code is None:
+            label = self._channel.label
+            return DriveFault(
+                0, f"{label} is in fault, and has no error code 603Fh: see its display"
+            )
         return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
         yield from cia402_checks.description_refusals(
-            self._channel, self._scales, self._takes_offset
+            self._channel, self._scales, self._told, self._takes_offset
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield units that differ from the bench file, a cycle that cannot be set, and missing
         objects.
         """
-        yield from cia402_checks.refusals(self._channel, self._scales, self._takes_offset, cycle_s)
+        yield from cia402_checks.refusals(
+            self._channel, self._scales, self._told, self._takes_offset, cycle_s
+        )
 
     def prepare(self, cycle_s: float) -> None:
         """Check units, map process data, set the cycle, and verify that the heartbeat time-out can
@@ -181,15 +195,18 @@ class Cia402Servo(Servo):
             channel, self._scales, self._takes_offset, cycle_s
         ):
             raise error
-        servo_limits.store(channel, objects.CYCLE, round(cycle_s * 1e3))
-        servo_limits.store(channel, objects.CYCLE_EXPONENT, -3)
-        servo_limits.store(channel, objects.ON_ABORT, objects.ABORT_IS_FAULT)
+        for address, value in (
+            (objects.CYCLE, round(cycle_s * 1e3)),
+            (objects.CYCLE_EXPONENT, -3),
+            (objects.ON_ABORT, objects.ABORT_IS_FAULT),
+        ):
+            if channel.describes(*address):
+                servo_limits.store(channel, address, value)
         self._offset = 0
-        channel.map_process_data(
-            *objects.layouts(self._scales, self._takes_offset), cycle_s=cycle_s
-        )
+        inputs = objects.inputs(self._told, channel)
+        channel.map_process_data(objects.outputs(self._takes_offset), inputs, cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
-        self._time = Unwrapper(1 << 32)
+        self._values.begin(inputs, self._cycle_ns)
         channel.watch(self._watch_s)
         channel.unwatch()
         self._stage(channel.read(*objects.POSITION))
@@ -293,29 +310,14 @@ class Cia402Servo(Servo):
 
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange."""
-        channel, scales = self._channel, self._scales
-        statusword, position, current = channel.latest(objects.MOTION_PDO)
-        velocity, time_us = channel.latest(objects.SPEED_PDO)
-        (voltage,) = channel.latest(objects.VOLTAGE_PDO)
-        supply, temperature = channel.latest(objects.SUPPLY_PDO)
-        following = 0.0
+        statusword, position = self._values.motion()
+        following = 0
         if statusword & 0x6F == 0x27:
             # The target of the previous exchange is the one that the drive has reached at this
             # SYNC.
-            demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
-            following = (demand - position) * scales.joint_rad_per_count
-        return ServoSample(
-            self._time.update(time_us) * _US,
-            position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-            velocity * scales.joint_speed_unit_rad_s * scales.sign,
-            current * scales.current_unit_A * scales.sign,
-            voltage * scales.voltage_unit_V * scales.sign,
-            supply * _MILLI,
-            temperature * scales.temperature_unit_C,
-            following,
-            statusword,
-            channel.fresh,
-        )
+            demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
+            following = demand - position
+        return self._values.sample(following)
 
     def _stage(self, counts: int) -> None:
         if self._channel.cycle != self._staged_in:
@@ -327,7 +329,9 @@ class Cia402Servo(Servo):
         else:
             self._channel.stage(objects.OUTPUT_PDO, self._word, counts)
 
-    def _read_or_nan(self, address: ObjectAddress) -> float:
+    def _read_or_nan(self, address: ObjectAddress | None) -> float:
+        if address is None:
+            return math.nan
         try:
             return self._channel.read(*address)
         except (ConfigurationError, ObjectAccessError):
@@ -371,7 +375,7 @@ class Cia402Servo(Servo):
 
     def _walk(self) -> None:
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            statusword, position, _ = self._channel.latest(objects.MOTION_PDO)
+            statusword, position = self._values.motion()
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()

@@ -56,9 +56,7 @@ class Cia406Encoder(Encoder):
     def reading(self) -> float:
         """Read the position (6004h); NaN where the encoder refuses it."""
         try:
-            counts = nearest(
-                self._channel.read(*_VALUE), self._modulus(), self._scales.middle
-            )
+            counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):
             return math.nan
         return counts * self._scales.rad_per_count + self._scales.offset_rad

@@ -75,6 +75,15 @@ def read_eds(eds: Path, node_id: int) -> Described:
     return dictionary
 
 
+def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
+    """Return index and subindex of everything that can be read or written."""
+    return frozenset(
+        (variable.index, variable.subindex)
+        for item in dictionary.values()
+        for variable in ([item] if isinstance(item, ODVariable) else item.values())
+    )
+
+
 class _Reader:
     """Turns sections into objects.
 
@@ -164,7 +173,9 @@ class _Reader:
     def _data_type(self, section: Section) -> int:
         """Return the data type of an object; raises ValueError with file and line."""
         if "datatype" not in section.values:
-            raise ValueError(f"{self._eds}:{section.line}: section [{section.name}] has no DataType")
+            raise ValueError(
+                f"{self._eds}:{section.line}: section [{section.name}] has no DataType"
+            )
         kind = self._number(section, "DataType")
         if kind > _LAST_STANDARD_TYPE:
             # Some tools name a type with limits of its own, and describe it in a section.

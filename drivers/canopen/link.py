@@ -314,8 +314,8 @@ class CanopenLink(Link):
     def _lost(self, node: CanopenNode) -> LinkError:
         silent_s = (self.clock.now_ns() - node.heard_ns) / NS
         return LinkError(
-            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {node.silence_ns / NS:g} s); "
-            "check its supply and the bus cable"
+            f"{node.label} sent no heartbeat for {silent_s:.3f} s "
+            f"(limit {node.silence_ns / NS:g} s); check its supply and the bus cable"
         )
 
     def _raise_troubles(self) -> None:

@@ -8,11 +8,11 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.pdo import RECEIVE, TRANSMIT, Input, configure, plan
+from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, configure, plan
 from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
 from drivers.clock import NS
 from drivers.errors import ConfigurationError, LinkError
-from drivers.objects import PdoLayout, optional
+from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
 
 _MS: Final = 1_000_000
 _BOOT_TIMEOUT_S: Final = 1.0
@@ -138,6 +138,18 @@ class CanopenNode:
         """Return whether the EDS has an object, and allows it in process data. Sends nothing."""
         return described(self._dictionary, index, subindex, mappable)
 
+    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
+        """Return whether a PDO can hold these objects. Sends nothing."""
+        found = (self._dictionary.get_variable(*address) for address in addresses)
+        return sum(len(item) for item in found if item is not None) <= PDO_BITS
+
+    def require_watchable(self) -> None:
+        """Check that the EDS has a heartbeat consumer; raises as :meth:`watch`. Sends nothing."""
+        for error in refusal(self._packed, *_CONSUMER, 0):
+            raise ConfigurationError(
+                f"{error}; every run needs it: by it the drive notices that this program died"
+            ) from error
+
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object whose type can hold a value; raises as :meth:`write`.
 
@@ -157,6 +169,10 @@ class CanopenNode:
 
         Sends nothing.
         """
+        for error in refusal(self._packed, *_PRODUCER, 0):
+            raise ConfigurationError(
+                f"{error}; every run needs it: by it a lost device is noticed"
+            ) from error
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
             plan(self._dictionary, self.label, direction, layouts)
 

@@ -15,6 +15,7 @@ from drivers.errors import ConfigurationError, ObjectAccessError
 from drivers.objects import PdoLayout
 
 _MAX_BYTES: Final = 8
+PDO_BITS: Final = 8 * _MAX_BYTES
 _CODES: Final[Mapping[int, str]] = {
     datatypes.INTEGER8: "b",
     datatypes.INTEGER16: "h",

@@ -12,7 +12,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.errors import ConfigurationError, LinkError, NotDescribedError, ObjectAccessError
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
@@ -137,17 +137,17 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
     """Find an object in the EDS.
 
     Raises:
-        ConfigurationError: The EDS has no such object, or describes it wrongly.
+        NotDescribedError: The EDS has no such object.
+        ConfigurationError: It describes the object wrongly.
     """
     found = dictionary.get_variable(index, subindex)
     # For an object without members canopen returns that object, whatever the subindex.
     if found is None or found.subindex != subindex:
         fault = getattr(dictionary, "faults", {}).get((index, subindex))
-        raise ConfigurationError(
-            f"object {index:04X}h:{subindex:02X}h cannot be used: {fault}; correct the file"
-            if fault
-            else f"object {index:04X}h:{subindex:02X}h is not in the device's EDS"
-        )
+        name = f"object {index:04X}h:{subindex:02X}h"
+        if fault:
+            raise ConfigurationError(f"{name} cannot be used: {fault}; correct the file")
+        raise NotDescribedError(f"{name} is not in the device's EDS")
     return found
 
 
@@ -159,6 +159,8 @@ def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable:
     if (index, subindex) in getattr(dictionary, "faults", {}):
         return not mappable
     found = dictionary.get_variable(index, subindex)
-    return found is not None and found.subindex == subindex and (
-        not mappable or bool(found.pdo_mappable)
+    return (
+        found is not None
+        and found.subindex == subindex
+        and (not mappable or bool(found.pdo_mappable))
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 from canopen.objectdictionary import ObjectDictionary
@@ -149,6 +150,13 @@ class ObjectAccess:
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
         """Return whether the EDS has an object; each can be read in every cycle. Sends nothing."""
         return described(self._dictionary, index, subindex, mappable=False)
+
+    def fit_together(self, addresses: Sequence[tuple[int, int]]) -> bool:
+        """Return True: objects are asked for one by one."""
+        return True
+
+    def require_watchable(self) -> None:
+        """Check nothing: the protocol has no watchdog, and the link's guard stands in for it."""
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.

@@ -49,6 +49,16 @@ class ServoSection(Schema):
         voltage_unit_V: Voltage of one unit of that object.
         temperature_object: Index and subindex of the drive's temperature.
         temperature_unit_C: Temperature of one unit of that object.
+        supply_object: Index and subindex of the supply voltage.
+        supply_unit_V: Voltage of one unit of that object.
+        current_object: Index and subindex of the maker's own object of the motor current; null for
+            6078h or, where the drive has none, the torque 6077h.
+        current_unit_A: Current of one unit of that object; not used for 6078h and 6077h, whose
+            unit follows from the rated values.
+        rated_current_object: Index and subindex of the rated motor current.
+        rated_current_object_unit_A: Current of one unit of that object.
+        rated_torque_object: Index and subindex of the rated motor torque.
+        rated_torque_object_unit_N_m: Torque of one unit of that object.
         eds: The device's own EDS file, relative to the bench file; the simulated drive needs none.
         quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
             off, 6 brakes and stays in the state quick stop active.
@@ -67,6 +77,14 @@ class ServoSection(Schema):
     voltage_unit_V: Positive = 0.01
     temperature_object: ObjectAddress = (0x2101, 0)
     temperature_unit_C: Positive = 0.1
+    supply_object: ObjectAddress = (0x6079, 0)
+    supply_unit_V: Positive = 0.001
+    current_object: ObjectAddress | None = None
+    current_unit_A: Positive = 0.001
+    rated_current_object: ObjectAddress = (0x6075, 0)
+    rated_current_object_unit_A: Positive = 0.001
+    rated_torque_object: ObjectAddress = (0x6076, 0)
+    rated_torque_object_unit_N_m: Positive = 0.001
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
     quick_stop_deceleration_deg_s2: Positive = 2000.0

@@ -70,7 +70,7 @@ def examine(
         *device_findings(devices, wanted, bench.cycle_s),
         *reading_findings(readings, limits),
     ]
-    watching = watcher(devices)
+    watching, lacks = watcher(devices), devices.servo.lacks(bench.cycle_s)
     return {
         "schema": SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -93,6 +93,7 @@ def examine(
         "has_watchdog": devices.link.has_watchdog,
         "watched_by": watching.kind,
         "watch_s": watching.after_s,
+        "not_held": sorted(lacks.limits),
         "calibrations": calibration_records(bench, utc_now().date()),
         **described,
         "bench_limits": dataclasses.asdict(wanted),
@@ -150,7 +151,12 @@ def _limits(found: dict[str, Any]) -> str:
     return table(
         ["limit", "drive holds now", "bench file", "unit"],
         [
-            [_title(name), _show(name, held[name]), _show(name, allowed), _unit(name)]
+            [
+                _title(name),
+                "has none" if name in found["not_held"] else _show(name, held[name]),
+                _show(name, allowed),
+                _unit(name),
+            ]
             for name, allowed in found["bench_limits"].items()
             if name != "quick_stop_option"
         ],

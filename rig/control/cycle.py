@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -84,8 +85,13 @@ class Cycle:
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
-        self._limits = limits
         self._period_ns = cycle_ns
+        lacks = devices.servo.lacks(cycle_ns / NS)
+        self._reported = {
+            "reports_temperature": not lacks.temperature,
+            "reports_supply": not lacks.supply,
+        }
+        self.use(limits)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
@@ -123,8 +129,10 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Use these limits for all further samples."""
-        self._limits = limits
+        """Use these limits for all further samples, except those on what the drive does not
+        report.
+        """
+        self._limits = dataclasses.replace(limits, **self._reported)
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
         """Restart the cycle after a pause, holding ``target``; the first sample resets the safety

@@ -185,13 +185,13 @@ class PhaseHandlers:
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.prepare(plan.cycle_s)
-        steps = devices.servo.limit_steps()
+        steps, unheld = devices.servo.limit_steps(), devices.servo.lacks(plan.cycle_s).limits
         if self.own_limits is None:
             own = devices.servo.read_limits()
-            require_within_own(plan.servo_limits, own, steps)
+            require_within_own(plan.servo_limits, own, steps, unheld)
             self.own_limits = own
         devices.servo.write_limits(plan.servo_limits)
-        require_held(devices.servo.read_limits(), plan.servo_limits, steps)
+        require_held(devices.servo.read_limits(), plan.servo_limits, steps, unheld)
         self._recorder.event(self.cycle.now_ns, "stage start", stage=self.stage.name)
         return Event.DONE
 

@@ -85,7 +85,12 @@ def _step(steps: LimitSteps | None, resolution: str) -> float:
     return float(getattr(steps, resolution)) if steps is not None and resolution else 0.0
 
 
-def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
+def loosened(
+    wanted: ServoLimits,
+    own: ServoLimits,
+    steps: LimitSteps | None = None,
+    unheld: frozenset[str] = frozenset(),
+) -> list[Row]:
     """Return the drive's own limits that ``wanted`` would loosen; see
     :func:`require_within_own`.
     """
@@ -93,13 +98,19 @@ def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = N
     return [
         row
         for row in compare(wanted, own, steps)
-        if (row.looser and row.field not in _REACTIONS)
-        or (keeps_power and row.field == "quick_stop_option")
+        if row.field not in unheld
+        and (
+            (row.looser and row.field not in _REACTIONS)
+            or (keeps_power and row.field == "quick_stop_option")
+        )
     ]
 
 
 def require_within_own(
-    wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None
+    wanted: ServoLimits,
+    own: ServoLimits,
+    steps: LimitSteps | None = None,
+    unheld: frozenset[str] = frozenset(),
 ) -> None:
     """Refuse to loosen the limits that the drive was commissioned with.
 
@@ -109,11 +120,12 @@ def require_within_own(
             refused only if the drive takes the power off after the ramp and would be ordered to
             keep it on; the quick stop deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
+        unheld: Limits that the drive has no object for, see :class:`drivers.lacks.Lacks`.
 
     Raises:
         ConfigurationError: Lists every limit that would be looser.
     """
-    rows = loosened(wanted, own, steps)
+    rows = loosened(wanted, own, steps, unheld)
     if rows:
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
@@ -124,18 +136,24 @@ def require_within_own(
         )
 
 
-def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | None = None) -> None:
+def require_held(
+    held: ServoLimits,
+    wanted: ServoLimits,
+    steps: LimitSteps | None = None,
+    unheld: frozenset[str] = frozenset(),
+) -> None:
     """Refuse a drive that holds a looser limit than the one written into it.
 
     Args:
         held: The limits read back from the drive.
         wanted: The limits that were written.
         steps: As for :func:`compare`.
+        unheld: As for :func:`require_within_own`.
 
     Raises:
         ConfigurationError: Lists every limit that is looser.
     """
-    rows = [row for row in compare(held, wanted, steps) if row.looser]
+    rows = [row for row in compare(held, wanted, steps) if row.looser and row.field not in unheld]
     if rows:
         raise ConfigurationError(
             f"the drive does not hold the limits written into it: "
