@@ -75,6 +75,7 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
                 f"not watched: temperature ({temperature}); servo.temperature_object names it",
             ),
             (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
+            (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
             (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
             (
                 None if told.current == objects.TORQUE else told.current,
@@ -87,9 +88,9 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
             ),
             (
                 channel.describes(*objects.ON_ABORT) or None,
-                "not known: what the drive does when it hears nothing of this program any more, "
-                "as it has no 6007h; read in its manual whether it takes the power off, and stay "
-                "beside it",
+                "no reaction to a lost master (6007h), so that the drive counts as one without a "
+                "watchdog; servo.stops_alone: true where its manual says that it takes the power "
+                "off when the heartbeat of this program ends",
             ),
         )
         if there is None

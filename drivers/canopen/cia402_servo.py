@@ -64,6 +64,8 @@ class Cia402Servo(Servo):
         watch_s: Silence of the control loop after which the drive stops by itself, s.
         state_timeout_s: Time-out for reaching a state, s.
         torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
+        stops_alone: Whether the drive takes the power off by itself when the control loop is
+            silent; None where its EDS shows it (6007h).
     """
 
     def __init__(
@@ -74,6 +76,7 @@ class Cia402Servo(Servo):
         watch_s: float = WATCH_S,
         state_timeout_s: float = 1.0,
         torque_offset: bool = False,
+        stops_alone: bool | None = None,
     ) -> None:
         self._channel = channel
         self._link = link
@@ -82,7 +85,11 @@ class Cia402Servo(Servo):
         self._told = objects.cyclic(channel, scales)
         self._held = cia402_checks.held_limits(channel)
         self._values = CyclicValues(channel, scales, self._told)
-        self.watch_s = self._watch_s = watch_s
+        self._watch_s = watch_s
+        if stops_alone is None:
+            stops_alone = channel.describes(*objects.ON_ABORT)
+        self.watch_s = watch_s if stops_alone else None
+        link.has_watchdog = link.has_watchdog and stops_alone
         self._timeout_s = state_timeout_s
         self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE

@@ -59,7 +59,11 @@ class ServoSection(Schema):
         rated_current_object_unit_A: Current of one unit of that object.
         rated_torque_object: Index and subindex of the rated motor torque.
         rated_torque_object_unit_N_m: Torque of one unit of that object.
-        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none.
+        stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
+            program any more; null where its EDS file shows it (6007h). False cuts the limits, as
+            for every drive without a watchdog.
+        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none,
+            and shows only the objects of the file if one is named.
         quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
             off, 6 brakes and stays in the state quick stop active.
         quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
@@ -85,6 +89,7 @@ class ServoSection(Schema):
     rated_current_object_unit_A: Positive = 0.001
     rated_torque_object: ObjectAddress = (0x6076, 0)
     rated_torque_object_unit_N_m: Positive = 0.001
+    stops_alone: bool | None = None
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
     quick_stop_deceleration_deg_s2: Positive = 2000.0

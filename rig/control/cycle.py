@@ -87,10 +87,7 @@ class Cycle:
         self._progress = progress
         self._period_ns = cycle_ns
         lacks = devices.servo.lacks(cycle_ns / NS)
-        self._reported = {
-            "reports_temperature": not lacks.temperature,
-            "reports_supply": not lacks.supply,
-        }
+        self._reports_temperature, self._reports_supply = not lacks.temperature, not lacks.supply
         self.use(limits)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
@@ -132,7 +129,11 @@ class Cycle:
         """Use these limits for all further samples, except those on what the drive does not
         report.
         """
-        self._limits = dataclasses.replace(limits, **self._reported)
+        self._limits = dataclasses.replace(
+            limits,
+            reports_temperature=self._reports_temperature,
+            reports_supply=self._reports_supply,
+        )
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
         """Restart the cycle after a pause, holding ``target``; the first sample resets the safety

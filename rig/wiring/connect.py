@@ -160,7 +160,13 @@ def _wire(
         hang = None if simulated is None else simulated.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine)
-        servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
+        servo = Cia402Servo(
+            drive,
+            link,
+            scales,
+            torque_offset=torque_offset,
+            stops_alone=bench.servo.stops_alone,
+        )
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
         pressure = bench.pressure.transmitter(
