@@ -312,7 +312,15 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
         return document
     if cia402_objects.ON_ABORT[0] in described:
         return document
-    servo = servo.model_copy(update={"stops_alone": False})
+    return without_watch(document)
+
+
+def without_watch(document: Document[Bench]) -> Document[Bench]:
+    """Return a bench whose drive does not stop by itself."""
+    bench = document.value
+    if not isinstance(bench.servo, ServoSection):
+        return document
+    servo = bench.servo.model_copy(update={"stops_alone": False})
     return dataclasses.replace(document, value=bench.model_copy(update={"servo": servo}))
 
 
