@@ -215,6 +215,10 @@ class Servo(ABC):
         """Return what the drive neither holds nor tells. Sends nothing."""
         return NOTHING
 
+    def speed_remedy(self, factor: float) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one."""
+        return "correct the unit of its speed in the bench file"
+
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Sends nothing."""
         return None

@@ -96,8 +96,17 @@ class ServoScales:
     @cached_property
     def joint_speed_unit_rad_s(self) -> float:
         """Joint speed of one velocity unit, without sign."""
-        unit = self.velocity_unit_rad_s or 2.0 * math.pi / self.counts_per_turn
-        return unit / self.gear_ratio
+        return self.motor_speed_unit_rad_s / self.gear_ratio
+
+    @property
+    def motor_speed_unit_rad_s(self) -> float:
+        """Motor speed of one velocity unit, without sign."""
+        return self.velocity_unit_rad_s or self.count_rad
+
+    @property
+    def count_rad(self) -> float:
+        """Motor angle of one count, without sign."""
+        return 2.0 * math.pi / self.counts_per_turn
 
     @cached_property
     def current_unit_A(self) -> float:

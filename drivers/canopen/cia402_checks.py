@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 from drivers import servo_limits
 from drivers.canopen import cia402_objects as objects
+from drivers.canopen import velocity_unit
 from drivers.canopen.cia402_objects import Cyclic
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.lacks import Lacks
@@ -124,6 +125,7 @@ def unit_refusals(
 ) -> Iterator[DeviceError]:
     """Yield refusals that mapping the process data does not detect."""
     yield from scales.mismatches(channel)
+    yield from velocity_unit.refusals(channel, scales)
     milliseconds = round(cycle_s * 1e3)
     if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
         yield ConfigurationError(

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers import servo_limits
-from drivers.canopen import cia402, cia402_checks
+from drivers.canopen import cia402, cia402_checks, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.canopen.cia402_values import CyclicValues
@@ -35,13 +35,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import (
-    ObjectAddress,
-    ProcessChannel,
-    optional,
-    read_identity,
-    refusal,
-)
+from drivers.objects import ObjectAddress, ProcessChannel, optional, read_identity, refusal
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
@@ -115,6 +109,10 @@ class Cia402Servo(Servo):
         """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
         return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
+    def speed_remedy(self, factor: float) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one."""
+        return velocity_unit.remedy(self._scales, factor)
+
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each limit's object, at the joint."""
         return servo_limits.steps(self._scales)
@@ -157,13 +155,10 @@ class Cia402Servo(Servo):
 
     def fault(self) -> DriveFault:
         """Read why the drive is in fault (603Fh)."""
-        code = optional(self._channel.read, *objects.ERROR_CODE)
+        code, label = optional(self._channel.read, *objects.ERROR_CODE), self._channel.label
         if code is None:
-            label = self._channel.label
-            return DriveFault(
-                0, f"{label} is in fault, and has no error code 603Fh: see its display"
-            )
-        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
+            return DriveFault(0, f"{label} is in fault, and has no code 603Fh: see its display")
+        return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""

@@ -4,10 +4,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
+from drivers.canopen.velocity_unit import RPM
 from rig.config.configuration import Positive, Schema
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
@@ -44,7 +45,11 @@ class ServoSection(Schema):
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
             of it (6076h).
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch; null for one count per second.
+        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
+            drive has it, and against the position as soon as the joint moves. Null for
+            `velocity_unit_rad_s`.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units; null for one count
+            per second.
         voltage_object: Index and subindex of the motor voltage.
         voltage_unit_V: Voltage of one unit of that object.
         temperature_object: Index and subindex of the drive's temperature.
@@ -76,6 +81,7 @@ class ServoSection(Schema):
     offset_deg: float = 0.0
     rated_current_A: Positive = 15.0
     rated_torque_N_m: Positive = 0.45
+    velocity_unit: Literal["counts_per_s", "rpm"] | None = None
     velocity_unit_rad_s: Positive | None = None
     voltage_object: ObjectAddress = (0x2100, 0)
     voltage_unit_V: Positive = 0.01
@@ -93,6 +99,20 @@ class ServoSection(Schema):
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
     quick_stop_deceleration_deg_s2: Positive = 2000.0
+
+    @model_validator(mode="after")
+    def _one_velocity_unit(self) -> Self:
+        if self.velocity_unit is not None and self.velocity_unit_rad_s is not None:
+            raise ValueError(
+                f"velocity_unit {self.velocity_unit} and velocity_unit_rad_s "
+                f"{self.velocity_unit_rad_s:g} are both set; remove one"
+            )
+        return self
+
+    @property
+    def motor_speed_unit_rad_s(self) -> float | None:
+        """Motor speed of one unit of 606Ch, rad/s; None for one count per second."""
+        return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
 
 
 class EncoderSection(Schema):

@@ -14,6 +14,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
 from rig.control.safety import Latch, Trip, check_stage_time
+from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
@@ -89,6 +90,7 @@ class Cycle:
         lacks = devices.servo.lacks(cycle_ns / NS)
         self._reports_temperature, self._reports_supply = not lacks.temperature, not lacks.supply
         self.use(limits)
+        self._witness: SpeedWitness | None = SpeedWitness(devices.servo, limits.gear_ratio)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
@@ -203,6 +205,8 @@ class Cycle:
             trip = judge(sample, self._age_s, self._late_s, limits)
             if trip is not None:
                 raise TripError(trip)
+            if self._witness is not None and self._witness.decided(sample):
+                self._witness = None
             if keep is not None:
                 keep(sample)
             since += 1

@@ -297,7 +297,7 @@ def servo_scales(servo: ServoSection, machine: Constants) -> ServoScales:
         rated_torque_N_m=servo.rated_torque_N_m,
         sign=servo.sign,
         offset_rad=math.radians(servo.offset_deg),
-        velocity_unit_rad_s=servo.velocity_unit_rad_s,
+        velocity_unit_rad_s=servo.motor_speed_unit_rad_s,
         voltage_object=servo.voltage_object,
         voltage_unit_V=servo.voltage_unit_V,
         temperature_object=servo.temperature_object,
