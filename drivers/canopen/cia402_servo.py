@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers import servo_limits
-from drivers.canopen import cia402, cia402_checks, velocity_unit
+from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.canopen.cia402_values import CyclicValues
@@ -40,10 +40,6 @@ from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
 """Heartbeat time-out after which the drive stops by itself, s."""
-_OFFERS_CSP: Final = 1 << 7
-"""Bit of 6502h."""
-_WITH_MODE: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
-"""States in which the mode of operation must be in force before the next step toward power."""
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -78,7 +74,8 @@ class Cia402Servo(Servo):
         self._scales = scales
         self._told = objects.cyclic(channel, scales)
         self._held = cia402_checks.held_limits(channel)
-        self._values = CyclicValues(channel, scales, self._told)
+        self._inputs = objects.inputs(self._told, channel)
+        self._values = CyclicValues(channel, scales, self._told, self._inputs)
         self._watch_s = watch_s
         if stops_alone is None:
             stops_alone = channel.describes(*objects.ON_ABORT)
@@ -205,10 +202,10 @@ class Cia402Servo(Servo):
             if channel.describes(*address):
                 servo_limits.store(channel, address, value)
         self._offset = 0
-        inputs = objects.inputs(self._told, channel)
-        channel.map_process_data(objects.outputs(self._takes_offset), inputs, cycle_s=cycle_s)
+        outputs = objects.outputs(self._takes_offset)
+        channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
-        self._values.begin(inputs, self._cycle_ns)
+        self._values.begin(self._cycle_ns)
         channel.watch(self._watch_s)
         channel.unwatch()
         self._stage(channel.read(*objects.POSITION))
@@ -232,8 +229,7 @@ class Cia402Servo(Servo):
             self._word = cia402.DISABLE_VOLTAGE
             self._offset = 0
             self._stage(self._channel.read(*objects.POSITION))
-            self._select_mode()
-            self._walk()
+            self._walk(in_mode=self._select_mode())
         except DeviceError:
             with suppress(DeviceError):
                 self.disable()
@@ -350,39 +346,28 @@ class Cia402Servo(Servo):
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
-    def _select_mode(self) -> None:
-        offered = optional(self._channel.read, *objects.MODES)
-        if offered is not None and not offered & _OFFERS_CSP:
-            raise StateError(
-                f"the drive does not offer mode 8, cyclic synchronous position (6502h reads "
-                f"{offered:08X}h, bit 7 is 0): it cannot be used here"
-            )
-        self._channel.write(*objects.MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+    def _select_mode(self) -> bool:
+        """Select the mode and wait for it; returns whether it came."""
+        cia402_mode.select(self._channel)
+        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+            if cia402_mode.in_force(self._channel):
+                return True
+            if not in_time:
+                break
+        return False
 
-    def _in_mode(self, state: ServoState, in_time: bool) -> bool:
-        """Return whether the mode of operation is in force. Some drives take it over only when
-        they are switched on, so that it is asked for only there.
-
-        Raises:
-            StateError: It is not, and no time is left.
-        """
-        mode = self._channel.read(*objects.MODE_DISPLAY)
-        if mode != cia402.CYCLIC_SYNCHRONOUS_POSITION and not in_time:
-            raise StateError(
-                f"mode of operation 6061h still reads {mode} in state '{state.value}', "
-                f"{self._timeout_s:g} s after 8 (cyclic synchronous position) was written to "
-                f"6060h: check in the drive's manual how this mode is selected"
-            )
-        return mode == cia402.CYCLIC_SYNCHRONOUS_POSITION
-
-    def _walk(self) -> None:
+    def _walk(self, in_mode: bool) -> None:
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             statusword, position = self._values.motion()
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()
-            if state in _WITH_MODE and not self._in_mode(state, in_time):
-                continue
+            if state in cia402_mode.NEEDED_IN and not in_mode:
+                in_mode = cia402_mode.in_force(self._channel)
+                if not in_mode and not in_time:
+                    raise cia402_mode.not_shown(self._channel, state, self._timeout_s)
+                if not in_mode:
+                    continue
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
                 return
             if not in_time:

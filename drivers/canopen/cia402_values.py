@@ -25,24 +25,31 @@ class CyclicValues:
         channel: The drive.
         scales: Its units.
         told: The objects that it tells.
+        layouts: How they travel; the first two objects are state and position.
     """
 
-    def __init__(self, channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> None:
+    def __init__(
+        self,
+        channel: ProcessChannel,
+        scales: ServoScales,
+        told: Cyclic,
+        layouts: Sequence[PdoLayout],
+    ) -> None:
         self._channel = channel
         self._scales = scales
         self._told = told
-        self._numbers: tuple[int, ...] = ()
-        self._at: dict[ObjectAddress | None, int] = {}
+        self._numbers = tuple(layout.number for layout in layouts)
+        addresses = chain.from_iterable(layout.objects for layout in layouts)
+        self._at: dict[ObjectAddress | None, int] = {
+            address: at for at, address in enumerate(addresses)
+        }
         self._cycle_ns = 0
         self._before: tuple[int, int] | None = None
         self._speed = 0.0
         self._time = Unwrapper(1 << 32)
 
-    def begin(self, layouts: Sequence[PdoLayout], cycle_ns: int) -> None:
-        """Begin with newly mapped inputs; the first two objects are state and position."""
-        self._numbers = tuple(layout.number for layout in layouts)
-        addresses = chain.from_iterable(layout.objects for layout in layouts)
-        self._at = {address: at for at, address in enumerate(addresses)}
+    def begin(self, cycle_ns: int) -> None:
+        """Begin with newly mapped inputs."""
         self._cycle_ns = cycle_ns
         self._before, self._speed = None, 0.0
         self._time = Unwrapper(1 << 32)
