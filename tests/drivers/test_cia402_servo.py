@@ -491,7 +491,7 @@ def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> No
     if good:
         servo.enable()
         return
-    with pytest.raises(StateError, match="does not offer mode 8.*6502h reads 0000007Fh"):
+    with pytest.raises(StateError, match=r"does not offer mode 8.*6502h reads 0000007Fh"):
         servo.enable()
     assert drive.take("exchange") == []
     assert drive.state is State.SWITCH_ON_DISABLED
