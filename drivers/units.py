@@ -66,6 +66,23 @@ class ServoScales:
     rated_torque_object: ObjectAddress = RATED[1]
     rated_torque_object_unit_N_m: float = 1e-3
 
+    @property
+    def named_objects(self) -> tuple[ObjectAddress, ...]:
+        """Objects that are named for this drive, so that it must have them."""
+        usual = ServoScales
+        return tuple(
+            address
+            for address, default in (
+                (self.current_object, None),
+                (self.voltage_object, usual.voltage_object),
+                (self.temperature_object, usual.temperature_object),
+                (self.supply_object, usual.supply_object),
+                (self.rated_current_object, usual.rated_current_object),
+                (self.rated_torque_object, usual.rated_torque_object),
+            )
+            if address is not None and address != default
+        )
+
     def __post_init__(self) -> None:
         """Refuse invalid scales.
 

@@ -26,8 +26,11 @@ def description_refusals(
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
             yield ConfigurationError(f"{error}; every run needs it: {purpose}")
-    for error in refusal(channel.require_watchable):
-        yield error
+    for address in scales.named_objects:
+        for error in refusal(channel.require_fit, *address, 0):
+            lacking = True
+            yield ConfigurationError(f"{error}; the bench file names it: correct the bench file")
+    yield from refusal(channel.require_watchable)
     if told.current is None:
         lacking = True
         yield ConfigurationError(

@@ -115,6 +115,8 @@ _OFF: Final = 1 << 31
 _NO_REMOTE: Final = 1 << 30
 """Bits of a COB-ID: the PDO does not exist; it is not sent on a remote frame (TPDO)."""
 _IDENTIFIER: Final = 0x7FF
+_NODE: Final = 0x7F
+"""Part of an identifier of the predefined connection set that is the node's."""
 _OUT_OF_RANGE: Final = 0x06090030
 _READ_ONLY: Final = (0x06010002, 0x06010000)
 
@@ -194,6 +196,11 @@ def _map(
     own = before & _IDENTIFIER
     if not fixed and layout.number <= _PREDEFINED:
         own = direction.identifiers + (layout.number - 1) * 0x100 + device.node_id
+    elif own & _NODE != device.node_id:
+        raise ConfigurationError(
+            f"{device.label}: {direction.name} {layout.number} has the identifier {own:03X}h of "
+            f"another node, and {index:04X}h:01h is read only: set it with the maker's tool"
+        )
     _store(device, index, 2, layout.every)
     _store_mapping(device, dictionary, index + _MAPPING, layout)
     if not fixed:
