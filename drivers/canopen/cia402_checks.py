@@ -82,7 +82,7 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
             (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
             (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
             (
-                None if told.current == objects.TORQUE else told.current,
+                told.current if scales.current_object or told.current != objects.TORQUE else None,
                 "no motor current (6078h): it is taken from the torque 6077h",
             ),
             (

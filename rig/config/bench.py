@@ -300,7 +300,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
     """Take from the EDS file whether the drive stops by itself, where the bench leaves it open.
 
-    A file that cannot be read is refused later, with all its faults.
+    A file that cannot be read, or is not a drive's, is refused later with all its faults.
     """
     bench = document.value
     servo = bench.servo
@@ -310,7 +310,8 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
         described = read_eds(document.path.parent / servo.eds, servo.node)
     except ConfigurationError:
         return document
-    if cia402_objects.ON_ABORT[0] in described:
+    is_drive = all(index in described for index, _ in cia402_objects.NEEDED)
+    if cia402_objects.ON_ABORT[0] in described or not is_drive:
         return document
     return without_watch(document)
 

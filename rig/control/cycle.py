@@ -89,7 +89,7 @@ class Cycle:
         self._period_ns = cycle_ns
         lacks = devices.servo.lacks(cycle_ns / NS)
         self._reports_temperature, self._reports_supply = not lacks.temperature, not lacks.supply
-        self.use(limits)
+        self._limits = self._checkable(limits)
         self._witness: SpeedWitness | None = SpeedWitness(devices.servo, limits.gear_ratio)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
@@ -131,11 +131,7 @@ class Cycle:
         """Use these limits for all further samples, except those on what the drive does not
         report.
         """
-        self._limits = dataclasses.replace(
-            limits,
-            reports_temperature=self._reports_temperature,
-            reports_supply=self._reports_supply,
-        )
+        self._limits = self._checkable(limits)
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
         """Restart the cycle after a pause, holding ``target``; the first sample resets the safety
@@ -229,6 +225,14 @@ class Cycle:
         # A recording that cannot be written is no reason to leave the drive alone while it brakes.
         with suppress(StorageError):
             self._exchange(self._target, 0)
+
+    def _checkable(self, limits: Limits) -> Limits:
+        """Return limits of which those on what the drive does not report are not checked."""
+        return dataclasses.replace(
+            limits,
+            reports_temperature=self._reports_temperature,
+            reports_supply=self._reports_supply,
+        )
 
     def _start_grid(self, now_ns: int) -> None:
         """Have the next cycle start now, by the real clock as well."""
