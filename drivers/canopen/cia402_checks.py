@@ -85,6 +85,17 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
                 told.current if scales.current_object or told.current != objects.TORQUE else None,
                 "no motor current (6078h): it is taken from the torque 6077h",
             ),
+            *(
+                (
+                    channel.describes(*rated) or None,
+                    f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
+                    f"values are; read it with the maker's tool",
+                )
+                for what, rated in (
+                    ("rated current", scales.rated_current_object),
+                    ("rated torque", scales.rated_torque_object),
+                )
+            ),
             (
                 channel.describes(*objects.CYCLE) or None,
                 f"no interpolation period (60C2h): set it to {cycle_s * 1e3:g} ms with the maker's "

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from itertools import chain
 from typing import Final
@@ -14,6 +15,8 @@ from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales, Unwrapper
 
 _US: Final = 1e-6
+_SPAN: Final = 8
+"""Exchanges over which a speed is taken from positions: a count a cycle is too coarse a unit."""
 _NOT_TOLD: Final = -1
 """Place of NaN behind the values."""
 
@@ -44,14 +47,15 @@ class CyclicValues:
             address: at for at, address in enumerate(addresses)
         }
         self._cycle_ns = 0
-        self._before: tuple[int, int] | None = None
+        self._passed: deque[tuple[int, int]] = deque(maxlen=_SPAN + 1)
         self._speed = 0.0
         self._time = Unwrapper(1 << 32)
 
     def begin(self, cycle_ns: int) -> None:
         """Begin with newly mapped inputs."""
         self._cycle_ns = cycle_ns
-        self._before, self._speed = None, 0.0
+        self._speed = 0.0
+        self._passed.clear()
         self._time = Unwrapper(1 << 32)
 
     def motion(self) -> tuple[int, int]:
@@ -88,14 +92,14 @@ class CyclicValues:
         )
 
     def _change(self, position: int) -> float:
-        """Return the joint speed from the change of the position since the last fresh exchange,
+        """Return the joint speed from the change of the position over the last fresh exchanges,
         rad/s.
         """
-        cycle = self._channel.cycle
-        if self._channel.fresh and (self._before is None or self._before[0] != cycle):
-            if self._before is not None:
-                then, before = self._before
+        cycle, passed = self._channel.cycle, self._passed
+        if self._channel.fresh and (not passed or passed[-1][0] != cycle):
+            passed.append((cycle, position))
+            then, before = passed[0]
+            if cycle > then:
                 moved = (position - before) * self._scales.joint_rad_per_count
                 self._speed = moved * NS / ((cycle - then) * self._cycle_ns)
-            self._before = cycle, position
         return self._speed

@@ -12,7 +12,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.sdo import variable
 from drivers.errors import ConfigurationError, ObjectAccessError
-from drivers.objects import PdoLayout
+from drivers.objects import PdoLayout, optional
 
 _MAX_BYTES: Final = 8
 PDO_BITS: Final = 8 * _MAX_BYTES
@@ -181,8 +181,8 @@ def configure(
         index = direction.communication + number - 1
         if number in wanted:
             identifiers[number] = _map(device, dictionary, direction, wanted[number])
-        else:
-            _switch_off(device, index, device.read(index, 1))
+        elif (cob_id := optional(device.read, index, 1)) is not None:
+            _switch_off(device, index, cob_id)
     return [(identifiers[layout.number], packings[layout.number]) for layout in layouts]
 
 
