@@ -6,6 +6,7 @@ unit limits nothing.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Final
 
 from drivers.errors import ConfigurationError
@@ -25,6 +26,18 @@ degrees per second differ by 6.
 """
 
 
+@dataclass
+class _Travel:
+    """A travel that is compared: since when, s, from which angle, rad, to which time, and the
+    travel that the reported speed adds up to, rad.
+    """
+
+    begun_s: float
+    angle: float
+    last_s: float
+    reported: float = 0.0
+
+
 class SpeedWitness:
     """Compares until it is decided.
 
@@ -36,9 +49,7 @@ class SpeedWitness:
     def __init__(self, servo: Servo, gear_ratio: float) -> None:
         self._servo = servo
         self._gear_ratio = gear_ratio
-        self._start: tuple[float, float] | None = None
-        self._last_s = 0.0
-        self._travelled = 0.0
+        self._travel: _Travel | None = None
         self._products = self._squares = 0.0
         self._left = STEPS
 
@@ -49,17 +60,18 @@ class SpeedWitness:
             ConfigurationError: It is not.
         """
         angle = sample.motor_angle / self._gear_ratio
-        if not sample.fresh or self._start is None or sample.time - self._start[0] > LONGEST_S:
-            self._begin(sample.time, angle)
+        travel = self._travel
+        if not sample.fresh or travel is None or sample.time - travel.begun_s > LONGEST_S:
+            self._travel = _Travel(sample.time, angle, sample.time)
             return False
-        self._travelled += sample.velocity * (sample.time - self._last_s)
-        self._last_s = sample.time
-        moved = angle - self._start[1]
+        travel.reported += sample.velocity * (sample.time - travel.last_s)
+        travel.last_s = sample.time
+        moved = angle - travel.angle
         if abs(moved) < STEP_RAD:
             return False
-        self._products += moved * self._travelled
+        self._products += moved * travel.reported
         self._squares += moved * moved
-        self._begin(sample.time, angle)
+        self._travel = _Travel(sample.time, angle, sample.time)
         self._left -= 1
         if self._left:
             return False
@@ -71,8 +83,3 @@ class SpeedWitness:
                 f"{self._servo.speed_remedy(factor)}"
             )
         return True
-
-    def _begin(self, time_s: float, angle: float) -> None:
-        self._start = time_s, angle
-        self._last_s = time_s
-        self._travelled = 0.0

@@ -12,7 +12,7 @@ from drivers.lacks import Lacks
 from rig.control.cycle import Cycle
 from rig.control.readings import at_rest
 from rig.control.session import Ending
-from rig.control.speed_witness import STEP_RAD, STEPS, SpeedWitness
+from rig.control.speed_witness import LONGEST_S, STEP_RAD, STEPS, SpeedWitness
 
 from .test_safety import LIMITS
 
@@ -26,14 +26,16 @@ class Remedies:
         return f"factor {factor:.4f}"
 
 
-def witnessed(factor: float, speed: float = 0.2, cycles: int = 1000, **changes: Any) -> int | None:
+def witnessed(
+    factor: float, speed: float = 0.2, cycles: int = 1000, start_s: float = 0.0, **changes: Any
+) -> int | None:
     """Return the cycle in which the speed was found good; None where it is not decided."""
     witness = SpeedWitness(Remedies(), GEAR)  # type: ignore[arg-type]
     calm = at_rest(LIMITS)
     for cycle in range(cycles):
         time = 1e-3 * cycle
         moved = calm._replace(
-            time=time, motor_angle=speed * time * GEAR, velocity=factor * speed, **changes
+            time=start_s + time, motor_angle=speed * time * GEAR, velocity=factor * speed, **changes
         )
         if witness.decided(moved):
             return cycle
@@ -42,7 +44,13 @@ def witnessed(factor: float, speed: float = 0.2, cycles: int = 1000, **changes: 
 
 @pytest.mark.parametrize("factor", [0.3, 0.7, 1.0, 3.9])
 def test_the_same_unit_is_found_after_some_travel(factor: float) -> None:
-    assert witnessed(factor) == pytest.approx(STEPS * STEP_RAD / 0.2 * 1e3, abs=3 * STEPS)
+    for start_s in (0.0, 100.0):
+        found = witnessed(factor, start_s=start_s)
+        assert found == pytest.approx(STEPS * STEP_RAD / 0.2 * 1e3, abs=3 * STEPS)
+
+
+def test_three_travels_of_a_hundredth_of_a_radian_decide() -> None:
+    assert (STEPS, STEP_RAD, LONGEST_S) == (3, 0.01, 1.0)
 
 
 @pytest.mark.parametrize("speed", [0.2, -0.2])
