@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
@@ -14,10 +15,22 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.runs.alignment import aligned
+from rig.sources.contradictions import doubts, unit_row_doubts
 from rig.sources.formats import open_table
 from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
-from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
+from rig.sources.repair import (
+    MIN_SAMPLES,
+    MISSING_SHARE,
+    Mask,
+    Timing,
+    UnusableError,
+    examine_time,
+    fill_missing,
+)
 from rig.sources.table import Table
+from rig.sources.wraps import unwrapped
+
+Rows = NDArray[np.intp]
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 """Channels often logged at a lower rate: their missing samples are interpolated without limit."""
@@ -43,17 +56,18 @@ def build(
     """
     try:
         table = open_table(file, section.read)
-        channels = _read_channels(table, section, document, index)
+        channels, found = _read_channels(table, section, document, index)
         digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     channels, timing, mended = _mend(table, channels)
     stamps = channels.pop(ANGLE_TIME, None)
-    notes = [*table.notes, *mended]
+    notes = [*table.notes, *found, *mended, *unit_row_doubts(table, section)]
     problems = list(value_errors(channels))
     if not problems:
         problems += sign_errors(channels, driven_by_weight=section.gravity is not None)
         notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
+        notes += doubts(channels, bench.gear_ratio, driven_by_weight=section.gravity is not None)
     if "motor_angle" in channels and "angle" in channels:
         finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
         if finding is not None:
@@ -83,14 +97,17 @@ def build(
 
 def _read_channels(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
-) -> dict[str, Array]:
-    """Return canonical channels in SI units, all of shape (n,), time among them."""
+) -> tuple[dict[str, Array], list[str]]:
+    """Return canonical channels in SI units, all of shape (n,), time among them, and notes."""
     columns: dict[str, int] = {}
     problems = []
+    notes: list[str] = []
     for name, channel in section.channels.items():
         found = _find(table, channel.column)
         if isinstance(found, int):
             columns[name] = found
+            if isinstance(channel.column, str) and table.names[found] != channel.column:
+                notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
         else:
             problems.append(document.problem(_column_loc(index, name), found, channel.column))
     if problems:
@@ -104,12 +121,14 @@ def _read_channels(
         raise InputError(
             f"{table.path}: channels differ in length: {listed}; they must share their rows"
         )
-    channels = {
-        name: _to_si(data[column], section.channels[name]) for name, column in columns.items()
-    }
+    channels = {}
+    for name, column in columns.items():
+        values, note = unwrapped(name, data[column])
+        notes += [f"`{name}`: {note}"] if note else []
+        channels[name] = _to_si(values, section.channels[name])
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
-    return channels
+    return channels, notes
 
 
 def _find(table: Table, column: str | int) -> int | str:
@@ -124,6 +143,10 @@ def _find(table: Table, column: str | int) -> int | str:
     matches = [k for k, name in enumerate(table.names) if name == column]
     if len(matches) == 1:
         return matches[0]
+    if not matches:
+        matches = [k for k, name in enumerate(table.names) if name.endswith(f".{column}")]
+        if len(matches) == 1:
+            return matches[0]
     if matches:
         return (
             f"{table.path} has {len(matches)} columns of this name; give the index, one of "
@@ -156,20 +179,21 @@ def _to_si(values: Array, channel: ChannelSection) -> Array:
 
 def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], Timing, list[str]]:
     """Check time, fill isolated missing samples, drop repeated time stamps."""
+    channels, dropped, rows = _without_other_topics(channels)
     time = channels["time"]
     try:
         timing = examine_time(time)
     except UnusableError as error:
-        raise InputError(_at(table, error, "")) from None
-    notes = list(timing.notes)
+        raise InputError(_at(table, error, "", rows)) from None
+    notes = [*dropped, *timing.notes]
     problems = []
-    off = _power_off(table, channels)
+    off = _power_off(table, channels, rows)
     mended: dict[str, Array] = {}
     for name, values in channels.items():
         try:
             mended[name], note = _fill(name, values, time, off)
         except UnusableError as error:
-            problems.append(_at(table, error, f"`{name}`: "))
+            problems.append(_at(table, error, f"`{name}`: ", rows) + _apart(name, channels))
             continue
         notes.extend(note)
     if problems:
@@ -179,15 +203,15 @@ def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], T
     return mended, timing, notes
 
 
-def _power_off(table: Table, channels: dict[str, Array]) -> Mask | None:
+def _power_off(table: Table, channels: dict[str, Array], rows: Rows | None) -> Mask | None:
     """Return where the power stage is off, making ``enabled`` 0 or 1 on the way."""
     if "enabled" not in channels:
         return None
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
     if unknown.size:
+        row = int(unknown[0]) if rows is None else int(rows[unknown[0]])
         raise InputError(
-            f"{table.place(int(unknown[0]))}: `enabled` is missing in {unknown.size} rows; it "
-            f"must be known"
+            f"{table.place(row)}: `enabled` is missing in {unknown.size} rows; it must be known"
         )
     on = channels["enabled"] > 0.5
     channels["enabled"] = on.astype(np.float64)
@@ -207,8 +231,38 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
 
-def _at(table: Table, error: UnusableError, channel: str) -> str:
-    place = str(table.path) if error.row is None else table.place(error.row)
+def _without_other_topics(
+    channels: dict[str, Array],
+) -> tuple[dict[str, Array], list[str], Rows | None]:
+    """Drop rows that hold a time and none of the channels: rows of another topic in a sparse log.
+
+    A few rows without values are missing samples, which are interpolated instead.
+    """
+    others = [values for name, values in channels.items() if name != "time"]
+    empty = np.logical_and.reduce([np.isnan(values) for values in others])
+    count = int(empty.sum())
+    if count <= MISSING_SHARE * len(empty) or len(empty) - count < MIN_SAMPLES:
+        return channels, [], None
+    note = f"{count} rows with a time only, as of another topic, dropped"
+    kept = {name: values[~empty] for name, values in channels.items()}
+    return kept, [note], np.flatnonzero(~empty)
+
+
+def _apart(name: str, channels: dict[str, Array]) -> str:
+    """Return a remedy where a channel shares no row with another one."""
+    known = np.isfinite(channels[name])
+    for other, values in channels.items():
+        if other != name and not np.any(known & np.isfinite(values)):
+            return (
+                f"; it shares no row with `{other}`: they are of different topics, so bring them "
+                f"to one time base first"
+            )
+    return ""
+
+
+def _at(table: Table, error: UnusableError, channel: str, rows: Rows | None) -> str:
+    row = error.row if rows is None or error.row is None else int(rows[error.row])
+    place = str(table.path) if row is None else table.place(row)
     hint = ""
     if channel == "`voltage`: ":
         hint = "; where the power stage was off, say so with an `enabled` channel"
