@@ -22,6 +22,7 @@ from rig.config.campaign_sections import ReadSection
 from rig.sources.table import Table, damaged
 from rig.sources.text_layout import (
     BLANKS,
+    DAY_NS,
     END_MARKS,
     are_units,
     counts_columns,
@@ -130,10 +131,13 @@ class DelimitedTable(Table):
         for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
             when = nanoseconds(cell)
             if when is not None and column < len(self.names):
-                self._zero[column] = when
+                dated = when >= DAY_NS
+                self._zero[column] = when if dated else 0
+                what, since = (
+                    ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
+                )
                 self._note(
-                    f"column {self._name(column)} holds times of day: read as seconds since "
-                    f"{cell.strip()[:40]}"
+                    f"column {self._name(column)} holds {what}: read as seconds since {since}"
                 )
 
     def _note(self, text: str) -> None:

@@ -57,9 +57,13 @@ class McapTable(Table):
                 self._take(make_reader(stream, validate_crcs=True).iter_messages(), others)
         except _DAMAGED as error:
             if not self._take_cut_off(others):
-                raise damaged(
-                    path, error, "recover it first; a run of this program is opened by its folder"
-                ) from error
+                remedy = "recover it first; a run of this program is opened by its folder"
+                if self._cut:
+                    raise InputError(
+                        f"{path}: cannot be read: cut off inside its first chunk; log in "
+                        f"smaller chunks, or {remedy}"
+                    ) from error
+                raise damaged(path, error, remedy) from error
         if not self._rows:
             found = f"; found {', '.join(sorted(others))}" if others else ""
             raise InputError(
@@ -91,11 +95,13 @@ class McapTable(Table):
             inside, nothing is taken.
         """
         self._rows.clear()
+        self._cut = False
         try:
             with open_binary(self.path) as stream:
                 self._take(_until_cut(stream), others)
         except _DAMAGED:
             return False
+        self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
         self.notes = (
             *self.notes,

@@ -18,10 +18,9 @@ INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes per number of each numeric data type, miINT8 to miUINT64."""
 NUMERIC_CLASSES = range(6, 16)
-"""Array classes mxDOUBLE to mxUINT64; of cells, structs, text and sparse arrays nothing but the
-header is read.
-"""
+"""Array classes mxDOUBLE to mxUINT64; of text and sparse arrays nothing but the header is read."""
 CLASSES = range(1, 19)
+CELL_CLASS, STRUCT_CLASS = 1, 2
 OPAQUE_CLASS = 17
 """A MATLAB object; it has no dimensions."""
 COMPLEX_FLAG = 0x0800
@@ -110,6 +109,9 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     stream.seek(dimensions.start)
     shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))
     _part(parts, matrix, "name", INT8, UTF8)
+    if word & 0xFF in (CELL_CLASS, STRUCT_CLASS):
+        _check_members(stream, order, matrix, parts, struct_array=word & 0xFF == STRUCT_CLASS)
+        return
     if word & 0xFF not in NUMERIC_CLASSES:
         return
     for name in ("values", "imaginary values")[: 2 if word & COMPLEX_FLAG else 1]:
@@ -119,6 +121,31 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
                 f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at "
                 f"byte {values.start}"
             )
+
+
+def _check_members(
+    stream: IO[bytes],
+    order: str,
+    matrix: _Element,
+    parts: Iterator[_Element],
+    *,
+    struct_array: bool,
+) -> None:
+    """Check the matrices inside a cell or a struct array."""
+    if struct_array:
+        length = _part(parts, matrix, "field name length", INT32)
+        names = _part(parts, matrix, "field names", INT8)
+        stream.seek(length.start)
+        (size,) = struct.unpack(f"{order}i", stream.read(4))
+        if length.length != 4 or size <= 0 or names.length % size:
+            raise DamagedElementError(
+                f"field names of {names.length} bytes with {size} bytes each, at byte {names.start}"
+            )
+    for member in parts:
+        if member.kind != MATRIX:
+            raise DamagedElementError(f"no matrix where one should start, at byte {member.start}")
+        if member.length:
+            _check_matrix(stream, order, member)
 
 
 def _part(parts: Iterator[_Element], matrix: _Element, name: str, *kinds: int) -> _Element:

@@ -17,6 +17,8 @@ from drivers.plain_file import require_plain
 BLANKS = " "
 """The delimiter of columns aligned by blanks: any number of blanks or tabs."""
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
+DAY_NS = 86_400 * 10**9
+"""A time with a date is at least this; a time of day alone is less."""
 END_MARKS = frozenset({"eof", "end of file"})
 _DELIMITERS = (";", "\t", "|", ",")
 _WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
