@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array
 from rig.config.campaign_sections import RecordingSection
+from rig.sources.columns import UNITS
 from rig.sources.table import Table
 
 BLOCK_S = 0.02
@@ -32,13 +33,6 @@ _FACTORS = (
     (1.0 / (2.0 * np.pi), "turns per second", "6.283185307179586"),
     (1e3, "thousandths", "0.001"),
 )
-UNITS: Mapping[str, float] = {
-    "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9, "ma": 1e-3, "mv": 1e-3, "mnm": 1e-3,
-    "deg": np.pi / 180, "°": np.pi / 180, "deg/s": np.pi / 180, "°/s": np.pi / 180,
-    "rpm": np.pi / 30, "1/min": np.pi / 30, "min-1": np.pi / 30, "rev": 2 * np.pi,
-    "turns": 2 * np.pi, "bar": 1e5, "kpa": 1e3, "mpa": 1e6,
-}  # fmt: skip
-"""Units that are not SI, small letters, and their size in SI units."""
 
 
 def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
@@ -51,8 +45,8 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
         if place is None or place >= len(table.units) or channel.scale != 1.0:
             continue
         unit = table.units[place].strip("[]() ")
-        size = UNITS.get(unit.lower())
-        if size is not None and unit != "MNm":
+        si, size = UNITS.get(unit.lower(), ("", 1.0))
+        if size != 1.0 and name in CHANNELS and si == CHANNELS[name]:
             yield (
                 f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set it to "
                 f"{size:.10g}"
