@@ -4,24 +4,22 @@ from __future__ import annotations
 
 import json
 import struct
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
-from mcap.stream_reader import StreamReader
 from zstandard import ZstdError
 
 from identification.recording import Array
 from rig.common.errors import InputError
+from rig.sources.cut_off import until_cut
 from rig.sources.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
-MAGIC = b"\x89MCAP0\r\n"
 # lz4 raises RuntimeError; a damaged length field may request more memory than available.
 _DAMAGED = (
     McapError,
@@ -41,7 +39,7 @@ class McapTable(Table):
 
     ``topic.log_time`` is the logger's time stamp in seconds since the first message of that topic.
     Elements of a list are ``topic.field[0]``; a stamp of ``sec`` and ``nanosec`` is one column. Of
-    a file without an end, the whole chunks are read, with a note.
+    a file without an end, the whole messages are read, with a note.
     All columns read together must come from one topic, because only then do they share rows.
 
     Raises:
@@ -60,7 +58,7 @@ class McapTable(Table):
                 remedy = "recover it first; a run of this program is opened by its folder"
                 if self._cut:
                     raise InputError(
-                        f"{path}: cannot be read: cut off inside its first chunk; log in "
+                        f"{path}: cannot be read: cut off before its first whole message; log in "
                         f"smaller chunks, or {remedy}"
                     ) from error
                 raise damaged(path, error, remedy) from error
@@ -88,7 +86,7 @@ class McapTable(Table):
             self._rows.setdefault(channel.topic, []).append(fields)
 
     def _take_cut_off(self, others: set[str]) -> bool:
-        """Read the whole chunks of a file whose writer ended before it closed the file.
+        """Read the whole messages of a file whose writer ended before it closed the file.
 
         Returns:
             Whether the file is cut off and holds messages. Of a file with a sound end and damage
@@ -98,14 +96,14 @@ class McapTable(Table):
         self._cut = False
         try:
             with open_binary(self.path) as stream:
-                self._take(_until_cut(stream), others)
+                self._take(until_cut(stream), others)
         except _DAMAGED:
             return False
         self._cut = True
         count = sum(len(rows) for rows in self._rows.values())
         self.notes = (
             *self.notes,
-            f"the file is cut off: read up to its last whole chunk, {count} messages",
+            f"the file is cut off: read up to its last whole message, {count} messages",
         )
         return bool(count or others)
 
@@ -134,40 +132,6 @@ class McapTable(Table):
 
 class Stamp(int):
     """A time stamp in nanoseconds; read as seconds since the first of its topic."""
-
-
-def _until_cut(stream: IO[bytes]) -> Iterator[tuple[None, Channel, Message]]:
-    """Yield the messages up to the last whole chunk of a file without an end.
-
-    Raises:
-        McapError: The file has its end; it is damaged, not cut off.
-    """
-    channels: dict[int, Channel] = {}
-    records = StreamReader(stream, validate_crcs=True).records
-    while True:
-        try:
-            record = next(records)
-        except StopIteration:
-            raise McapError("the file has its end, but is damaged inside") from None
-        except _DAMAGED:
-            if _ends_whole(stream):
-                raise
-            return
-        if isinstance(record, Channel):
-            channels[record.id] = record
-        elif isinstance(record, Message):
-            yield None, channels[record.channel_id], record
-
-
-def _ends_whole(stream: IO[bytes]) -> bool:
-    """Whether the rest of the file closes it."""
-    tail = b""
-    try:
-        while piece := stream.read(1 << 20):
-            tail = (tail + piece)[-len(MAGIC) :]
-    except (OSError, EOFError, zlib.error):
-        return False
-    return tail == MAGIC
 
 
 LONGEST_LIST = 64
