@@ -23,6 +23,8 @@ AGREEMENT = 0.9
 """Correlation of speed and derivative above which their ratio means something."""
 BOTH_WAYS = 0.1
 """Least share of the motion in each direction in which a current must change its sign."""
+ALIKE = 1.5
+"""Largest ratio of the effort in both directions that a log of sizes may show."""
 FAR = 100.0
 """A sample this many times further from its neighbours than all others is doubted."""
 OUTLIERS = 3
@@ -77,7 +79,7 @@ def doubts(
             gear = gear_ratio if position == "motor_angle" else 1.0
             yield from _speed(position, derived, mean["velocity"], gear)
         if not driven_by_weight:
-            yield from _signless(channels, derived)
+            yield from _signless(channels, mean, derived)
     for name, values in channels.items():
         if name not in ("time", "angle_time", "enabled"):
             yield from _single(name, values, time)
@@ -105,7 +107,13 @@ def _speed(position: str, derived: Array, measured: Array, gear: float) -> Itera
     yield f"`velocity` is {ratio:.4g} times the speed of the joint by `{position}`{guess}"
 
 
-def _signless(channels: Mapping[str, Array], derived: Array) -> Iterator[str]:
+def _signless(
+    channels: Mapping[str, Array], mean: Mapping[str, Array], derived: Array
+) -> Iterator[str]:
+    """Yield a note where the effort has one sign and is as large in both directions of motion.
+
+    A load that pulls one way also gives one sign, but more effort against it than with it.
+    """
     moving = np.abs(derived) > BOTH_WAYS * np.max(np.abs(derived), initial=0.0)
     forward = float(np.mean(derived[moving] > 0)) if moving.any() else 0.0
     if not BOTH_WAYS <= forward <= 1.0 - BOTH_WAYS:
@@ -116,7 +124,12 @@ def _signless(channels: Mapping[str, Array], derived: Array) -> Iterator[str]:
         values = channels[name][np.isfinite(channels[name])]
         if not values.size or not np.any(values):
             continue
-        if values.min() >= 0.0 or values.max() <= 0.0:
+        known = moving & np.isfinite(mean[name])
+        ahead, back = known & (derived > 0), known & (derived < 0)
+        if not ahead.any() or not back.any():
+            continue
+        sizes = sorted(abs(float(mean[name][part].mean())) for part in (ahead, back))
+        if (values.min() >= 0.0 or values.max() <= 0.0) and sizes[1] < ALIKE * sizes[0]:
             yield (
                 f"`{name}` keeps one sign while the joint moves both ways: the log may hold its "
                 f"size only; log it with its sign"

@@ -232,6 +232,12 @@ def test_channels_that_contradict_each_other_are_doubted(tmp_path: Path) -> None
     assert "`current` keeps one sign" in notes[0]
 
 
+def test_a_load_that_pulls_one_way_is_no_doubt(tmp_path: Path) -> None:
+    values = np.column_stack([TIME, 8.0 + 3.0 * np.cos(12.0 * TIME), ANGLE])
+    text = "t,i,q\n" + "\n".join(lines_of(",", values))
+    assert load(tmp_path, text, "{time: t, current: i, angle: q}").notes == ()
+
+
 def test_a_unit_beside_si_without_a_scale_is_doubted(tmp_path: Path) -> None:
     values = TRUTH * np.array([1, 1000, 1, 1])
     text = HEAD + "s,mA,rad,rad\n" + "\n".join(lines_of(",", values))
