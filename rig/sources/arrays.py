@@ -1,4 +1,4 @@
-"""Named arrays: MATLAB .mat files (up to v7) and numpy .npz archives."""
+"""Named arrays: MATLAB .mat files (up to v7), numpy .npz archives and .npy arrays."""
 
 from __future__ import annotations
 
@@ -184,6 +184,34 @@ class NpzTable(ArrayTable):
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
         with open_binary(self.path) as stream, np.load(stream, allow_pickle=False) as archive:
             return {name: archive[name] for name in variables}
+
+
+class NpyTable(ArrayTable):
+    """One numpy array; never unpickles. A matrix gives ``array[0]``, ...; a structured array its
+    fields.
+
+    Raises:
+        InputError: It is damaged, or no numpy array.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with open_binary(path) as stream:
+                array = np.load(stream, allow_pickle=False)
+        except _DAMAGED as error:
+            raise damaged(path, error, "save it again with numpy.save") from error
+        if not isinstance(array, np.ndarray):
+            raise InputError(f"{path}: holds several arrays; name it .npz")
+        self._arrays = (
+            {"array": array}
+            if array.dtype.names is None
+            else {name: array[name] for name in array.dtype.names}
+        )
+        super().__init__(path, {name: value.shape for name, value in self._arrays.items()})
+
+    def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
+        return {name: self._arrays[name] for name in variables}
 
 
 def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, ...]]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from mcap.exceptions import McapError
 from mcap.reader import make_reader
 from mcap.records import Channel, Message
@@ -17,6 +16,7 @@ from zstandard import ZstdError
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.sources.cut_off import until_cut
+from rig.sources.json_numbers import Stamp, numbers, series
 from rig.sources.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
@@ -81,7 +81,7 @@ class McapTable(Table):
             if channel.message_encoding != "json":
                 others.add(f"{channel.topic} ({channel.message_encoding})")
                 continue
-            fields = dict(_numbers(json.loads(message.data), ""))
+            fields = dict(numbers(json.loads(message.data), ""))
             fields[LOG_TIME] = Stamp(message.log_time)
             self._rows.setdefault(channel.topic, []).append(fields)
 
@@ -116,43 +116,4 @@ class McapTable(Table):
                 f"{self.path}: columns of several topics ({', '.join(topics)}) share no rows; use "
                 f"those of one topic"
             )
-        return [self._series(topic, field) for topic, field in wanted]
-
-    def _series(self, topic: str, field: str) -> Array:
-        rows = self._rows[topic]
-        if any(isinstance(row.get(field), Stamp) for row in rows):
-            # Nanoseconds since 1970 exceed a double's 53 bits; their differences do not.
-            known = [row.get(field) for row in rows]
-            first = next(stamp for stamp in known if isinstance(stamp, Stamp))
-            return np.array(
-                [(s - first) * 1e-9 if isinstance(s, Stamp) else np.nan for s in known], np.float64
-            )
-        return np.fromiter((row.get(field, np.nan) for row in rows), np.float64, len(rows))
-
-
-class Stamp(int):
-    """A time stamp in nanoseconds; read as seconds since the first of its topic."""
-
-
-LONGEST_LIST = 64
-"""Elements of a list that become columns; longer ones are images and the like, and are left out."""
-_STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"}, {"seconds", "nanos"})
-
-
-def _numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield dotted name and value of every number inside a JSON message.
-
-    An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds is one more column
-    under the name of both.
-    """
-    if isinstance(value, dict):
-        for key, child in value.items():
-            yield from _numbers(child, f"{prefix}.{key}" if prefix else str(key))
-        if prefix and set(value) in _STAMPS and all(isinstance(v, int) for v in value.values()):
-            whole, rest = (value[key] for key in sorted(value, key=lambda key: key[0] == "n"))
-            yield prefix, Stamp(whole * 10**9 + rest)
-    elif isinstance(value, list) and len(value) <= LONGEST_LIST:
-        for index, child in enumerate(value):
-            yield from _numbers(child, f"{prefix}[{index}]")
-    elif isinstance(value, bool | int | float):
-        yield prefix, float(value)
+        return [series(self._rows[topic], field) for topic, field in wanted]

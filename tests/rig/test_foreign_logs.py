@@ -429,3 +429,36 @@ def test_any_shape_is_read_right_or_refused(
         # Row names are the one shift that is recognised, and it is said.
         assert any("row name" in note for note in table.notes)
     np.testing.assert_array_equal(values, TRUTH[:60])
+
+
+def test_json_lines(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    rows = [
+        json.dumps({"t": t, "s": {"sec": 5, "nanosec": k}, "d": {"i": i, "p": [m, q]}})
+        for k, (t, i, m, q) in enumerate(TRUTH.tolist())
+    ]
+    path.write_text("\n".join([*rows, '{"t": 0.3, "d"']))
+    channels = "{time: t, current: d.i, motor_angle: 'd.p[0]', angle: 'd.p[1]'}"
+    recording = load_file(tmp_path, "log.jsonl", channels)
+    is_truth(recording)
+    assert recording.notes == (f"line {N + 1} is cut off: dropped",)
+    path.write_text('{"t": 1}\n\n[3]\n')
+    with pytest.raises(InputError, match=r"log\.jsonl:3: not a JSON object"):
+        load_file(tmp_path, "log.jsonl", channels)
+    path.write_text('{"t": 1}\nnot\n{"t": 2}\n')
+    with pytest.raises(InputError, match=r"log\.jsonl:2: not JSON"):
+        load_file(tmp_path, "log.jsonl", channels)
+    path.write_text('{"name": "a"}\n')
+    with pytest.raises(InputError, match="no JSON object holds a number"):
+        load_file(tmp_path, "log.jsonl", channels)
+
+
+def test_npy(tmp_path: Path) -> None:
+    np.save(tmp_path / "log.npy", TRUTH)
+    is_truth(load_file(tmp_path, "log.npy", "{time: 0, current: 1, motor_angle: 2, angle: 3}"))
+    fields = np.array([tuple(row) for row in TRUTH], dtype=[(name, float) for name in NAMES])
+    np.save(tmp_path / "log.npy", fields)
+    is_truth(load_file(tmp_path, "log.npy"))
+    np.save(tmp_path / "log.npy", np.array([{}] * 3), allow_pickle=True)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_file(tmp_path, "log.npy")

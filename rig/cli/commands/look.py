@@ -34,8 +34,8 @@ def command(
     json_file: Path | None,
 ) -> None:
     """Show what is in FILE: its columns, their units, ranges, steps and wraps, rate and gaps, and a
-    small picture of each. FILE is a log (csv, mat, npz, mcap, parquet), a run folder or a campaign
-    file. What a column may be is guessed from its name and unit; check it.
+    small picture of each. FILE is a log of any format that campaign files name, a run folder or
+    a campaign file. What a column may be is guessed from its name and unit; check it.
 
     \b
     Example:
