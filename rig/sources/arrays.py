@@ -96,7 +96,7 @@ class MatTable(ArrayTable):
     def __init__(self, path: Path) -> None:
         try:
             with open_binary(path) as stream:
-                check_elements(stream)
+                unread = check_elements(stream)
                 stream.seek(0)
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
@@ -115,6 +115,7 @@ class MatTable(ArrayTable):
         self.path = path
         shapes = {name: shape for name, shape, kind in contents if kind in numeric}
         structs = [name for name, _, kind in contents if kind in ("struct", "cell")]
+        structs = [name for name in structs if name not in unread]
         if structs:
             try:
                 inside = self._load(structs)
