@@ -60,7 +60,7 @@ def build(
         digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
-    channels, timing, mended = _mend(table, channels)
+    channels, timing, mended = _mend(table, channels, stamped=section.rate is None)
     stamps = channels.pop(ANGLE_TIME, None)
     notes = [*table.notes, *found, *mended, *unit_row_doubts(table, section)]
     problems = list(value_errors(channels))
@@ -177,9 +177,18 @@ def _to_si(values: Array, channel: ChannelSection) -> Array:
     return scaled
 
 
-def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], Timing, list[str]]:
-    """Check time, fill isolated missing samples, drop repeated time stamps."""
-    channels, dropped, rows = _without_other_topics(channels)
+def _mend(
+    table: Table, channels: dict[str, Array], *, stamped: bool
+) -> tuple[dict[str, Array], Timing, list[str]]:
+    """Check time, fill isolated missing samples, drop repeated time stamps.
+
+    Rows of other topics are dropped only where rows have stamps (``stamped``): with a rate, each
+    row is a sample.
+    """
+    dropped: list[str] = []
+    rows: Rows | None = None
+    if stamped:
+        channels, dropped, rows = _without_other_topics(channels)
     time = channels["time"]
     try:
         timing = examine_time(time)

@@ -11,8 +11,13 @@ from identification.recording import Array
 
 POWERS = range(8, 33)
 """Widths of counters, bits."""
-TIME_UNITS = (1.0, 1e-3, 1e-6)
-"""Seconds, and milli and microseconds converted to the unit of a slower counter."""
+CONVERTED_UNITS = (1e-3, 1e-6)
+"""Milli and microseconds of a 32-bit counter that the logger has converted. Shorter counters are
+not looked for in converted stamps: recordings of 4096 or 65536 samples that follow each other look
+the same.
+"""
+LEVELS = 8
+"""Least different values of a column that is read as signed; fewer may be a switched output."""
 DAY_S = 86400.0
 ORDINARY_SHARE = 0.125
 """Largest other step beside the wraps, as a share of the modulus; with larger steps the direction
@@ -55,7 +60,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
             return _continued(values, modulus), (
                 f"a counter of {power} bits, which passes its end {count} times: unwrapped"
             )
-        if finite.min() >= 0:
+        if finite.min() >= 0 and len(np.unique(finite)) >= LEVELS:
             signed = np.where(values >= modulus / 2, values - modulus, values)
             return signed, (
                 f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
@@ -91,11 +96,9 @@ def _time(values: Array) -> tuple[Array, str]:
     if not forward.size:
         return values, ""
     longest = TIME_PERIODS * float(np.median(forward))
-    candidates = [
-        (2.0**power * unit, f"2^{power}" + (f" x {unit:g}" if unit != 1.0 else ""))
-        for power in POWERS
-        for unit in TIME_UNITS
-    ]
+    whole = bool(np.all(values == np.rint(values)))
+    candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
+    candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
     candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
     for modulus, words in candidates:
         over = steps[back] + modulus

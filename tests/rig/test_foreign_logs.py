@@ -462,3 +462,26 @@ def test_npy(tmp_path: Path) -> None:
     np.save(tmp_path / "log.npy", np.array([{}] * 3), allow_pickle=True)
     with pytest.raises(InputError, match="cannot be read"):
         load_file(tmp_path, "log.npy")
+
+
+def test_recordings_that_follow_each_other_are_no_wrap(tmp_path: Path) -> None:
+    values = np.vstack([TRUTH[:256], TRUTH[:256]])
+    with pytest.raises(InputError, match="time runs backwards"):
+        load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
+
+
+def test_a_switched_output_is_not_read_as_signed(tmp_path: Path) -> None:
+    values = np.column_stack([TIME, 255.0 * (CURRENT > 0), 100 * ANGLE, ANGLE])
+    recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
+    assert recording.channels["current"].max() == 255.0
+
+
+def test_with_a_rate_every_row_is_a_sample(tmp_path: Path) -> None:
+    lines = [line for row in rows_of() for line in (",".join(row[1:]), ",,")]
+    path = tmp_path / "c.yaml"
+    (tmp_path / "log.csv").write_text("i,m,q\n" + "\n".join(lines))
+    channels = "{current: i, motor_angle: m, angle: q}"
+    text = f"recordings:\n  - {{file: log.csv, rate: 1000, channels: {channels}}}\n"
+    path.write_text(BENCH + text)
+    with pytest.raises(InputError, match=r"`current`: 299 of 599|`current`: 300 of 600"):
+        load_source(path)
