@@ -1,6 +1,4 @@
-"""The page on what befalls the process of a run: tables, and each message once as the operator sees
-it.
-"""
+"""Write docs/faults-processes.md: tables of the process matrix, and each message once."""
 
 from __future__ import annotations
 
@@ -25,14 +23,14 @@ BEGIN, END = (
 
 @dataclass(frozen=True)
 class Cell:
-    """What came of it.
+    """Outcome of one failure in one phase on one transport.
 
     Attributes:
-        text: For the table.
-        problems: What is not as it must be.
-        messages: What the operator saw from then on.
-        busy: How often it was repeated because the machine was too busy.
-        seconds: How long the power took to go off, s.
+        text: Entry of the table.
+        problems: Requirements that were not met.
+        messages: Messages on the terminal after the failure.
+        busy: Number of repeats because the machine was too busy.
+        seconds: Time until the power was off, s.
     """
 
     text: str
@@ -43,7 +41,7 @@ class Cell:
 
 
 Cells = dict[tuple[str, str, str], Cell]
-"""Column, transport and phase to what came of it."""
+"""Outcome by column, transport and phase."""
 
 
 def tables(cells: Cells) -> list[str]:
@@ -70,7 +68,10 @@ def tables(cells: Cells) -> list[str]:
 
 
 def said(cells: Cells) -> list[str]:
-    """Return every message once, with where it was first seen and how often."""
+    """Return every message once, with the cell that showed it first and the number of cells.
+
+    Lines of a message that the terminal wrapped are listed together.
+    """
     seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
     for place, made in cells.items():
         for message in made.messages:
@@ -79,13 +80,17 @@ def said(cells: Cells) -> list[str]:
             )
             first = seen.get(key)
             seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
+    blocks: dict[tuple[tuple[str, str, str], int], list[str]] = {}
+    for message, place, count in seen.values():
+        blocks.setdefault((place, count), []).append(message)
     lines = []
-    for message, (column, transport, phase), count in seen.values():
+    for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- {column}, {phase}, {transport} ({count} in all):",
+            f"- Number of cells with this message: {count}; the first is *{column}* in phase "
+            f"*{phase}*, transport {transport}.",
             "",
             "  ```text",
-            f"  {message}",
+            *(f"  {message}" for message in messages),
             "  ```",
         ]
     return lines
