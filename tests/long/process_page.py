@@ -86,8 +86,8 @@ def said(cells: Cells) -> list[str]:
     lines = []
     for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- Message in {count} of the cells, first at the failure *{column}* in phase *{phase}*, "
-            f"transport {transport}:",
+            f"- Message in {count} of the cells, first at the failure *{column}* in phase "
+            f"*{phase}*, transport {transport}:",
             "",
             "  ```text",
             *(f"  {message}" for message in messages),
