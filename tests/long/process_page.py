@@ -15,6 +15,7 @@ COLUMNS_BEGIN, COLUMNS_END = (
     "<!-- columns: written by tests/long/process_matrix.py -->",
     "<!-- end of columns -->",
 )
+SHOWN = "The list has every message that a cell showed on the terminal, once each."
 BEGIN, END = (
     "<!-- processes: written by tests/long/process_matrix.py -->",
     "<!-- end of processes -->",
@@ -86,8 +87,8 @@ def said(cells: Cells) -> list[str]:
     lines = []
     for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- Message in {count} of the cells, first at the failure *{column}* in phase "
-            f"*{phase}*, transport {transport}:",
+            f"- This message appeared in {count} cell{'' if count == 1 else 's'}, first at "
+            f"*{column}* in phase *{phase}* on transport {transport}:",
             "",
             "  ```text",
             *(f"  {message}" for message in messages),
@@ -103,7 +104,7 @@ def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
     count = (
         f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
     )
-    body = [count, "", *lines, "## What the operator sees", "", *messages]
+    body = [count, "", *lines, "## What the operator sees", "", SHOWN, "", *messages]
     limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + [
         "",
         f"**Limits.** {LIMITS}",
