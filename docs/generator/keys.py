@@ -40,7 +40,7 @@ def fields(record: type) -> Iterator[Key]:
             made = shape(info.annotation, tuple(info.metadata))
             missing = info.default is PydanticUndefined and info.default_factory is None
             value = info.get_default(call_default_factory=True) if not missing else None
-            yield Key(name, made, REQUIRED if missing else plain(value))
+            yield Key(info.alias or name, made, REQUIRED if missing else plain(value))
         return
     hints = typing.get_type_hints(record, include_extras=True)
     for field in dataclasses.fields(record):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
@@ -9,7 +10,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
-from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
+from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.config.campaign_gas import Constant, GasGeneratorSection
 from rig.config.catalogue import EFFECTS
 from rig.config.configuration import Schema, nearest
@@ -62,6 +63,34 @@ def _not_zero(value: float) -> float:
     if value == 0:
         raise ValueError("a scale of zero erases the channel")
     return value
+
+
+def _not_nothing(value: float) -> float:
+    if not 1e-9 < abs(value) < 1e9:
+        raise ValueError("outside of 1e-9 to 1e9 m in size; check exponent and unit")
+    return value
+
+
+def instant(text: str) -> datetime:
+    """Return an ISO 8601 date and time; without a zone it counts as UTC.
+
+    Raises:
+        ValueError: It is no such time, or a date alone.
+    """
+    try:
+        found = datetime.fromisoformat(text)
+    except ValueError:
+        found = None
+    if found is None or len(text) < len("2026-01-31T12:00"):
+        raise ValueError(
+            "not an ISO time with date and time of day; write 2026-01-31T12:00:00, or seconds"
+        )
+    return found if found.tzinfo else found.replace(tzinfo=UTC)
+
+
+def _iso_time(text: str) -> str:
+    instant(text)
+    return text
 
 
 class BenchSection(Schema):
@@ -169,6 +198,58 @@ class GravitySection(Schema):
         return Pendulum(self.mass, self.length, self.zero)
 
 
+class HoistSection(Schema):
+    """A known mass that hangs on the joint by a rope: torque -m g r at every angle, inertia m r^2.
+
+    Attributes:
+        mass: Mass m, kg.
+        radius: Radius r of drum or pulley, m; negative where forward motion lowers the mass. Not
+            on a linear bench, where the force is -m g.
+    """
+
+    mass: Constant
+    radius: Annotated[float, AfterValidator(_not_nothing)] | None = None
+
+    def hoist(self) -> Hoist:
+        """Return the record the numerics use."""
+        return Hoist(self.mass, 1.0 if self.radius is None else self.radius)
+
+
+class WindowSection(Schema):
+    """The part of a file that is used, in the file's own time; `[from, to]` for short.
+
+    Attributes:
+        from: First time used, s.
+        to: Time at which the part ends, s; a sample at it is left out.
+    """
+
+    begin: float | None = Field(default=None, alias="from")
+    to: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        if not isinstance(data, list | tuple):
+            return data
+        if len(data) != 2:
+            raise ValueError("a short window is [from, to]; null leaves an end open")
+        return {"from": data[0], "to": data[1]}
+
+    @model_validator(mode="after")
+    def _in_order(self) -> WindowSection:
+        if self.begin is not None and self.to is not None and not self.begin < self.to:
+            raise ValueError(
+                f"the window is empty, from {self.begin:g} to {self.to:g} s; `from` must be below "
+                f"`to`"
+            )
+        return self
+
+    def words(self) -> str:
+        """Return the window as text."""
+        begin = "the beginning" if self.begin is None else f"{self.begin:g} s"
+        return f"{begin} to {'the end' if self.to is None else f'{self.to:g} s'}"
+
+
 class ControllerSection(Schema):
     """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity,
     limit).
@@ -220,12 +301,14 @@ class ChannelSection(Schema):
         scale: SI units per unit of the column; a negative scale turns the sign.
         offset: Added after the scale, SI.
         average: Whether each sample is the mean over the period that ends at its time.
+        unsigned: Whether the column holds magnitudes; refused, since the torque's sign is needed.
     """
 
     column: str | Annotated[int, Field(ge=0)]
     scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
     offset: float = 0.0
     average: bool = False
+    unsigned: bool = False
 
     @model_validator(mode="before")
     @classmethod
@@ -244,6 +327,14 @@ class RecordingSection(Schema):
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         gravity: A known weight that turns with the joint.
+        hoisted: A known mass that hangs on the joint by a rope.
+        constant_torque: Known torque on the joint that is the same at every angle, N m; positive
+            drives it forward.
+        start: When the file began: an ISO time, or seconds since the machine was switched on
+            cold. All recordings have one, or none.
+        order: Place of the file in the session, instead of `start`, where only that is known; the
+            pauses between files count as nothing.
+        window: The part of the file that is used.
         controller: The position loop that the recording was made in, for simulations.
         role: `validate` sets the recording aside: it takes no part in any fit; at the end it
             decides which names a diagnosis keeps, and is scored.
@@ -256,11 +347,21 @@ class RecordingSection(Schema):
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
     gravity: GravitySection | None = None
+    hoisted: HoistSection | None = None
+    constant_torque: Annotated[float, Field(gt=-1e9, lt=1e9)] = 0.0
+    start: float | Annotated[str, AfterValidator(_iso_time)] | None = None
+    order: int | None = None
+    window: WindowSection | None = None
     controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
     channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+
+    @property
+    def known_load(self) -> bool:
+        """Whether a known torque other than the drive's acts on the joint."""
+        return self.gravity is not None or self.hoisted is not None or self.constant_torque != 0.0
 
     @property
     def patterns(self) -> tuple[str, ...]:

@@ -30,6 +30,20 @@ from rig.config.simulated_machine import may_be
 
 Tree = dict[str, Any]
 _LINK: Final = re.compile(r"\s*\[[^\]]+\]\([^)]+\.md\)\.?")
+_SHORT_WINDOW: Final = {
+    "type": "array",
+    "items": {"type": ["number", "null"]},
+    "minItems": 2,
+    "maxItems": 2,
+    "description": "[from, to], s; null leaves an end open.",
+}
+_TABLE: Final = {
+    "anyOf": [
+        {"type": "string", "description": "CSV file, relative to this file."},
+        {"type": "array", "items": {"type": "array"}, "minItems": 2},
+    ],
+    "description": "Rows of recordings; the header names keys, such as `file` or `gravity.mass`.",
+}
 KINDS: Final[Mapping[str, type[BaseModel]]] = {
     "bench": Bench,
     "sequence": Sequence,
@@ -224,17 +238,30 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
     }
     channels["additionalProperties"] = False
     channels.pop("propertyNames", None)
+    window = definitions["RecordingSection"]["properties"]["window"]
+    window["anyOf"].append(_SHORT_WINDOW)
     definitions.update(_partial(definitions, "RecordingSection"))
     partial = {"$ref": f"#/definitions/{_PART}RecordingSection"}
     tree["properties"]["defaults"] = {
         **partial,
         "description": tree["properties"]["defaults"].get("description", ""),
     }
+    entry = definitions[f"{_PART}RecordingSection"]
+    definitions["TableEntry"] = {
+        **entry,
+        "description": "As many recordings as a table has rows; other keys hold for every row.",
+        "properties": {"table": _TABLE, **entry["properties"]},
+        "required": ["table"],
+    }
+    table = {"$ref": "#/definitions/TableEntry"}
+    recordings = tree["properties"]["recordings"]
+    items = recordings.pop("items")
+    listed = {key: recordings.pop(key) for key in ("type", "minItems") if key in recordings}
+    recordings["anyOf"] = [listed, table]
     # A key missing in a recording may be given under `defaults`.
-    items = tree["properties"]["recordings"].pop("items")
     tree["if"] = {"required": ["defaults"]}
-    tree["then"] = {"properties": {"recordings": {"items": partial}}}
-    tree["else"] = {"properties": {"recordings": {"items": items}}}
+    tree["then"] = {"properties": {"recordings": {"items": {"anyOf": [partial, table]}}}}
+    tree["else"] = {"properties": {"recordings": {"items": {"anyOf": [items, table]}}}}
 
 
 _PART: Final = "Partial"
