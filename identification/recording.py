@@ -190,6 +190,8 @@ class Recording:
         partial: Whether its run stopped before the end of its command.
         start: When its first sample was taken, s on the clock of the session; None where nothing
             but its time stamps says so.
+        uncertainties: Standard deviations of known constants, by their place in this record
+            (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); others count as exact.
     """
 
     name: str
@@ -208,6 +210,7 @@ class Recording:
     notes: tuple[str, ...] = ()
     partial: bool = False
     start: float | None = None
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check shapes, names and time.

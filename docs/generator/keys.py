@@ -100,7 +100,7 @@ def _sections(record: type, path: str, titles: dict[type, str]) -> Iterator[str]
         for at, inside in key.shape.records:
             place = ".".join(filter(None, (path, key.name))) + at
             if inside not in titles:
-                titles[inside] = place + _variant(inside, key.shape)
+                titles[inside] = getattr(inside, "heading", place + _variant(inside, key.shape))
                 deeper.append((place, inside))
             links.append(f"[{titles[inside]}](#{_anchor(titles[inside])})")
         words = (

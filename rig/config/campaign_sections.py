@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
@@ -11,7 +11,14 @@ from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
-from rig.config.campaign_gas import Constant, GasGeneratorSection
+from rig.config.campaign_gas import (
+    Constant,
+    GasGeneratorSection,
+    Known,
+    KnownMass,
+    KnownNumber,
+    uncertain,
+)
 from rig.config.catalogue import EFFECTS
 from rig.config.configuration import Schema, nearest
 
@@ -114,19 +121,28 @@ class BenchSection(Schema):
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
-    torque_constant: Constant | None = None
-    back_emf_constant: Constant | None = None
-    resistance: Constant | None = None
-    inductance: Constant | None = None
-    gear_ratio: Constant = 1.0
-    moment_arm: Constant | None = None
-    lever_ratio: Constant | None = None
-    gravity: Constant = 9.80665
+    torque_constant: Known | None = None
+    back_emf_constant: Known | None = None
+    resistance: Known | None = None
+    inductance: Known | None = None
+    gear_ratio: Known = 1.0
+    moment_arm: Known | None = None
+    lever_ratio: Known | None = None
+    gravity: Known = 9.80665
     gas_generator: GasGeneratorSection | None = None
+
+    def uncertainties(self) -> dict[str, float]:
+        """Return the standard deviations of the constants, by their place in a recording."""
+        return uncertain(self, "bench.", type(self).model_fields)
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        constants = self.model_dump(exclude={"gas_generator"}, exclude_none=True)
+        keys = self.model_fields_set - {"gas_generator"}
+        constants: dict[str, Any] = {
+            key: value if key == "motion" else float(value)
+            for key in keys
+            if (value := getattr(self, key)) is not None
+        }
         if self.gas_generator is None:
             return Bench(**constants)
         return Bench(
@@ -189,13 +205,13 @@ class GravitySection(Schema):
         zero: Angle at which it hangs straight down, rad.
     """
 
-    mass: Constant
-    length: Constant
-    zero: float = 0.0
+    mass: Known
+    length: Known
+    zero: KnownNumber = 0.0
 
     def pendulum(self) -> Pendulum:
         """Return the record the numerics use."""
-        return Pendulum(self.mass, self.length, self.zero)
+        return Pendulum(float(self.mass), float(self.length), float(self.zero))
 
 
 class HoistSection(Schema):
@@ -207,12 +223,17 @@ class HoistSection(Schema):
             on a linear bench, where the force is -m g.
     """
 
-    mass: Constant
-    radius: Annotated[float, AfterValidator(_not_nothing)] | None = None
+    mass: Known
+    radius: KnownNumber | None = None
+
+    @field_validator("radius")
+    @classmethod
+    def _turns(cls, radius: float | None) -> float | None:
+        return None if radius is None else _not_nothing(radius)
 
     def hoist(self) -> Hoist:
         """Return the record the numerics use."""
-        return Hoist(self.mass, 1.0 if self.radius is None else self.radius)
+        return Hoist(float(self.mass), 1.0 if self.radius is None else float(self.radius))
 
 
 class WindowSection(Schema):
@@ -345,10 +366,10 @@ class RecordingSection(Schema):
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
     stage: Literal["unloaded", "loaded"] = "unloaded"
-    weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
+    weight_mass: KnownMass = 0.0
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
-    constant_torque: Annotated[float, Field(gt=-1e9, lt=1e9)] = 0.0
+    constant_torque: KnownNumber = 0.0
     start: float | Annotated[str, AfterValidator(_iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None
@@ -362,6 +383,14 @@ class RecordingSection(Schema):
     def known_load(self) -> bool:
         """Whether a known torque other than the drive's acts on the joint."""
         return self.gravity is not None or self.hoisted is not None or self.constant_torque != 0.0
+
+    def uncertainties(self) -> dict[str, float]:
+        """Return the standard deviations of known loads, by their place in a recording."""
+        return {
+            **uncertain(self, "", ("weight_mass", "constant_torque")),
+            **uncertain(self.gravity, "pendulum.", ("mass", "length", "zero")),
+            **uncertain(self.hoisted, "hoist.", ("mass", "radius")),
+        }
 
     @property
     def patterns(self) -> tuple[str, ...]:

@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
+from identification.estimate.known_constants import with_uncertain_constants
 from identification.estimate.ladder import Rung, climb
 from identification.estimate.long import identify_any_length
 from identification.estimate.paper_method.comparison import Contender, compare
@@ -163,6 +164,7 @@ def _identified(
         rng=np.random.default_rng(request.seed),
         progress=lambda stage, share: progress(f"{method}: {stage}", share),
     )
+    result = with_uncertain_constants(result, dataset)
     return dataclasses.replace(
         result,
         seconds=time.perf_counter() - begun,

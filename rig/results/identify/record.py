@@ -101,6 +101,15 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
             }
             for s in result.starts
         ],
+        "known_constants": [
+            {
+                "place": c.place,
+                "value": finite(c.value),
+                "uncertainty": finite(c.uncertainty),
+                "shifts": {name: finite(shift) for name, shift in c.shifts.items()},
+            }
+            for c in result.known_constants
+        ],
         "profiles": {
             c.name: {
                 "unit": c.unit,
