@@ -156,6 +156,7 @@ class Model:
         terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and a
             diagnosis does not report it.
         fixed: Parameters that are not fitted: name to value.
+        priors: Parameters known with an uncertainty: name to value and standard deviation.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
     """
@@ -164,6 +165,7 @@ class Model:
     fixed: Mapping[str, float] = field(default_factory=dict)
     alpha: float = 2.0
     friction: str = "stribeck"
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

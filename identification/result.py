@@ -207,6 +207,29 @@ class MeasuredNoise:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What was known of a parameter, what the recordings say, and both together.
+
+    Attributes:
+        name: The parameter.
+        value: Prior value.
+        uncertainty: Its standard deviation.
+        alone: Estimate from the recordings alone.
+        alone_uncertainty: Its standard deviation.
+        posterior: Value of both together.
+        posterior_uncertainty: Its standard deviation.
+    """
+
+    name: str
+    value: float
+    uncertainty: float
+    alone: float
+    alone_uncertainty: float
+    posterior: float
+    posterior_uncertainty: float
+
+
+@dataclass(frozen=True)
 class KnownConstant:
     """A constant that was given with an uncertainty, and what this adds to the estimates.
 
@@ -250,6 +273,7 @@ class Identification:
         resampled: Spread over bootstrap samples, if requested.
         known_constants: Constants given with an uncertainty; the intervals of ``parameters``, not
             profiles and bootstrap, hold it.
+        priors: Priors of parameters that were joined with the recordings.
     """
 
     method: str
@@ -272,6 +296,7 @@ class Identification:
     profiles: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
     known_constants: tuple[KnownConstant, ...] = ()
+    priors: tuple[Prior, ...] = ()
 
     @property
     def torque_unit(self) -> str:

@@ -27,6 +27,7 @@ from identification.estimate.uncertainty.parameter_table import (
     trace_of,
     units_of,
 )
+from identification.estimate.uncertainty.priors import with_priors
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
@@ -102,7 +103,8 @@ def identification(
         prepared: Every recording with its pieces; traces show the first piece.
         found: The estimate, with all stages and warnings.
     """
-    model, values = dataset.model, found.values
+    model = dataset.model
+    values, spread, priors, doubts = with_priors(found.values, found.spread, model.priors)
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
     validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
     first = active[0].recording
@@ -110,16 +112,18 @@ def identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        parameters=parameter_table(active, values, found.spread, model, found.floors),
+        # The floor is that of the recordings alone.
+        parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
         fit=fit_of(active, values, model.alpha, validate),
         stages=found.stages,
         fitted=dict(values),
         friction=model.friction,
         starts=found.starts,
-        tradeoffs=tradeoffs(found.spread, values, units_of(active)),
-        least_pinned=least_pinned(found.spread, values),
+        tradeoffs=tradeoffs(spread, values, units_of(active)),
+        least_pinned=least_pinned(spread, values),
         noise=None if found.taken is None else noise_of(found.taken, torque_unit(first)),
-        warnings=found.warnings,
+        warnings=(*found.warnings, *doubts),
+        priors=priors,
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
         evaluations=sum(s.evaluations for s in found.stages),

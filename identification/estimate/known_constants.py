@@ -3,7 +3,7 @@
 The fit takes torque constant, gear ratio, weights and their like as given. Each that is uncertain
 is raised and lowered by its standard deviation, the equation error is solved again, and half the
 difference is the standard deviation that it adds to each parameter, to first order. The constants'
-errors count as independent of each other and of the noise.
+errors count as independent of each other and of the noise; priors do not lessen the shifts.
 """
 
 from __future__ import annotations

@@ -222,7 +222,7 @@ def _way(recording: RecordingSection) -> str:
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings that would be scored by a model without working load."""
     fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
-    if fitted or campaign.model.fixed.keys() >= set(LOAD_PARAMETERS):
+    if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
         if recording.role == "validate" and recording.stage == "loaded":

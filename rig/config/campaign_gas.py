@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeGuard
 
 from pydantic import (
     AfterValidator,
@@ -78,6 +78,11 @@ class UncertainNumber(Schema):
     heading: ClassVar[str] = "uncertain number"
     value: float
     uncertainty: Constant
+
+
+def measured(value: object) -> TypeGuard[Measured]:
+    """Whether a number was given with an uncertainty."""
+    return isinstance(value, Measured)
 
 
 def _form(value: object) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
@@ -11,12 +10,14 @@ from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
+from rig.common.instants import iso_time
 from rig.config.campaign_gas import (
     Constant,
     GasGeneratorSection,
     Known,
     KnownMass,
     KnownNumber,
+    measured,
     uncertain,
 )
 from rig.config.catalogue import EFFECTS
@@ -78,28 +79,6 @@ def _not_nothing(value: float) -> float:
     return value
 
 
-def instant(text: str) -> datetime:
-    """Return an ISO 8601 date and time; without a zone it counts as UTC.
-
-    Raises:
-        ValueError: It is no such time, or a date alone.
-    """
-    try:
-        found = datetime.fromisoformat(text)
-    except ValueError:
-        found = None
-    if found is None or len(text) < len("2026-01-31T12:00"):
-        raise ValueError(
-            "not an ISO time with date and time of day; write 2026-01-31T12:00:00, or seconds"
-        )
-    return found if found.tzinfo else found.replace(tzinfo=UTC)
-
-
-def _iso_time(text: str) -> str:
-    instant(text)
-    return text
-
-
 class BenchSection(Schema):
     """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`.
 
@@ -157,12 +136,13 @@ class ModelSection(Schema):
         friction: Friction model, from the ladder of friction models.
         terms: Further physics that is fitted: `offset` (a constant torque) or
             `load_dependent_friction` (friction grows with the torque of a pendulum).
-        fixed: Parameter to value, not fitted.
+        fixed: Parameter to value, not fitted; with an uncertainty the value is a prior, joined
+            with what the recordings say.
     """
 
     friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
-    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(
+    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], KnownNumber] = Field(
         default_factory=dict
     )
 
@@ -186,7 +166,13 @@ class ModelSection(Schema):
 
     def model(self) -> Model:
         """Return the record the numerics use."""
-        return Model(terms=self.terms, fixed=dict(self.fixed), friction=self.rung)
+        priors = {n: (float(v), v.uncertainty) for n, v in self.fixed.items() if measured(v)}
+        return Model(terms=self.terms, fixed=self.held, friction=self.rung, priors=priors)
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Parameters that are known exactly and not fitted."""
+        return {name: value for name, value in self.fixed.items() if not measured(value)}
 
     @property
     def rung(self) -> str:
@@ -370,7 +356,7 @@ class RecordingSection(Schema):
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
-    start: float | Annotated[str, AfterValidator(_iso_time)] | None = None
+    start: float | Annotated[str, AfterValidator(iso_time)] | None = None
     order: int | None = None
     window: WindowSection | None = None
     controller: ControllerSection | None = None

@@ -8,8 +8,9 @@ from itertools import pairwise
 
 from identification.recording import Recording
 from rig.common.errors import InputError
+from rig.common.instants import instant
 from rig.config.campaign import Campaign
-from rig.config.campaign_sections import RecordingSection, instant
+from rig.config.campaign_sections import RecordingSection
 from rig.config.configuration import Document
 
 

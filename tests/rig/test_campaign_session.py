@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.rows.clock import run_starts
-from identification.recording import Hoist, Pendulum, Recording
+from identification.recording import Hoist, Model, Pendulum, Recording
 from rig.common.errors import InputError
 from rig.sources import load_source
 
@@ -247,3 +247,50 @@ def test_a_current_without_sign_is_refused_and_one_that_looks_so_is_noted(tmp_pa
     a, b = load(tmp_path, "  - {file: a.csv}\n  - {file: b.csv}\n")
     assert any("never negative though the joint moves both ways" in note for note in a.notes)
     assert b.notes == ()
+
+
+def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors(
+    tmp_path: Path,
+) -> None:
+    path = campaign(
+        tmp_path,
+        "  - {file: a.csv, gravity: {mass: {value: 2, uncertainty: 0.1}, length: 0.1,"
+        " zero: {value: -0.2, uncertainty: 0.05}}}\n"
+        "  - {file: b.csv, stage: loaded, weight_mass: {value: 10.2, uncertainty: 0.05}}\n",
+    )
+    path.write_text(
+        path.read_text().replace(
+            "bench: {torque_constant: 1,",
+            "model: {fixed: {Mc: {value: 5, uncertainty: 0.5}, J: 0.2}}\n"
+            "bench: {torque_constant: {value: 1, uncertainty: 0.1},",
+        )
+    )
+    dataset = load_source(path)
+    a, b = dataset.recordings
+    assert a.uncertainties == {
+        "bench.torque_constant": 0.1,
+        "pendulum.mass": 0.1,
+        "pendulum.zero": 0.05,
+    }
+    assert b.uncertainties == {"bench.torque_constant": 0.1, "weight_mass": 0.05}
+    assert (a.bench.torque_constant, b.weight_mass) == (1.0, 10.2)
+    assert a.pendulum == Pendulum(2.0, 0.1, -0.2)
+    assert dataset.model == Model(fixed={"J": 0.2}, priors={"Mc": (5.0, 0.5)})
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("{value: 2, uncertainty: 2}", "reaches to nothing from 2"),
+        ("{value: 2}", "uncertainty: missing"),
+        ("{value: 2, std: 0.1}", "unknown key; known are"),
+        ("{value: 0, uncertainty: 0.1}", "input should be greater than 0"),
+        ("text", "input should be a valid number"),
+    ],
+)
+def test_uncertain_constants_that_cannot_be_are_refused(
+    tmp_path: Path, value: str, words: str
+) -> None:
+    text = problems(tmp_path, f"  - {{file: a.csv, gravity: {{mass: {value}, length: 0.1}}}}\n")
+    assert words in text
+    assert "recordings[0].gravity.mass" in text

@@ -3,7 +3,8 @@
 They are generated from the records into which the program reads the files. A schema refuses unknown
 keys, wrong types and values outside their range. It cannot check relations between values or the
 existence of files, and leaves those to the program. It accepts every file that the program accepts,
-except wrong values under ``defaults`` that every recording overrides.
+except wrong values under ``defaults`` that every recording overrides, or beside a table whose rows
+all do.
 """
 
 from __future__ import annotations
@@ -224,7 +225,12 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
         "type": "object",
         "description": model["fixed"].get("description", ""),
         "properties": {
-            name: {"type": "number", **({} if name == "offset" else {"minimum": 0})}
+            name: {
+                "anyOf": [
+                    {"type": "number", **({} if name == "offset" else {"minimum": 0})},
+                    {"$ref": "#/definitions/UncertainNumber"},
+                ]
+            }
             for name in PARAMETERS
         },
         "additionalProperties": False,

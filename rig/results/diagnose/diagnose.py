@@ -17,6 +17,7 @@ from identification.diagnosis.gas.burns import bears
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
+from identification.estimate.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.input_files import is_folder
@@ -108,9 +109,27 @@ def diagnose_source(
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
     found = settled(found)
-    warnings = (*found.warnings, *partial_warnings(dataset))
+    warnings = (*found.warnings, *partial_warnings(dataset), *_taken_as_exact(dataset))
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+
+
+def _taken_as_exact(dataset: Dataset) -> list[str]:
+    """Return warnings on uncertainties that the campaign states and a diagnosis does not use."""
+    constants = uncertain_constants(dataset.part("fit"))
+    warnings = []
+    if constants:
+        listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
+        warnings.append(
+            f"the diagnosis takes known constants as exact: intervals do not hold the uncertainty "
+            f"of {listed}; those of rig identify do"
+        )
+    if dataset.model.priors:
+        warnings.append(
+            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it fits "
+            f"them freely"
+        )
+    return warnings
 
 
 def without_torque(dataset: Dataset) -> bool:

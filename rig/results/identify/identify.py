@@ -165,6 +165,9 @@ def _identified(
         progress=lambda stage, share: progress(f"{method}: {stage}", share),
     )
     result = with_uncertain_constants(result, dataset)
+    if dataset.model.priors and method != "default":
+        named = ", ".join(dataset.model.priors)
+        warnings = (*warnings, f"the {method} method does not use the priors of {named}")
     return dataclasses.replace(
         result,
         seconds=time.perf_counter() - begun,

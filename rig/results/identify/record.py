@@ -101,6 +101,17 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
             }
             for s in result.starts
         ],
+        "priors": {
+            p.name: {
+                "value": finite(p.value),
+                "uncertainty": finite(p.uncertainty),
+                "alone": finite(p.alone),
+                "alone_uncertainty": finite(p.alone_uncertainty),
+                "posterior": finite(p.posterior),
+                "posterior_uncertainty": finite(p.posterior_uncertainty),
+            }
+            for p in result.priors
+        },
         "known_constants": [
             {
                 "place": c.place,

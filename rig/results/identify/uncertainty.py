@@ -33,6 +33,11 @@ CONSTANTS_NOTE = (
     "constants; values stay those of the constants as given. Floor, profiles and bootstrap do not "
     "hold it."
 )
+PRIORS_NOTE = (
+    "Prior and recordings are joined as independent; +- is one standard deviation. All other "
+    "values and intervals follow by their correlation. Profiles and bootstrap are of the "
+    "recordings alone."
+)
 _MOVED = 4
 """Parameters named in a row of the constants."""
 
@@ -113,6 +118,8 @@ def _open(curve: Profile) -> str:
 def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     """Return the requested tables, each with its note."""
     tables = []
+    if result.priors:
+        tables.append((priors_table(result), PRIORS_NOTE))
     if result.known_constants:
         tables.append((constants_table(result), CONSTANTS_NOTE))
     if result.profiles:
@@ -120,6 +127,21 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     if result.resampled:
         tables.append((bootstrap_table(result), BOOTSTRAP_NOTE))
     return tables
+
+
+def priors_table(result: Identification) -> Table:
+    """Return one row per prior: it, the recordings alone, and both together."""
+    rows = tuple(
+        (
+            p.name,
+            f"{number(p.value)} +- {number(p.uncertainty, 2)}",
+            f"{number(p.alone)} +- {number(p.alone_uncertainty, 2)}",
+            f"{number(p.posterior)} +- {number(p.posterior_uncertainty, 2)}",
+            result.parameters[p.name].unit,
+        )
+        for p in result.priors
+    )
+    return Table(("parameter", "prior", "recordings alone", "both", "unit"), rows, (1, 2, 3))
 
 
 def constants_table(result: Identification) -> Table:
