@@ -21,6 +21,10 @@ from identification.estimate.equation_error.regression import (
 from identification.estimate.likelihood.bootstrap import bootstrap
 from identification.estimate.likelihood.profile import profiles
 from identification.estimate.likelihood.refinement import Found, noise_of, refine
+from identification.estimate.uncertainty.known_constants import (
+    shifts_of_constants,
+    with_constants,
+)
 from identification.estimate.uncertainty.parameter_table import (
     fit_of,
     parameter_table,
@@ -104,10 +108,14 @@ def identification(
         found: The estimate, with all stages and warnings.
     """
     model = dataset.model
-    values, spread, priors, doubts = with_priors(found.values, found.spread, model.priors)
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
     validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
     first = active[0].recording
+    constants = shifts_of_constants(
+        active, lambda moved: solve_stages(*by_load(moved), model, silent)[0]
+    )
+    known = with_constants(found.spread, constants)
+    values, spread, priors, doubts = with_priors(found.values, known, model.priors)
     return Identification(
         method="default",
         motion=first.bench.motion,
@@ -119,10 +127,12 @@ def identification(
         fitted=dict(values),
         friction=model.friction,
         starts=found.starts,
-        tradeoffs=tradeoffs(spread, values, units_of(active)),
-        least_pinned=least_pinned(spread, values),
+        # These are of the recordings, not of what else is known.
+        tradeoffs=tradeoffs(found.spread, found.values, units_of(active)),
+        least_pinned=least_pinned(found.spread, found.values),
         noise=None if found.taken is None else noise_of(found.taken, torque_unit(first)),
         warnings=(*found.warnings, *doubts),
+        known_constants=constants,
         priors=priors,
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},

@@ -17,7 +17,7 @@ from identification.diagnosis.gas.burns import bears
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
-from identification.estimate.known_constants import uncertain_constants
+from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.input_files import is_folder
@@ -89,6 +89,8 @@ def diagnose_source(
     if progress is not None:
         progress("reading", 0.0)
     dataset = load_source(source, partial=partial)
+    exact = _taken_as_exact(dataset)
+    dataset = dataclasses.replace(dataset, model=dataclasses.replace(dataset.model, priors={}))
     described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
@@ -109,7 +111,7 @@ def diagnose_source(
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
     found = settled(found)
-    warnings = (*found.warnings, *partial_warnings(dataset), *_taken_as_exact(dataset))
+    warnings = (*found.warnings, *partial_warnings(dataset), *exact)
     found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
 

@@ -13,12 +13,12 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.estimate.known_constants import with_uncertain_constants
 from identification.estimate.ladder import Rung, climb
 from identification.estimate.long import identify_any_length
 from identification.estimate.paper_method.comparison import Contender, compare
 from identification.estimate.paper_method.paper import identify_paper
 from identification.estimate.transfer import Transfer, transfer
+from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
@@ -164,10 +164,10 @@ def _identified(
         rng=np.random.default_rng(request.seed),
         progress=lambda stage, share: progress(f"{method}: {stage}", share),
     )
-    result = with_uncertain_constants(result, dataset)
-    if dataset.model.priors and method != "default":
-        named = ", ".join(dataset.model.priors)
-        warnings = (*warnings, f"the {method} method does not use the priors of {named}")
+    constants = [c.place for c in uncertain_constants(dataset.part("fit"))]
+    if (unused := [*constants, *dataset.model.priors]) and method != "default":
+        ignored = f"the {method} method does not use the uncertainty of {', '.join(unused)}"
+        warnings = (*warnings, ignored)
     return dataclasses.replace(
         result,
         seconds=time.perf_counter() - begun,

@@ -19,7 +19,8 @@ from rig.runs.partial import partial_names
 def outcome_record(outcome: Outcome) -> dict[str, Any]:
     """Return the record of ``rig identify --json``."""
     first, *others = outcome.results
-    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
+    record = identification_record(first, outcome.provenance)
+    record |= uncertainty_record(first) | known_record(first)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     record["partial"] = partial_names(outcome.dataset)
     if others:
@@ -82,25 +83,9 @@ def fit_record(fit: Fit) -> dict[str, Any]:
     }
 
 
-def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the keys on uncertainty in a result file."""
+def known_record(result: Identification) -> dict[str, Any]:
+    """Return the keys on what was known with an uncertainty."""
     return {
-        "tradeoffs": [
-            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
-            for t in result.tradeoffs
-        ],
-        "least_pinned": result.least_pinned,
-        "noise": None if result.noise is None else asdict(result.noise),
-        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
-        "starts": [
-            {
-                "stage": s.stage,
-                "cost": s.cost,
-                "ends": [finite(e) for e in s.ends],
-                "reached_best": s.best,
-            }
-            for s in result.starts
-        ],
         "priors": {
             p.name: {
                 "value": finite(p.value),
@@ -120,6 +105,28 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
                 "shifts": {name: finite(shift) for name, shift in c.shifts.items()},
             }
             for c in result.known_constants
+        ],
+    }
+
+
+def uncertainty_record(result: Identification) -> dict[str, Any]:
+    """Return the keys on uncertainty in a result file."""
+    return {
+        "tradeoffs": [
+            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
+            for t in result.tradeoffs
+        ],
+        "least_pinned": result.least_pinned,
+        "noise": None if result.noise is None else asdict(result.noise),
+        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
+        "starts": [
+            {
+                "stage": s.stage,
+                "cost": s.cost,
+                "ends": [finite(e) for e in s.ends],
+                "reached_best": s.best,
+            }
+            for s in result.starts
         ],
         "profiles": {
             c.name: {

@@ -34,9 +34,9 @@ CONSTANTS_NOTE = (
     "hold it."
 )
 PRIORS_NOTE = (
-    "Prior and recordings are joined as independent; +- is one standard deviation. All other "
-    "values and intervals follow by their correlation. Profiles and bootstrap are of the "
-    "recordings alone."
+    "Prior and recordings are joined as independent; +- is one standard deviation, of the "
+    "recordings with the uncertainty of the constants. All other values and intervals follow by "
+    "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
 )
 _MOVED = 4
 """Parameters named in a row of the constants."""
