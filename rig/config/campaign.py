@@ -348,7 +348,7 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
             "them, or for a hot"
             " firing `pressure` and bench.gas_generator",
         )
-    if loaded and bench.moment_arm is None:
+    if loaded and bench.moment_arm is None and recording.moment_arm is None:
         yield (
             ("stage",),
             "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque",

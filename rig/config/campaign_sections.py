@@ -333,6 +333,7 @@ class RecordingSection(Schema):
             mcap or parquet; text files may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
+        moment_arm: Radius L1 at which this contact force acts, m; the bench's where not given.
         gravity: A known weight that turns with the joint.
         hoisted: A known mass that hangs on the joint by a rope.
         constant_torque: Known torque on the joint that is the same at every angle, N m; positive
@@ -353,6 +354,7 @@ class RecordingSection(Schema):
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: KnownMass = 0.0
+    moment_arm: Known | None = None
     gravity: GravitySection | None = None
     hoisted: HoistSection | None = None
     constant_torque: KnownNumber = 0.0
@@ -374,6 +376,7 @@ class RecordingSection(Schema):
         """Return the standard deviations of known loads, by their place in a recording."""
         return {
             **uncertain(self, "", ("weight_mass", "constant_torque")),
+            **uncertain(self, "bench.", ("moment_arm",)),
             **uncertain(self.gravity, "pendulum.", ("mass", "length", "zero")),
             **uncertain(self.hoisted, "hoist.", ("mass", "radius")),
         }

@@ -50,6 +50,10 @@ def build(
         InputError: A column is missing, the window holds no sample, or the data cannot be used;
             names file and row.
     """
+    unsure = document.value.bench.uncertainties()
+    if section.moment_arm is not None:
+        bench = replace(bench, moment_arm=float(section.moment_arm))
+        unsure.pop("bench.moment_arm", None)
     try:
         table = open_table(file, section.read)
         channels = _read_channels(table, section, document, index)
@@ -72,7 +76,7 @@ def build(
         pendulum=section.gravity.pendulum() if section.gravity else None,
         hoist=section.hoisted.hoist() if section.hoisted else None,
         constant_torque=float(section.constant_torque),
-        uncertainties={**document.value.bench.uncertainties(), **section.uncertainties()},
+        uncertainties={**unsure, **section.uncertainties()},
         controller=section.controller.controller() if section.controller else None,
         role=section.role,
         averaged=frozenset(name for name, channel in section.channels.items() if channel.average),

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification.contact_force import contact_moment
 from identification.diagnosis.rows.clock import run_starts
 from identification.recording import Hoist, Model, Pendulum, Recording
 from rig.common.errors import InputError
@@ -276,6 +277,23 @@ def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors
     assert (a.bench.torque_constant, b.weight_mass) == (1.0, 10.2)
     assert a.pendulum == Pendulum(2.0, 0.1, -0.2)
     assert dataset.model == Model(fixed={"J": 0.2}, priors={"Mc": (5.0, 0.5)})
+
+
+def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
+    path = campaign(
+        tmp_path,
+        "  stage: loaded\n"
+        "  table: [[file, weight_mass, moment_arm], [a.csv, 2, 0.2], [b.csv, 2, null]]\n",
+    )
+    path.write_text(
+        path.read_text().replace("moment_arm: 0.1", "moment_arm: {value: 0.1, uncertainty: 0.01}")
+    )
+    a, b = load_source(path).recordings
+    assert (a.bench.moment_arm, b.bench.moment_arm) == (0.2, 0.1)
+    assert (dict(a.uncertainties), b.uncertainties) == ({}, {"bench.moment_arm": 0.01})
+    grid = a.time[:3]
+    moments = [contact_moment(r, grid, grid) for r in (a, b)]
+    assert moments[0] == pytest.approx(2.0 * moments[1])
 
 
 @pytest.mark.parametrize(
