@@ -7,11 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.corrected.model import CorrectedModel
+from identification.corrected.score import predictions
 from identification.diagnosis.rows.clock import one_clock, run_starts
 from identification.diagnosis.rows.view import views
 from identification.filter.segments import motion
 from identification.prepare import prepare
-from identification.recording import Array, Bench, Controller, Hoist, Recording
+from identification.recording import Array, Bench, Controller, Hoist, Pendulum, Recording
 from identification.simulate.closed_loop import (
     OPEN_LOOP,
     Inputs,
@@ -21,7 +23,7 @@ from identification.simulate.closed_loop import (
     simulate,
 )
 
-from .synthetic import sine
+from .synthetic import TRUTH, sine
 
 G = 9.80665
 
@@ -51,6 +53,16 @@ def test_a_known_load_leaves_the_torque_of_the_bare_joint(radius: float) -> None
     seen, plain = views([loaded], 25.0)[0], views([bare], 25.0)[0]
     assert seen.low_pass(seen.torque) == pytest.approx(plain.low_pass(plain.torque), abs=5e-3)
     assert seen.hanging == pytest.approx(np.full(len(seen.time), -3.0 * G * radius - 2.5))
+
+
+@pytest.mark.parametrize("pendulum", [None, Pendulum(3.0, 0.4, 0.2)])
+def test_a_predicted_torque_leaves_known_loads_to_themselves(pendulum: Pendulum | None) -> None:
+    recording = lifting(Hoist(3.0, 0.4)) if pendulum is None else sine(pendulum=pendulum)
+    model = CorrectedModel(TRUTH)
+    (predicted,) = predictions(views([recording], 25.0)[0], model)
+    assert np.max(np.abs(predicted.measured[np.isfinite(predicted.measured)])) > 10.0
+    assert np.std(predicted.error) < 0.1
+    assert abs(np.mean(predicted.error)) < 0.01
 
 
 def test_the_likelihood_takes_the_hoisted_mass(
