@@ -297,10 +297,17 @@ class Recording:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings of one bench and the model to be fitted to them."""
+    """Recordings of one bench and the model to be fitted to them.
+
+    Attributes:
+        recordings: The recordings.
+        model: The model.
+        tables: Tables that list the recordings: file to SHA-256.
+    """
 
     recordings: tuple[Recording, ...]
     model: Model = field(default_factory=Model)
+    tables: Mapping[str, str] = field(default_factory=dict)
 
     def part(self, role: Literal["fit", "validate"]) -> tuple[Recording, ...]:
         """Return the recordings of one role."""

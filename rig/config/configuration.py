@@ -66,6 +66,20 @@ class Document(Generic[M]):
             value = node.plain()
         return _format(self.path, mark, _dotted(loc), message, value)
 
+    def other_files(self) -> list[Path]:
+        """Return the files, other than this one, that values of the tree came from."""
+        found: dict[Path, None] = {}
+        waiting = [self._root]
+        while waiting:
+            node = waiting.pop()
+            if node.mark.file is not None:
+                found[node.mark.file] = None
+            if isinstance(node.value, dict):
+                waiting.extend(node.value.values())
+            elif isinstance(node.value, list):
+                waiting.extend(node.value)
+        return list(found)
+
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
         """Raise if there are problems, each a location and a message.
 

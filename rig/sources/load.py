@@ -14,6 +14,7 @@ from pathlib import Path
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.input_files import is_file, is_folder
+from rig.common.provenance import sha256_file
 from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
@@ -88,7 +89,9 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
         raise InputError(dict.fromkeys(problems))
     named = iter(_distinct_names([r for one in read for r in one.recordings]))
     files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
-    return Dataset(tuple(on_session_clock(files, document)), campaign.model.model())
+    recordings = tuple(on_session_clock(files, document))
+    tables = {str(file): sha256_file(file) for file in document.other_files()}
+    return Dataset(recordings, campaign.model.model(), tables)
 
 
 def _expand(

@@ -64,6 +64,7 @@ def test_identify_uses_and_shows_all_of_it(
     assert prior["alone"] <= prior["posterior"] <= prior["value"] == 0.22
     assert found["known_constants"][0]["shifts"]["Mc"] == pytest.approx(7.0 / 30.0, rel=0.05)
     assert found["fit"]["validate_rms"] < 0.2
+    assert inputs_of(out / "identify.json") >= {"c.yaml", "files.csv", "bare.csv"}
     report = (out / "report.html").read_text()
     assert "recordings alone" in report
     assert "hoisted 6 kg" in report
@@ -79,3 +80,10 @@ def test_diagnose_takes_the_loads_and_says_what_it_takes_as_exact(
     assert "hold the uncertainty of bench.torque_constant 0.03 +- 0.001" in said
     assert "does not use the priors of J" in said
     assert "clock in common" not in said
+    assert "standard deviations apart" not in said
+    assert "files.csv" in inputs_of(out / "diagnose.json")
+
+
+def inputs_of(file: Path) -> set[str]:
+    """Return the names of a result's input files."""
+    return {Path(one["file"]).name for one in json.loads(file.read_text())["inputs"]}

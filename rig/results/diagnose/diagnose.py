@@ -88,9 +88,7 @@ def diagnose_source(
     started = time.perf_counter()
     if progress is not None:
         progress("reading", 0.0)
-    dataset = load_source(source, partial=partial)
-    exact = _taken_as_exact(dataset)
-    dataset = dataclasses.replace(dataset, model=dataclasses.replace(dataset.model, priors={}))
+    dataset, exact = _as_exact(load_source(source, partial=partial))
     described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
@@ -111,13 +109,16 @@ def diagnose_source(
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
     found = settled(found)
-    warnings = (*found.warnings, *partial_warnings(dataset), *exact)
-    found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
-    return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+    told = (*found.warnings, *partial_warnings(dataset), *exact)
+    found = dataclasses.replace(found, seconds=seconds, warnings=told)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    return Outcome(dataset, found, provenance)
 
 
-def _taken_as_exact(dataset: Dataset) -> list[str]:
-    """Return warnings on uncertainties that the campaign states and a diagnosis does not use."""
+def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
+    """Return a dataset without priors and uncertainties of constants, which a diagnosis does not
+    use, and the warnings that say so.
+    """
     constants = uncertain_constants(dataset.part("fit"))
     warnings = []
     if constants:
@@ -131,7 +132,9 @@ def _taken_as_exact(dataset: Dataset) -> list[str]:
             f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it fits "
             f"them freely"
         )
-    return warnings
+    recordings = tuple(dataclasses.replace(r, uncertainties={}) for r in dataset.recordings)
+    model = dataclasses.replace(dataset.model, priors={})
+    return dataclasses.replace(dataset, recordings=recordings, model=model), warnings
 
 
 def without_torque(dataset: Dataset) -> bool:

@@ -142,7 +142,9 @@ def identify_source(
             carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
     described_by = source / RUN_FILE if is_folder(source) else source
-    provenance = Provenance.of(request.seed, read, time.perf_counter() - started, described_by)
+    tables = {**dataset.tables, **(other.tables if other is not None else {})}
+    seconds = time.perf_counter() - started
+    provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
     return Outcome(dataset, tuple(results), provenance, rungs, carried, request.score)
 
 
