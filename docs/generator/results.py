@@ -33,6 +33,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:fit_record",
         "rig.results.identify.record:_stage_record",
         "rig.results.identify.record:_history_record",
+        "rig.results.identify.record:known_record",
         "rig.results.identify.record:uncertainty_record",
         "rig.results.identify.record:ladder_record",
         "rig.results.identify.record:transfer_record",
