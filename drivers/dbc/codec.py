@@ -35,6 +35,9 @@ class Signal:
         factor: Physical value of one raw unit.
         offset: Physical value at raw 0.
         labels: Names of raw values (``VAL_``).
+        selector: In a multiplexed message, the signal whose value says whether this one is in the
+            frame; None for a signal that always is.
+        pages: Raw values of the selector with which this signal is in the frame.
     """
 
     name: str
@@ -47,11 +50,18 @@ class Signal:
     factor: float = 1.0
     offset: float = 0.0
     labels: Mapping[int, str] = field(default_factory=lambda: NO_LABELS, compare=False)
+    selector: Signal | None = None
+    pages: tuple[int, ...] = ()
 
     @cached_property
     def mask(self) -> int:
         """Bit mask of the signal, not shifted."""
         return (1 << self.width) - 1
+
+    @cached_property
+    def covers(self) -> int:
+        """The signal's bits in its frame, read as one big-endian number."""
+        return int.from_bytes(self.insert(bytes(self.size), self.mask), "big")
 
     @cached_property
     def order(self) -> Literal["little", "big"]:

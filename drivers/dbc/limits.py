@@ -13,6 +13,24 @@ from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, LimitSteps, ServoLimits
 
+FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "angle_min": ("angle_min_rad",),
+    "angle_max": ("angle_max_rad",),
+    "speed": ("speed_rad_s",),
+    "current": ("torque_N_m", "current_A"),
+    "following_error": ("following_error_rad",),
+}
+"""Limit in the map to the fields of :class:`~drivers.interfaces.ServoLimits` that it holds."""
+_HELD: Final = {
+    "angle_min_rad": "angle_min_deg",
+    "angle_max_rad": "angle_max_deg",
+    "speed_rad_s": "speed_deg_s",
+    "torque_N_m": "torque_N_m",
+    "current_A": "current_A",
+    "following_error_rad": "following_error_deg",
+    "quick_stop_option": "quick_stop_option",
+    "quick_stop_deceleration_rad_s2": "quick_stop_deceleration_deg_s2",
+}
 _LOWER: Final = frozenset({"angle_min"})
 _ROUNDING: Final = 1e-6
 
@@ -39,6 +57,20 @@ class DbcDrive:
     torque_constant_N_m_A: float
     offset_rad: float
     watchdog_s: float | None
+
+
+def taken(wiring: Wiring) -> frozenset[str]:
+    """Return the fields of the limits that the drive takes over the bus."""
+    return frozenset(field for name in wiring.limits for field in FIELDS[name])
+
+
+def places(wiring: Wiring) -> dict[str, str]:
+    """Return where each limit is: its signal, or its key under ``servo.held``."""
+    found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
+    for name, limit in wiring.limits.items():
+        signal = f"{limit.held.message}.{limit.held.signal.name}"
+        found |= dict.fromkeys(FIELDS[name], signal)
+    return found
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc.bind import DbcMapError, bind, nearest
+from drivers.dbc.bind import bind
 from drivers.dbc.file import read_dbc
 from drivers.dbc.map import DbcMap, Protection, Quantity, Status, StopFrame
+from drivers.dbc.problems import DbcMapError, nearest
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import DRIVE_DBC
 
@@ -29,12 +30,13 @@ def inputs(**changes: Quantity | None) -> DbcMap:
 def test_the_map_binds() -> None:
     wiring = bind(MAP, LAYOUTS)
     assert wiring.states[2] is ServoState.OPERATION_ENABLED
-    assert wiring.stop_frame == (0x010, b"\xa5")
+    assert (wiring.stop_message.identifier, wiring.stop_image) == (0x010, b"\xa5")
+    assert not wiring.once
     assert set(wiring.sent) == {"DRV_Command"}
     assert set(wiring.settings) == {"DRV_Limits"}
     assert wiring.sampled == {"DRV_Motion", "DRV_Power", "DRV_Status"}
-    assert wiring.disable["DRV_Command"] == bytes(8)
-    assert wiring.stop["DRV_Command"] == b"\x03" + bytes(7)
+    assert wiring.disable.frames["DRV_Command"] == bytes(8)
+    assert wiring.stop.frames["DRV_Command"] == b"\x03" + bytes(7)
     assert wiring.received["DRV_Status"].period_s == 0.1
 
 
@@ -65,8 +67,14 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "status.states.ready.0", "16 is outside 0 to 15"),
         (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("RUN",)})),
          "status.states.running.0", "already means another state"),
-        (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "disabled": (0,)})),
-         "status.states", "no value means 'fault'"),
+        (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "fault": (5,)})),
+         "status.states", "no value means 'disabled'"),
+        (replace(MAP, messages={"DRV_Command": Protection(remote=True)}),
+         "messages.DRV_Command.remote", "is for a message that the drive sends"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter="TargetPosition")}),
+         "messages.DRV_Command.counter", "'TargetPosition' is the target of this map"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Motion", {"State": 1})), "inputs",
+         "'DRV_Motion' has two uses"),
         (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})),
          f"orders.stop.{ORDER}", "no value 'HALT'"),
         (replace(MAP, orders=replace(MAP.orders, stop={"DRV_Command.Ordr": 1})),
@@ -83,7 +91,8 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "messages.DRV_Motion.counter", "did you mean 'Life'?"),
         (replace(MAP, messages={"DRV_Motion": Protection(checksum="Life")}),
          "messages.DRV_Motion.checksum", "has 4 bits; a checksum has 8"),
-        (replace(MAP, messages={"DRV_Stop": Protection()}), "messages.DRV_Stop",
+        (replace(inputs(serial_number=None, revision=None), messages={"DRV_Info": Protection()}),
+         "messages.DRV_Info",
          "carries nothing in this map"),
         (replace(MAP, messages={"DRV_Motion": Protection(period_ms=-1)}),
          "messages.DRV_Motion.period_ms", "zero or more"),

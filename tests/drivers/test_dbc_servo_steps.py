@@ -40,7 +40,9 @@ class Slot:
     """The last good frame of a message; its values are those of the bench."""
 
     def __init__(self, name: str, identifier: int, period_s: float, data: dict[str, float]) -> None:
-        self.message = SimpleNamespace(name=name, identifier=identifier, period_s=period_s)
+        self.message = SimpleNamespace(
+            name=name, identifier=identifier, period_s=period_s, remote=False
+        )
         self.data = data
         self.count = self.refused = 0
         self.time_ns = 77_000_000
@@ -99,7 +101,9 @@ class Bench:
             stop=STOP,
             reset=RESET,
             enable={S.SWITCH_ON_DISABLED: READY, S.READY: RUN, S.OPERATION_ENABLED: RUN},
-            stop_frame=STOP_FRAME,
+            pages={},
+            asked=False,
+            torque_offset=None,
         )
 
     @staticmethod
@@ -161,6 +165,13 @@ class Bench:
 
     def send(self, identifier: int, data: bytes) -> None:
         self.log.append(("send", identifier, data))
+
+    def stop(self, channel: object) -> None:
+        assert channel is self
+        self.send(*STOP_FRAME)
+
+    def request(self, slot: Slot) -> None:
+        assert not slot.message.remote
 
     def exchange(self) -> None:
         self.cycle += 1
@@ -726,7 +737,9 @@ def limit(gain: float) -> Any:
         bias=0.0,
         signal=SimpleNamespace(pack=round, insert=lambda data, bits: data),
     )
-    return SimpleNamespace(set=quantity, held=SimpleNamespace(message="Motion"))
+    return SimpleNamespace(
+        set=quantity, held=SimpleNamespace(message="Motion", signal=SimpleNamespace(name="Held"))
+    )
 
 
 def test_limits_are_written_awaited_verified_and_watched() -> None:
