@@ -104,6 +104,8 @@ class Signal:
         """
         if self.real:
             code, unsigned = _FLOATS[self.width]
+            if not math.isfinite(raw):
+                raise ValueError(f"{self.name}: {raw:g} is no finite number")
             try:
                 packed = struct.pack(code, raw)
             except OverflowError:

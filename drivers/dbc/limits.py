@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, LimitSteps, ServoLimits
@@ -148,10 +150,22 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
 
 def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     raw = (value - quantity.bias) / quantity.gain
+    upward = (name in _LOWER) is (quantity.gain > 0)
+    if quantity.signal.real:
+        return _tighter_real(raw, quantity.signal.width, upward)
     # The margin keeps a value that was a whole number of units unchanged.
-    if (name in _LOWER) is (quantity.gain > 0):
-        return math.ceil(raw - _ROUNDING)
-    return math.floor(raw + _ROUNDING)
+    return math.ceil(raw - _ROUNDING) if upward else math.floor(raw + _ROUNDING)
+
+
+def _tighter_real(raw: float, width: int, upward: bool) -> float:
+    """Return the nearest floating-point number of this width that is not beyond ``raw``."""
+    if width == 64 or not math.isfinite(raw):
+        return raw
+    nearest = np.float32(raw)
+    found = float(nearest)
+    if (found < raw) if upward else (found > raw):
+        found = float(np.nextafter(nearest, np.float32(math.inf if upward else -math.inf)))
+    return found
 
 
 def verify(
