@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterable, Mapping, Set
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Final
 
-from drivers.dbc.codec import CHECKSUMS, Signal
+from drivers.dbc.codec import Signal, checksum_of
 from drivers.dbc.file import Layout
 from drivers.dbc.map import STATES, DbcMap, LimitSignals, Protection, Quantity
 from drivers.dbc.orders import bind_orders, stop_image
@@ -50,7 +50,7 @@ class _Binder:
             self._quantity((key,), quantity, self._written)
             for key, quantity in zip(("target", "torque_offset"), written, strict=False)
         ]
-        self._check_rest(targets[1:])
+        self._check_offset(targets)
         orders = bind_orders(spec, names, [quantity.signal for quantity in written])
         stop = stop_image(spec, names)
         limits = self._limits()
@@ -87,14 +87,25 @@ class _Binder:
             stop_image=stop[1],
         )
 
-    def _check_rest(self, offsets: Iterable[BoundQuantity | None]) -> None:
-        """Report a torque offset that cannot be zero."""
-        for quantity in offsets:
-            if quantity is not None:
-                try:
-                    quantity.bits(0.0)
-                except ValueError as error:
-                    self._names.report(("torque_offset",), f"cannot be zero: {error}")
+    def _check_offset(self, targets: Sequence[BoundQuantity | None]) -> None:
+        """Report a torque offset that cannot be zero, or has no room beside the target."""
+        target, offset, *_ = (*targets, None)
+        if offset is None:
+            return
+        try:
+            offset.bits(0.0)
+        except ValueError as error:
+            self._names.report(("torque_offset",), f"cannot be zero: {error}")
+        if target is None or target.message != offset.message:
+            return
+        pages = set(target.signal.pages) & set(offset.signal.pages)
+        if target.signal.covers & offset.signal.covers or (
+            target.signal.pages and offset.signal.pages and not pages
+        ):
+            self._names.report(
+                ("torque_offset", "signal"),
+                "shares its bits with the target or is on another page; use a signal beside it",
+            )
 
     def _inputs(self) -> dict[str, BoundQuantity]:
         bound: dict[str, BoundQuantity] = {}
@@ -131,9 +142,23 @@ class _Binder:
         if found is None:
             return None
         key, signal = found
+        if (after := quantity.wraps_after) is not None:
+            if place not in (("inputs", "position"), ("target",)):
+                self._names.report((*place, "wraps_after"), "is for position and target; remove it")
+            elif not (math.isfinite(after) and after > 0):
+                self._names.report(
+                    (*place, "wraps_after"), f"must be more than zero, not {after:g}"
+                )
         gain = quantity.sign * quantity.scale * signal.factor
         bias = quantity.sign * (quantity.scale * signal.offset + quantity.offset)
-        return BoundQuantity(key, signal, gain, bias)
+        if not (gain and math.isfinite(gain) and math.isfinite(1.0 / gain) and math.isfinite(bias)):
+            self._names.report(
+                (*place, "scale"),
+                f"with the factor {signal.factor:g} and offset {signal.offset:g} of signal "
+                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct it, or the DBC",
+            )
+            return None
+        return BoundQuantity(key, signal, gain, bias, quantity.wraps_after)
 
     def _heard(self, place: Place, name: str) -> tuple[str, Signal] | None:
         """Find a signal that the drive sends; returns its message or page."""
@@ -201,12 +226,31 @@ class _Binder:
                 identifier=layout.identifier,
                 size=layout.size,
                 counter=self._guard(layout, "counter", guard.counter),
-                checksum=self._guard(layout, "checksum", guard.checksum),
-                algorithm=CHECKSUMS[guard.algorithm],
+                checksum=(checksum := self._guard(layout, "checksum", guard.checksum)),
+                algorithm=self._algorithm(name, guard, checksum),
                 period_s=(layout.period_s or 0.0) if period_ms is None else period_ms * 1e-3,
                 remote=guard.remote,
             )
         return bound
+
+    def _algorithm(
+        self, name: str, guard: Protection, signal: Signal | None
+    ) -> Callable[[bytes], int]:
+        """Return how the checksum of a message is computed."""
+        place: Place = ("messages", name, "prefix")
+        if signal is None:
+            if guard.prefix or guard.own_byte != "zero":
+                self._names.report(place[:2], "says how a checksum is computed, and has none")
+            return sum
+        if not all(0 <= byte <= 0xFF for byte in guard.prefix):
+            self._names.report(place, f"{list(guard.prefix)} are not bytes of 0 to 255")
+            return sum
+        left_out = guard.own_byte == "left out"
+        if left_out and signal.covers not in {0xFF << 8 * at for at in range(signal.size)}:
+            self._names.report(
+                (*place[:2], "own_byte"), f"signal {signal.name!r} is not a whole byte"
+            )
+        return checksum_of(guard.algorithm, signal, bytes(guard.prefix), left_out=left_out)
 
     def _guard(self, layout: Layout, role: str, name: str | None) -> Signal | None:
         if name is None:

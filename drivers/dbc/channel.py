@@ -69,9 +69,7 @@ class Slot:
         if len(data) != self.message.size:
             return False
         checksum = self._checksum
-        if checksum is not None and self.message.algorithm(
-            checksum.insert(data, 0)
-        ) != checksum.bits(data):
+        if checksum is not None and self.message.algorithm(data) != checksum.bits(data):
             return False
         counter = self._counter
         if counter is None:

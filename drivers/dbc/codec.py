@@ -193,4 +193,24 @@ CHECKSUMS: Final[Mapping[ChecksumKind, Callable[[bytes], int]]] = {
     "sum8": sum8,
     "xor8": xor8,
 }
-"""Each runs over the whole frame with the checksum's own bits at zero."""
+"""Each runs over the bytes that :func:`checksum_of` chooses."""
+
+
+def checksum_of(
+    kind: ChecksumKind, signal: Signal, prefix: bytes = b"", *, left_out: bool = False
+) -> Callable[[bytes], int]:
+    """Return the function that computes the checksum of a frame, whatever is in its place.
+
+    Args:
+        kind: The algorithm.
+        signal: The checksum's signal, of 8 bits.
+        prefix: Bytes covered before those of the frame.
+        left_out: Whether the checksum's own byte is left out; else it counts as zero. Its signal
+            then is a whole byte.
+    """
+    algorithm = CHECKSUMS[kind]
+    if not left_out:
+        return lambda data: algorithm(prefix + signal.insert(data, 0))
+    at = signal.covers
+    byte = signal.size - 1 - (at & -at).bit_length() // 8
+    return lambda data: algorithm(prefix + data[:byte] + data[byte + 1 :])

@@ -35,6 +35,7 @@ class Feedback:
         }
         self._status = channel.slot(channel.wiring.status_message)
         self._fault_asked = False
+        self._position: float | None = None
         self.restart_time()
 
     def restart_time(self) -> None:
@@ -85,7 +86,12 @@ class Feedback:
         if name not in self._reads:
             return math.nan
         slot, read = self._reads[name]
-        return read(slot.data)
+        found = read(slot.data)
+        if name != "position" or (period := self._inputs[name].wraps_after) is None:
+            return found
+        last = found if self._position is None else self._position
+        self._position = last + math.remainder(found - last, period)
+        return self._position
 
     def device_time(self) -> float:
         """Return the drive's time of its last status, s; the host's time if it reports none."""

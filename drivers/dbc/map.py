@@ -42,12 +42,17 @@ class Quantity:
         scale: SI units per unit of the DBC value, whose own factor and offset are applied before.
         sign: -1 turns the direction.
         offset: Added after the scale, SI.
+        wraps_after: For position and target: change, in rad, after which the signal shows the same
+            value again. A position is then followed over the jump (it moves less than half of this
+            between two frames), from its first value on; a target is sent as the value of the
+            signal's range that means the same angle.
     """
 
     signal: str
     scale: float = 1.0
     sign: Literal[1, -1] = 1
     offset: float = 0.0
+    wraps_after: float | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +177,9 @@ class Protection:
         counter: Signal of the message that counts up with every message.
         checksum: Signal of the message that holds the checksum.
         algorithm: How the checksum is computed.
+        prefix: Bytes that the checksum covers before those of the message: an identifier, a length
+            or a data ID.
+        own_byte: `zero`: the checksum covers its own byte, as zero; `left out`: it does not.
         period_ms: How often the message goes; 0 for every control cycle (an input: in answer to
             each command). Left out, the cycle time of the DBC holds, or 0 where it has none; a
             message that only orders name is then sent once with each of them.
@@ -182,6 +190,8 @@ class Protection:
     counter: str | None = None
     checksum: str | None = None
     algorithm: ChecksumKind = "crc8_j1850"
+    prefix: tuple[int, ...] = ()
+    own_byte: Literal["zero", "left out"] = "zero"
     period_ms: float | None = None
     remote: bool = False
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,7 +21,7 @@ class BoundMessage:
         size: Number of bytes.
         counter: Its life counter signal, if any.
         checksum: Its checksum signal, if any.
-        algorithm: Computes that checksum.
+        algorithm: Computes that checksum of a frame, whatever is in its place.
         period_s: Sending period, s; 0 for every control cycle.
         remote: Whether the drive sends it only in answer to a remote frame.
     """
@@ -63,6 +64,7 @@ class BoundQuantity:
     signal: Signal
     gain: float
     bias: float
+    wraps_after: float | None = None
 
     @cached_property
     def read(self) -> Callable[[bytes], float]:
@@ -75,7 +77,22 @@ class BoundQuantity:
         Raises:
             ValueError: The value does not fit; names the range.
         """
-        return self.signal.pack((value - self.bias) / self.gain)
+        raw = (value - self.bias) / self.gain
+        if self.wraps_after is not None and math.isfinite(raw):
+            raw = self._turned(raw, abs(self.wraps_after / self.gain))
+        return self.signal.pack(raw)
+
+    def _turned(self, raw: float, period: float) -> float:
+        """Return the raw value of the signal's range that means the same after whole periods."""
+        signal = self.signal
+        low, high = (-period / 2, period / 2) if signal.real else signal.range
+        if not signal.real:
+            raw = round(raw)
+            if abs(period - round(period)) < 1e-6:
+                period = round(period)
+        if low + period > high + 1:
+            low = -period / 2
+        return low + (raw - low) % period
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import can
@@ -16,11 +17,13 @@ import pytest
 from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, PythonCanPort, hexadecimal
 from drivers.can.slcan import LineDecoder, encode
 from drivers.clock import NS, SimulatedClock
+from drivers.dbc.codec import Signal
 from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
-from drivers.dbc.map import DbcMap, Protection
+from drivers.dbc.map import DbcMap, Protection, Quantity
 from drivers.dbc.servo import DbcServo
+from drivers.dbc.wiring import BoundQuantity
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import Identity, RawFrame, ServoLimits, ServoState
 
@@ -274,3 +277,43 @@ def test_a_torque_offset_needs_its_signal(tmp_path: Path) -> None:
     servo.disable()
     link.close()
     assert wire.sent[-1] == (1, bytes.fromhex("fffffffffffffffd"))
+
+
+@pytest.mark.parametrize(("signed", "low"), [(False, 0), (True, -2048)])
+def test_a_target_that_wraps_stays_in_the_range_of_its_signal(signed: bool, low: int) -> None:
+    gain = math.tau / 4096
+    target = BoundQuantity("M", Signal("T", 2, 0, 12, signed=signed), gain, 0.0, math.tau)
+    for counts in range(-9000, 9000, 7):
+        bits = target.bits((counts + 0.4) * gain)
+        raw = bits - 4096 if signed and bits > 2047 else bits
+        assert low <= raw < low + 4096
+        assert (raw - counts) % 4096 == 0
+    assert target.bits(4095.7 * gain) == 0
+
+
+def test_a_floating_point_target_wraps_about_zero() -> None:
+    target = BoundQuantity("M", Signal("T", 4, 0, 32, real=True), 1.0, 0.0, 2.0)
+    read = target.signal.raw
+    assert [read(target.bits(x).to_bytes(4, "little")) for x in (0.5, 1.5, -1.5)] == [
+        0.5,
+        -0.5,
+        0.5,
+    ]
+
+
+def test_a_position_that_wraps_is_followed_over_the_jump(tmp_path: Path) -> None:
+    turn = 65536 * 0.0004
+    spec = replace(
+        MOTOR_MAP,
+        inputs=replace(MOTOR_MAP.inputs, position=Quantity("Reply.Pos", wraps_after=turn, sign=-1)),
+    )
+    wire, link, servo = motor(tmp_path, spec)
+    answering(wire, 1, REPLY)
+    seen = []
+    for counts in (60000, 65000, 5000, 20000, 40000, 60000, 3000, 63000):
+        wire.answers[1] = lambda _, at=counts: [(REPLY, reply(0, at)), (ERROR, b"\0\0")]
+        seen.append(servo.readings().motor_angle_rad)
+    steps = [round((b - a) / 0.0004) for a, b in pairwise(seen)]
+    assert seen[0] == pytest.approx(-(60000 * 0.0004 - 12.5))
+    assert steps == [-5000, -5536, -15000, -20000, -20000, -8536, 5536]
+    link.close()

@@ -116,6 +116,7 @@ class Bench:
             read=lambda data: data[name],
             gain=0.5,
             bias=3.0,
+            wraps_after=None,
         )
 
     @staticmethod
@@ -735,7 +736,7 @@ def limit(gain: float) -> Any:
         message="Limits",
         gain=gain,
         bias=0.0,
-        signal=SimpleNamespace(pack=round, insert=lambda data, bits: data),
+        signal=SimpleNamespace(real=False, pack=round, insert=lambda data, bits: data),
     )
     return SimpleNamespace(
         set=quantity, held=SimpleNamespace(message="Motion", signal=SimpleNamespace(name="Held"))
