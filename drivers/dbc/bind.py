@@ -127,8 +127,10 @@ class _Binder:
             if signals is None:
                 continue
             written = self._quantity(("limits", item.name, "set"), signals.set, self._set)
-            held = self._quantity(("limits", item.name, "held"), signals.held, self._heard)
-            if written is not None and held is not None:
+            held = None
+            if signals.held is not None:
+                held = self._quantity(("limits", item.name, "held"), signals.held, self._heard)
+            if written is not None and (held is not None or signals.held is None):
                 bound[item.name] = BoundLimit(written, held)
         return bound
 

@@ -142,8 +142,7 @@ class DbcChannel:
         self._request_every: dict[int, int] = {}
         self._pinned: dict[str, float] = {}
         self._limit_slots = [
-            by_name[name]
-            for name in sorted({limit.held.message for limit in wiring.limits.values()})
+            by_name[name] for name in sorted({held.message for held in wiring.reported.values()})
         ]
         self._limits_heard = 0
         self._target_bits = 0
@@ -274,10 +273,9 @@ class DbcChannel:
 
     def limits(self) -> dict[str, float]:
         """Return the limits in their last good frames, by name in the map."""
-        held = {name: limit.held for name, limit in self.wiring.limits.items()}
         return {
             name: quantity.read(self._by_name[quantity.message].data)
-            for name, quantity in held.items()
+            for name, quantity in self.wiring.reported.items()
         }
 
     def pin(self, limits: dict[str, float]) -> None:

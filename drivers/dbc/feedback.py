@@ -33,7 +33,6 @@ class Feedback:
             name: (channel.slot(quantity.message), quantity.read)
             for name, quantity in self._inputs.items()
         }
-        self._status = channel.slot(channel.wiring.status_message)
         self._fault_asked = False
         self._position: float | None = None
         self.restart_time()
@@ -63,8 +62,8 @@ class Feedback:
         Raises:
             LinkError: The drive is silent.
         """
-        limits = self._channel.wiring.limits.values()
-        for message in sorted({limit.held.message for limit in limits}):
+        reported = self._channel.wiring.reported.values()
+        for message in sorted({held.message for held in reported}):
             self.await_frame(message)
         return self._channel.limits()
 
@@ -94,10 +93,12 @@ class Feedback:
         return self._position
 
     def device_time(self) -> float:
-        """Return the drive's time of its last status, s; the host's time if it reports none."""
+        """Return the drive's time of its last sample, s; if it reports none, the host's time at
+        which its position came.
+        """
         quantity = self._inputs.get("time")
         if quantity is None:
-            return self._status.time_ns / NS
+            return self._reads["position"][0].time_ns / NS
         raw = quantity.signal.raw(self._channel.slot(quantity.message).data)
         whole = raw if quantity.signal.real else self._time.update(int(raw))
         return whole * quantity.gain + quantity.bias

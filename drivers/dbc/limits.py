@@ -62,15 +62,18 @@ class DbcDrive:
 
 
 def taken(wiring: Wiring) -> frozenset[str]:
-    """Return the fields of the limits that the drive takes over the bus."""
-    return frozenset(field for name in wiring.limits for field in FIELDS[name])
+    """Return the fields of the limits that the drive takes over the bus, and reports."""
+    return frozenset(field for name in wiring.reported for field in FIELDS[name])
 
 
 def places(wiring: Wiring) -> dict[str, str]:
     """Return where each limit is: its signal, or its key under ``servo.held``."""
     found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
     for name, limit in wiring.limits.items():
-        signal = f"{limit.held.message}.{limit.held.signal.name}"
+        quantity = limit.held or limit.set
+        signal = f"{quantity.message}.{quantity.signal.name}"
+        if limit.held is None:
+            signal += ", written and not reported"
         found |= dict.fromkeys(FIELDS[name], signal)
     return found
 
@@ -112,9 +115,9 @@ def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
 
     Zero for limits that the drive does not report, and for floating-point signals.
     """
-    held = {name: limit.held for name, limit in wiring.limits.items()}
     units = {
-        name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()
+        name: 0.0 if quantity.signal.real else abs(quantity.gain)
+        for name, quantity in wiring.reported.items()
     }
     gear = drive.gear_ratio
     current = units.get("current", 0.0)

@@ -143,11 +143,12 @@ class LimitSignals:
 
     Attributes:
         set: The signal that the limit is written to.
-        held: The signal that reports the limit.
+        held: The signal that reports the limit; left out where none does. Such a limit is written,
+            but counts as one that this program alone holds.
     """
 
     set: Quantity
-    held: Quantity
+    held: Quantity | None = None
 
 
 @dataclass(frozen=True)

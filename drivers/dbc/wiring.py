@@ -97,10 +97,10 @@ class BoundQuantity:
 
 @dataclass(frozen=True)
 class BoundLimit:
-    """The signals that set and report a limit."""
+    """The signals that set and report a limit; ``held`` is None where none reports it."""
 
     set: BoundQuantity
-    held: BoundQuantity
+    held: BoundQuantity | None
 
 
 Images = Mapping[str, bytes]
@@ -169,3 +169,9 @@ class Wiring:
     enable: Mapping[ServoState, Order]
     stop_message: BoundMessage
     stop_image: bytes
+
+    @cached_property
+    def reported(self) -> Mapping[str, BoundQuantity]:
+        """Signals that report a limit, by name in the map."""
+        limits = self.limits.items()
+        return {name: limit.held for name, limit in limits if limit.held is not None}

@@ -29,6 +29,7 @@ from drivers.dbc.problems import DbcMapError
 from drivers.dbc.wiring import Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
+from drivers.mock.can_drives.bench import CAN_DRIVE_FILES, CanDriveKind
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.common.errors import InputError
 from rig.config.configuration import Loc, Positive, Schema
@@ -69,6 +70,8 @@ class DbcServoSection(Schema):
     Attributes:
         kind: The protocol of the drive.
         file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
+        simulated_drive: The drive on the simulated bus: one with the frames of ODrive's CAN
+            protocol, or a motor with MIT-style packed frames; left out, that of `practical_dbc`.
         name: Name of the drive in reports.
         vendor_id: Number of the maker, kept with the recording.
         product_code: Number of the product, kept with the recording.
@@ -91,6 +94,7 @@ class DbcServoSection(Schema):
 
     kind: Literal["dbc"]
     file: str | None = None
+    simulated_drive: CanDriveKind | None = None
     name: str
     vendor_id: Annotated[int, Field(ge=1)]
     product_code: _Natural = 0
@@ -172,7 +176,10 @@ def dbc_path(section: DbcServoSection, path: Path) -> Path:
 
     The simulated drive has its own.
     """
-    return DRIVE_DBC if section.file is None else path.parent / section.file
+    if section.file is not None:
+        return path.parent / section.file
+    kind = section.simulated_drive
+    return DRIVE_DBC if kind is None else CAN_DRIVE_FILES[kind]
 
 
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:

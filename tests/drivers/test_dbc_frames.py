@@ -5,6 +5,7 @@ that report less.
 from __future__ import annotations
 
 import math
+import struct
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from drivers.dbc.codec import Signal
 from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
-from drivers.dbc.map import DbcMap, Protection, Quantity
+from drivers.dbc.map import DbcMap, LimitMap, LimitSignals, Protection, Quantity
 from drivers.dbc.servo import DbcServo
 from drivers.dbc.wiring import BoundQuantity
 from drivers.errors import ConfigurationError, LinkError
@@ -317,3 +318,27 @@ def test_a_position_that_wraps_is_followed_over_the_jump(tmp_path: Path) -> None
     assert seen[0] == pytest.approx(-(60000 * 0.0004 - 12.5))
     assert steps == [-5000, -5536, -15000, -20000, -20000, -8536, 5536]
     link.close()
+
+
+def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
+    tmp_path: Path,
+) -> None:
+    text = MOTOR + (
+        '\nBO_ 5 Limits: 8 A\n SG_ Speed : 0|32@1- (1,0) [0|0] "rad/s" B\n'
+        ' SG_ Current : 32|32@1+ (0.5,0) [0|0] "A" B\n\nSIG_VALTYPE_ 5 Speed : 1;\n'
+    )
+    limits = LimitMap(
+        speed=LimitSignals(Quantity("Limits.Speed")),
+        current=LimitSignals(Quantity("Limits.Current")),
+    )
+    wire, _, servo = motor(tmp_path, replace(MOTOR_MAP, limits=limits), text)
+    servo.write_limits(replace(HELD, speed_rad_s=1.7, torque_N_m=1.03, current_A=50.0))
+    ((identifier, data),) = wire.sent
+    speed, current = struct.unpack("<fI", data)
+    assert identifier == 5
+    assert 1.69999 < speed <= 1.7
+    assert current == 20  # 10.3 A for the torque, never more.
+    assert servo.read_limits() == HELD
+    assert servo.limits_taken == frozenset()
+    assert servo.limit_places is not None
+    assert servo.limit_places["speed_rad_s"] == "Limits.Speed, written and not reported"

@@ -48,6 +48,14 @@ class Slot:
         self.time_ns = 77_000_000
 
 
+class Wired(SimpleNamespace):
+    """A map in which every limit is reported."""
+
+    @property
+    def reported(self) -> dict[str, Any]:
+        return {name: limit.held for name, limit in self.limits.items()}
+
+
 class Bench:
     """Channel, link and drive in one.
 
@@ -88,7 +96,7 @@ class Bench:
             "Motion": Slot("Motion", 0x191, 0.2, self.values),
         }
         inputs = {name: self.quantity(name) for name in self.values if name != "status"} | signals
-        self.wiring = SimpleNamespace(
+        self.wiring = Wired(
             received=self.slots,
             sent={"Command": SimpleNamespace(period_s=0.02)},
             inputs=inputs,
