@@ -29,8 +29,11 @@ from rig.control.session import Inputs, execute
 from rig.planning.plan import make_plan
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
+from rig.runs.run import load_run
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
+
+from .test_feedforward import result_file, tracking_rms
 
 SHORT = """\
 sequence: 1
@@ -319,3 +322,32 @@ def test_lost_frames_never_leave_a_drive_that_follows(
     assert outcome.error is None
     if outcome.ending is Ending.DONE:
         assert outcome.safe.verified
+
+
+def test_an_odrive_adds_the_torque_of_feed_forward(
+    sequence: str, made: list[SimulatedCanBench]
+) -> None:
+    Path(sequence).write_text(
+        "sequence: 1\nname: slow\nstages:\n"
+        "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 0.5}],\n"
+        "     duration_s: 4}\n"
+    )
+    options = ["run", sequence, "--yes", "--bench", "odrive_can"]
+    assert status([*options, "--out", "plain"]) == 0
+    assert status([*options, "--feedforward", str(result_file()), "--out", "run"]) == 0
+    plain, fed = (load_run(Path(folder)).recordings for folder in ("plain", "run"))
+    assert all(
+        tracking_rms(one) > 1.3 * tracking_rms(other) for one, other in zip(plain, fed, strict=True)
+    )
+    database = cantools.database.load_file(odrive.ODRIVE_DBC)
+    running, added = False, []
+    for frame in sent_to_drive("run"):
+        if frame.identifier & REMOTE_FLAG:
+            continue
+        values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
+        if frame.identifier == odrive.SET_STATE:
+            running = values["State"] == odrive.CLOSED_LOOP
+        elif frame.identifier == odrive.INPUT_POS:
+            added.append(values["TorqueAhead"])
+            assert running or not values["TorqueAhead"]
+    assert max(added) > 0.07 > -0.07 > min(added)  # Friction alone takes 0.068 N m at the motor.
