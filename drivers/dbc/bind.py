@@ -227,13 +227,32 @@ class _Binder:
                 name=name,
                 identifier=layout.identifier,
                 size=layout.size,
-                counter=self._guard(layout, "counter", guard.counter),
+                counter=(counter := self._guard(layout, "counter", guard.counter)),
+                turn=self._turn(name, guard, counter),
                 checksum=(checksum := self._guard(layout, "checksum", guard.checksum)),
                 algorithm=self._algorithm(name, guard, checksum),
                 period_s=(layout.period_s or 0.0) if period_ms is None else period_ms * 1e-3,
                 remote=guard.remote,
             )
         return bound
+
+    def _turn(self, name: str, guard: Protection, signal: Signal | None) -> int:
+        """Return the number of values of a counter."""
+        last = guard.counter_last
+        if signal is None:
+            if last is not None:
+                self._names.report(
+                    ("messages", name, "counter_last"), "is of a counter, and there is none"
+                )
+            return 0
+        if last is None:
+            return signal.mask + 1
+        if not 1 <= last <= signal.mask:
+            self._names.report(
+                ("messages", name, "counter_last"),
+                f"{last} is outside 1 to {signal.mask}, what {signal.name!r} can hold",
+            )
+        return last + 1
 
     def _algorithm(
         self, name: str, guard: Protection, signal: Signal | None
@@ -288,6 +307,13 @@ class _Binder:
                 report((*place, "period_ms"), "must be zero or more")
             if guard.remote and name not in self._received:
                 report((*place, "remote"), "is for a message that the drive sends; remove it")
+        numbers: dict[int, str] = {}
+        for name in sorted(used):
+            first = numbers.setdefault(self._layouts[name].identifier, name)
+            if first != name:
+                report(
+                    ("inputs",), f"messages {first!r} and {name!r} have one identifier in the DBC"
+                )
         both = self._received & (sent | self._settings | stop) | (sent | stop) & self._settings
         if both:
             report(

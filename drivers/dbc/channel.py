@@ -76,7 +76,10 @@ class Slot:
             return True
         number, last = counter.bits(data), self._last
         self._last = number
-        return last is None or 0 < (number - last & counter.mask) <= (counter.mask + 1) // 2
+        turn = self.message.turn
+        if number >= turn:
+            return False
+        return last is None or 0 < (number - last) % turn <= turn // 2
 
 
 class _Output:
@@ -94,7 +97,7 @@ class _Output:
         """Return the next frame, or the next one with another image."""
         data, message = self.image if image is None else image, self.message
         if (counter := message.counter) is not None:
-            self._count = self._count + 1 & counter.mask
+            self._count = (self._count + 1) % message.turn
             data = counter.insert(data, self._count)
         if (checksum := message.checksum) is not None:
             data = checksum.insert(data, message.algorithm(data))

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import codecs
+import logging
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -27,6 +30,9 @@ _MARKS: Final = (
 """Byte order mark to the encoding that it stands for."""
 _ENCODINGS: Final = ("utf-8", "cp1252", "cp932", "gb18030", "big5")
 """Tried in this order where there is no byte order mark."""
+_ODD: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""What ``cantools`` raises on files whose syntax is right and whose references are not."""
+_TWICE: Final = "is defined twice in the DBC; remove one"
 _PLACE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
@@ -75,7 +81,10 @@ def read_dbc(path: Path) -> dict[str, Layout]:
         ) from error
     except _NotTextError as error:
         raise ConfigurationError(f"{path}: is not a text file: {error}") from error
-    return {message.name: _layout(message) for message in database.messages}
+    counts = Counter(message.name for message in database.messages)
+    layouts = {message.name: _layout(message) for message in database.messages}
+    twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
+    return layouts | twice
 
 
 class _NotTextError(Exception):
@@ -105,14 +114,28 @@ def _load(data: bytes) -> Database:
         except UnicodeDecodeError:
             continue
         try:
-            database = cantools.database.load_string(text, database_format="dbc")
+            with _quiet():
+                database = cantools.database.load_string(text, database_format="dbc")
         except DbcError as error:
             first = first or error
+        except _ODD as error:
+            first = first or DbcError(f"DBC: {type(error).__name__}: {error}")
         else:
             assert isinstance(database, Database)
             return database
     assert first is not None
     raise first
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the warnings of ``cantools`` off the terminal; what matters in them is an obstacle."""
+    log, handler = logging.getLogger("cantools"), logging.NullHandler()
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 def _explain(error: str) -> str:
@@ -126,10 +149,17 @@ def _layout(message: Message) -> Layout:
         name=message.name,
         identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
         size=message.length,
-        period_s=message.cycle_time / 1e3 if message.cycle_time else None,
+        period_s=_period_s(message.cycle_time),
         signals=_signals(message),
         obstacle=_obstacle(message),
     )
+
+
+def _period_s(cycle_time_ms: object) -> float | None:
+    """Return a cycle time; None where it is not a number, as nothing checks attributes."""
+    if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
+        return None
+    return cycle_time_ms / 1e3
 
 
 def _obstacle(message: Message) -> str:

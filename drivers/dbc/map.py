@@ -186,6 +186,7 @@ class Protection:
             message that only orders name is then sent once with each of them.
         remote: An input that the drive sends only in answer to a remote frame: the program sends
             one every `period_ms`.
+        counter_last: Value of the counter that 0 follows; left out, the greatest that it can hold.
     """
 
     counter: str | None = None
@@ -195,6 +196,7 @@ class Protection:
     own_byte: Literal["zero", "left out"] = "zero"
     period_ms: float | None = None
     remote: bool = False
+    counter_last: int | None = None
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ class BoundMessage:
         counter: Its life counter signal, if any.
         checksum: Its checksum signal, if any.
         algorithm: Computes that checksum of a frame, whatever is in its place.
+        turn: Number of values of the life counter.
         period_s: Sending period, s; 0 for every control cycle.
         remote: Whether the drive sends it only in answer to a remote frame.
     """
@@ -34,6 +35,7 @@ class BoundMessage:
     algorithm: Callable[[bytes], int]
     period_s: float
     remote: bool = False
+    turn: int = 0
 
 
 @dataclass(frozen=True)

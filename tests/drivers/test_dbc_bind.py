@@ -69,6 +69,10 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "status.states.running.0", "already means another state"),
         (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "fault": (5,)})),
          "status.states", "no value means 'disabled'"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter="Life", counter_last=16)}),
+         "messages.DRV_Command.counter_last", "16 is outside 1 to 15"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter_last=14)}),
+         "messages.DRV_Command.counter_last", "is of a counter, and there is none"),
         (replace(MAP, torque_offset=MAP.target), "torque_offset.signal", "shares its bits"),
         (inputs(position=Quantity("DRV_Motion.Position", 1e-323)), "inputs.position.scale",
          "a raw unit would be 0 SI units"),
@@ -148,3 +152,9 @@ def test_states_and_codes_are_whole_numbers() -> None:
         ("inputs", "fault_code", "signal"),
         ("status", "signal"),
     ]
+
+
+def test_two_messages_of_one_identifier_are_refused() -> None:
+    layouts = {**LAYOUTS, "DRV_Power": replace(LAYOUTS["DRV_Power"], identifier=0x190)}
+    with pytest.raises(DbcMapError, match="'DRV_Motion' and 'DRV_Power' have one identifier"):
+        bind(MAP, layouts)
