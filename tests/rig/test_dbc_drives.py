@@ -13,6 +13,7 @@ import pytest
 
 import drivers.mock.dbc_bench
 from drivers.mock.dbc_drive import COMMAND, DRIVE_DBC, DbcDrive
+from rig.cli.commands.jog import _agreed
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.config.bench import load_bench
@@ -21,6 +22,9 @@ from rig.config.sequence import load_sequence
 from rig.planning.plan import bench_limits, make_plan
 from rig.runs.mcap.layout import decode_frames
 from rig.runs.mcap.reader import read_run
+from rig.terminal.prompt import Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
 
 SHORT = """\
 sequence: 1
@@ -139,6 +143,17 @@ def test_a_jog_that_is_not_confirmed_moves_nothing(
     record = json.loads(Path("jog.json").read_text())
     assert (record["state"], record["de_energised"]) == ("stopped", True)
     assert record["message"] == "not confirmed; nothing was moved"
+
+
+def test_a_pipe_agrees_to_nothing_on_a_real_bench(
+    answers: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers("yes")
+    screen = Screen()
+    with StopButton() as stop:
+        assert not _agreed(Prompt(screen), stop, screen, simulated=False)
+        assert _agreed(Prompt(screen), stop, screen, simulated=True)
+    assert "there is no terminal to ask at" in capsys.readouterr().err
 
 
 def test_a_run_of_such_a_drive_says_what_it_alone_holds(

@@ -22,7 +22,7 @@ from rig.control.jog import Jog, held_only_here, move, plan_jog
 from rig.control.progress import RunProgress
 from rig.control.sequencer import Outcome
 from rig.runs.run_record import Ending
-from rig.terminal.prompt import InputEndedError, Prompt
+from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
@@ -90,7 +90,7 @@ def command(
                 continue
             if not agreed and (words := held_only_here(jog, document.value, devices)) is not None:
                 screen.say(words)
-                agreed = _agreed(Prompt(screen), stop, screen)
+                agreed = _agreed(Prompt(screen), stop, screen, document.value.simulated)
                 if not agreed:
                     outcome = _unmoved(devices)
                     break
@@ -126,12 +126,17 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
             screen.say(f"{typed!r} is not an angle in degrees")
 
 
-def _agreed(prompt: Prompt, stop: StopButton, screen: Screen) -> bool:
+def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -> bool:
     """Ask whether to move under limits that this program alone checks; False for anything but yes.
+
+    On a real bench only a person at a terminal can agree.
 
     Raises:
         KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
     """
+    if not (simulated or at_terminal()):
+        screen.say("there is no terminal to ask at: run at a terminal")
+        return False
     try:
         with stop.interruptible():
             answer = prompt.ask("Move under the limits of this program alone? yes or no [no]: ")
