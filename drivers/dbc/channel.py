@@ -5,6 +5,7 @@ and checksums. No I/O.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
 from drivers.can.port import REMOTE_FLAG
@@ -129,7 +130,9 @@ class DbcChannel:
         self._by_name = by_name
         for key, page in wiring.pages.items():
             base = by_name[page.message]
-            by_name[key] = slot = Slot(base.message)
+            # A page comes once in as many messages as there are pages.
+            period_s = base.message.period_s * page.count
+            by_name[key] = slot = Slot(replace(base.message, period_s=period_s))
             base.pages.append((page, slot))
         self._sampled = [by_name[name] for name in sorted(wiring.sampled)]
         self._answers: list[Slot] = []
@@ -174,7 +177,7 @@ class DbcChannel:
         for slot in self._sampled:
             period_s = slot.message.period_s
             if (page := pages.get(id(slot))) is not None and page.count > 1:
-                period_s = max(period_s, cycle_s) * page.count
+                period_s = max(period_s, cycle_s * page.count)
             if period_s <= cycle_s:
                 self._answers.append(slot)
             else:
