@@ -175,11 +175,13 @@ def require_torque_offset(bench: Document[Bench]) -> None:
     """
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
+        if value.servo.torque_offset is not None:
+            return
         text = (
-            "feed-forward needs the torque offset 60B2h, which this drive's own frames lack; "
-            "run without it"
+            "missing; feed-forward needs the signal of a torque that the drive adds to its own; "
+            "name it, or run without feed-forward"
         )
-        raise InputError(bench.problem(("servo", "kind"), text))
+        raise InputError(bench.problem(("servo", "torque_offset"), text))
     if not isinstance(value.bus, Bus):
         text = (
             "feed-forward needs the torque offset in the instant of the target; a serial line "
