@@ -54,6 +54,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.record:_curve_record",
         "rig.results.diagnose.record:_step_record",
     ),
+    "rig diagnose --observable": ("rig.results.diagnose.observable:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.simulate.record:simulation_record",
         "rig.results.simulate.record:_case_record",
