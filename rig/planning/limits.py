@@ -25,7 +25,8 @@ class Limits:
     """Limits in SI units at the joint, with the two constants that the checks need.
 
     ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without
-    pressure transmitter.
+    pressure transmitter. An infinite limit of temperature or supply is not checked: the drive does
+    not report the value.
     """
 
     angle_min: float

@@ -132,7 +132,8 @@ def _signless(
         if (values.min() >= 0.0 or values.max() <= 0.0) and sizes[1] < ALIKE * sizes[0]:
             yield (
                 f"`{name}` keeps one sign while the joint moves both ways: the log may hold its "
-                f"size only; log it with its sign"
+                f"size only, and the fit is then wrong; log it with its sign, or map `voltage` "
+                f"instead"
             )
 
 
