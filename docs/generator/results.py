@@ -72,6 +72,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.effects:effects_record",
         "rig.results.effects:_entry_record",
     ),
+    "rig look --json": (
+        "rig.results.look:look_record",
+        "rig.results.look:_log_record",
+        "rig.results.look:_clock_record",
+        "rig.results.look:_column_record",
+    ),
     "rig paper: paper.json": (
         "rig.results.paper.record:paper_record",
         "rig.results.paper.record:_entry",

@@ -330,7 +330,7 @@ class RecordingSection(Schema):
 
     Attributes:
         file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
-            mcap or parquet; text files may be gzipped.
+            npy, mcap, jsonl or parquet; text files may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         moment_arm: Radius L1 at which this contact force acts, m; the bench's where not given.

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
@@ -14,17 +15,28 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.runs.alignment import aligned
+from rig.sources.contradictions import doubts, unit_row_doubts
 from rig.sources.formats import open_table
 from rig.sources.plausible import (
     gear_finding,
-    magnitude_hint,
     sign_errors,
     unit_hints,
     value_errors,
 )
-from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
+from rig.sources.repair import (
+    MIN_SAMPLES,
+    MISSING_SHARE,
+    Mask,
+    Timing,
+    UnusableError,
+    examine_time,
+    fill_missing,
+)
 from rig.sources.session import Read
 from rig.sources.table import Table
+from rig.sources.wraps import unwrapped
+
+Rows = NDArray[np.intp]
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 """Channels often logged at a lower rate: their missing samples are interpolated without limit."""
@@ -56,17 +68,18 @@ def build(
         unsure.pop("bench.moment_arm", None)
     try:
         table = open_table(file, section.read)
-        channels = _read_channels(table, section, document, index)
+        channels, found = _read_channels(table, section, document, index)
         digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     finite = channels["time"][np.isfinite(channels["time"])]
     first, last = (float(finite[0]), float(finite.max())) if finite.size else (0.0, 0.0)
     channels, skipped, cut = _windowed(file, channels, section)
-    channels, timing, mended = _mend(table, channels, skipped)
+    channels, timing, mended = _mend(table, channels, skipped, stamped=section.rate is None)
     stamps = channels.pop(ANGLE_TIME, None)
-    doubts = _doubts(file, channels, section, bench)
-    notes = [*table.notes, *cut, *mended, *doubts, *_load_notes(section, bench)]
+    found += [*cut, *mended, *unit_row_doubts(table, section)]
+    doubted = _doubts(file, channels, section, bench)
+    notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
     whole = Recording(
         name=_stem(file),
         channels=channels,
@@ -99,8 +112,8 @@ def _doubts(
     problems = list(value_errors(channels))
     if not problems:
         problems += sign_errors(channels, driven_by_weight=section.known_load)
-        notes += magnitude_hint(channels, driven_by_weight=section.known_load)
         notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
+        notes += doubts(channels, bench.gear_ratio, driven_by_weight=section.known_load)
     if "motor_angle" in channels and "angle" in channels:
         finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
         if finding is not None:
@@ -115,14 +128,17 @@ def _doubts(
 
 def _read_channels(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
-) -> dict[str, Array]:
-    """Return canonical channels in SI units, all of shape (n,), time among them."""
+) -> tuple[dict[str, Array], list[str]]:
+    """Return canonical channels in SI units, all of shape (n,), time among them, and notes."""
     columns: dict[str, int] = {}
     problems = []
+    notes: list[str] = []
     for name, channel in section.channels.items():
         found = _find(table, channel.column)
         if isinstance(found, int):
             columns[name] = found
+            if isinstance(channel.column, str) and table.names[found] != channel.column:
+                notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
         else:
             problems.append(document.problem(_column_loc(index, name), found, channel.column))
     if problems:
@@ -136,12 +152,14 @@ def _read_channels(
         raise InputError(
             f"{table.path}: channels differ in length: {listed}; they must share their rows"
         )
-    channels = {
-        name: _to_si(data[column], section.channels[name]) for name, column in columns.items()
-    }
+    channels = {}
+    for name, column in columns.items():
+        values, note = unwrapped(name, data[column])
+        notes += [f"`{name}`: {note}"] if note else []
+        channels[name] = _to_si(values, section.channels[name])
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
-    return channels
+    return channels, notes
 
 
 def _windowed(
@@ -205,6 +223,10 @@ def _find(table: Table, column: str | int) -> int | str:
     matches = [k for k, name in enumerate(table.names) if name == column]
     if len(matches) == 1:
         return matches[0]
+    if not matches:
+        matches = [k for k, name in enumerate(table.names) if name.endswith(f".{column}")]
+        if len(matches) == 1:
+            return matches[0]
     if matches:
         return (
             f"{table.path} has {len(matches)} columns of this name; give the index, one of "
@@ -236,25 +258,32 @@ def _to_si(values: Array, channel: ChannelSection) -> Array:
 
 
 def _mend(
-    table: Table, channels: dict[str, Array], skipped: int
+    table: Table, channels: dict[str, Array], skipped: int, *, stamped: bool
 ) -> tuple[dict[str, Array], Timing, list[str]]:
-    """Check time, fill isolated missing samples, drop repeated time stamps; ``skipped`` rows of
-    the table stand before these channels.
+    """Check time, fill isolated missing samples, drop repeated time stamps.
+
+    Rows of other topics are dropped only where rows have stamps (``stamped``): with a rate, each
+    row is a sample. ``skipped`` rows of the table stand before these channels.
     """
+    dropped: list[str] = []
+    rows: Rows = skipped + np.arange(len(channels["time"]))
+    if stamped:
+        channels, dropped, kept = _without_other_topics(channels)
+        rows = rows[kept]
     time = channels["time"]
     try:
         timing = examine_time(time)
     except UnusableError as error:
-        raise InputError(_at(table, error, "", skipped)) from None
-    notes = list(timing.notes)
+        raise InputError(_at(table, error, "", rows)) from None
+    notes = [*dropped, *timing.notes]
     problems = []
-    off = _power_off(table, channels, skipped)
+    off = _power_off(table, channels, rows)
     mended: dict[str, Array] = {}
     for name, values in channels.items():
         try:
             mended[name], note = _fill(name, values, time, off)
         except UnusableError as error:
-            problems.append(_at(table, error, f"`{name}`: ", skipped))
+            problems.append(_at(table, error, f"`{name}`: ", rows) + _apart(name, channels))
             continue
         notes.extend(note)
     if problems:
@@ -264,16 +293,14 @@ def _mend(
     return mended, timing, notes
 
 
-def _power_off(table: Table, channels: dict[str, Array], skipped: int) -> Mask | None:
+def _power_off(table: Table, channels: dict[str, Array], rows: Rows) -> Mask | None:
     """Return where the power stage is off, making ``enabled`` 0 or 1 on the way."""
     if "enabled" not in channels:
         return None
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
     if unknown.size:
-        raise InputError(
-            f"{table.place(int(unknown[0]) + skipped)}: `enabled` is missing in "
-            f"{unknown.size} rows; it must be known"
-        )
+        place = table.place(int(rows[unknown[0]]))
+        raise InputError(f"{place}: `enabled` is missing in {unknown.size} rows; it must be known")
     on = channels["enabled"] > 0.5
     channels["enabled"] = on.astype(np.float64)
     return ~on
@@ -292,8 +319,38 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
 
-def _at(table: Table, error: UnusableError, channel: str, skipped: int) -> str:
-    place = str(table.path) if error.row is None else table.place(error.row + skipped)
+def _without_other_topics(
+    channels: dict[str, Array],
+) -> tuple[dict[str, Array], list[str], Rows]:
+    """Drop rows that hold a time and none of the channels: rows of another topic in a sparse log.
+
+    A few rows without values are missing samples, which are interpolated instead.
+    """
+    others = [values for name, values in channels.items() if name != "time"]
+    empty = np.logical_and.reduce([np.isnan(values) for values in others])
+    count = int(empty.sum())
+    if count <= MISSING_SHARE * len(empty) or len(empty) - count < MIN_SAMPLES:
+        return channels, [], np.arange(len(empty))
+    kept = {name: values[~empty] for name, values in channels.items()}
+    note = f"{count} rows with a time only, as of another topic, dropped"
+    return kept, [note], np.flatnonzero(~empty)
+
+
+def _apart(name: str, channels: dict[str, Array]) -> str:
+    """Return a remedy where a channel shares no row with another one."""
+    known = np.isfinite(channels[name])
+    for other, values in channels.items():
+        if other != name and not np.any(known & np.isfinite(values)):
+            return (
+                f"; it shares no row with `{other}`: they are of different topics, so bring them "
+                f"to one time base first"
+            )
+    return ""
+
+
+def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
+    row = None if error.row is None else int(rows[error.row])
+    place = str(table.path) if row is None else table.place(row)
     hint = ""
     if channel == "`voltage`: ":
         hint = "; where the power stage was off, say so with an `enabled` channel"

@@ -129,31 +129,6 @@ def unit_hints(
             )
 
 
-def magnitude_hint(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
-    """Yield a note where torque or current has one sign while the joint moves both ways.
-
-    Args:
-        channels: Canonical channels in SI units, shape (n,); time increasing.
-        driven_by_weight: Whether a known load is declared, under which that is no wonder.
-    """
-    effort = next((name for name in ("torque", "current") if name in channels), None)
-    position = next((name for name in ("angle", "motor_angle") if name in channels), None)
-    if driven_by_weight or effort is None or position is None:
-        return
-    time, values = channels["time"], channels[effort]
-    block = max(1, min(round(BLOCK_S / float(np.median(np.diff(time)))), len(time) // 2))
-    speed = np.gradient(_block_mean(channels[position], block), _block_mean(time, block))
-    level = BOTH_WAYS * float(np.max(np.abs(speed)))
-    shares = np.mean(speed < -level), np.mean(speed > level)
-    one_sign = float(np.nanmin(values)) >= 0.0 and float(np.nanmax(values)) > 0.0
-    if one_sign and min(shares) > LEAST_BACKWARD:
-        yield (
-            f"`{effort}` is never negative though the joint moves both ways: if the column holds "
-            f"magnitudes, the sign is lost and the fit is wrong; map `voltage` instead, or declare "
-            f"a known load"
-        )
-
-
 def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
     """Compare motor and joint angle; return (text, whether it is an error) where they disagree."""
     motor, joint = _finite(motor_angle, angle)

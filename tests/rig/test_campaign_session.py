@@ -246,7 +246,7 @@ def test_a_current_without_sign_is_refused_and_one_that_looks_so_is_noted(tmp_pa
     assert "channels.current.unsigned: a magnitude of the current has no sign" in text
     assert "map `voltage` with bench.resistance" in text
     a, b = load(tmp_path, "  - {file: a.csv}\n  - {file: b.csv}\n")
-    assert any("never negative though the joint moves both ways" in note for note in a.notes)
+    assert any("keeps one sign while the joint moves both ways" in note for note in a.notes)
     assert b.notes == ()
 
 
