@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import NamedTuple
 
@@ -195,9 +195,14 @@ class Servo(ABC):
     Attributes:
         watch_s: Silence of the control loop after which the drive stops by itself, s; None if it
             never does.
+        limits_taken: Fields of :class:`ServoLimits` that :meth:`write_limits` can set.
+        limit_places: Field of :class:`ServoLimits` to the name of the place where the drive holds
+            it; None for the objects of CiA 402.
     """
 
     watch_s: float | None = None
+    limits_taken: Set[str] = frozenset(field.name for field in fields(ServoLimits))
+    limit_places: Mapping[str, str] | None = None
 
     @abstractmethod
     def identity(self) -> Identity:

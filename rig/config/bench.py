@@ -21,13 +21,18 @@ from drivers.canopen.eds_file import read_eds
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
-from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
+from rig.config.configuration import Document, Loc, NonNegative, Positive, Schema, load_located
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
 from rig.config.gas_section import GasGeneratorSection, PressureSection
 from rig.config.limits_section import LimitsSection
 from rig.config.packaged import resolve
 from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
 from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
+
+NOT_REPORTED = (
+    "the drive reports no such value (servo.inputs), so that this limit would never be checked; "
+    "remove it, or map the signal"
+)
 
 
 class Constants(Schema):
@@ -267,6 +272,12 @@ class Bench(Schema):
         return round(1e3 / self.cycle_Hz) * 1_000_000
 
     @property
+    def unreported(self) -> frozenset[str]:
+        """Limits that are never checked, because the drive does not report the value."""
+        servo = self.servo
+        return servo.unreported if isinstance(servo, DbcServoSection) else frozenset()
+
+    @property
     def cycle_s(self) -> float:
         """Control cycle, s."""
         return self.cycle_ns * 1e-9
@@ -285,6 +296,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
+        document.require(_unreported(bench))
         frames = cycle_frames(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s
         )
@@ -323,6 +335,12 @@ def without_watch(document: Document[Bench]) -> Document[Bench]:
         return document
     servo = bench.servo.model_copy(update={"stops_alone": False})
     return dataclasses.replace(document, value=bench.model_copy(update={"servo": servo}))
+
+
+def _unreported(bench: Bench) -> Iterator[tuple[Loc, str]]:
+    """Yield the limits that the file states for values which the drive does not report."""
+    for name in sorted(bench.unreported & bench.limits.model_fields_set):
+        yield ("limits", name), NOT_REPORTED
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:

@@ -26,7 +26,7 @@ class Limits:
 
     ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without
     pressure transmitter. ``reports_temperature`` and ``reports_supply`` are False for a drive that
-    has no object for them, so that these limits cannot be checked.
+    has no object for them; these limits, and infinite ones, are not checked.
     """
 
     angle_min: float

@@ -21,8 +21,10 @@ from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.drive import Rating
+from drivers.mock.plant.parts import constants
 from drivers.units import EncoderScales, ServoScales
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
@@ -243,14 +245,38 @@ def _dbc_servo(
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
     if bench.mock is not None and bench.simulated:
-        assert isinstance(bench.encoder, EncoderSection)
-        mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
-        clock = mock.clock if attach is None else attach(mock)
+        mock, clock = _simulated_dbc(document, bench.mock, servo, bus.bitrate, seed, attach)
         link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
     else:
         link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
     return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
+
+
+def _simulated_dbc(
+    document: Document[Bench],
+    machine: constants.Machine,
+    servo: DbcServoSection,
+    bitrate: int,
+    seed: int,
+    attach: Attach | None,
+) -> tuple[SimulatedDbcBench | SimulatedCanBench, Clock]:
+    """Return the simulated bench of a DBC drive, and the host's clock.
+
+    Raises:
+        InputError: Faults are to be injected into a drive that brings none about.
+    """
+    encoder = document.value.encoder
+    assert isinstance(encoder, EncoderSection)
+    kind = servo.simulated_drive
+    if kind is None:
+        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node)
+        return house, house.clock if attach is None else attach(house)
+    if attach is not None:
+        text = "fault schedules work with the drive of `practical_dbc` only; leave this key out"
+        raise InputError(document.problem(("servo", "simulated_drive"), text))
+    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
+    return bench, bench.clock
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:

@@ -53,6 +53,21 @@ def below(value: float) -> float:
     return math.nextafter(value, -math.inf)
 
 
+def test_what_a_drive_does_not_report_is_not_checked_and_all_else_is() -> None:
+    blind = dataclasses.replace(
+        LIMITS, temperature=math.inf, supply_min=-math.inf, supply_max=math.inf
+    )
+    silent = {"temperature": math.nan, "supply_voltage": math.nan}
+    assert check(sample(**silent), 0.0, 0.0, blind) is None
+    assert check(sample(**silent, current=25.1), 0.0, 0.0, blind) is not None
+    # Without an upper limit the lower one holds, and a reading that fails still trips.
+    open_ended = dataclasses.replace(LIMITS, supply_max=math.inf)
+    for supply in (47.9, math.nan):
+        trip = check(sample(supply_voltage=supply), 0.0, 0.0, open_ended)
+        assert trip is not None
+        assert trip.check is Check.SUPPLY
+
+
 def test_a_good_sample_passes() -> None:
     assert check(sample(), 0.0, 0.0, LIMITS) is None
 

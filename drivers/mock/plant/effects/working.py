@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.device import load_factor
 from drivers.mock.plant.effects.friction import DRAG, LAGGED, SIDE, VISCOUS_SIDE, bristle_level
+from drivers.mock.plant.effects.load import load_factor
 from drivers.mock.plant.effects.outside import outside_sides
 from drivers.mock.plant.effects.state import (
     ACCELERATION,
