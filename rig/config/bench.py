@@ -17,6 +17,8 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
+from drivers.canopen.eds_file import read_eds
+from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document, Loc, NonNegative, Positive, Schema, load_located
@@ -260,6 +262,8 @@ class Bench(Schema):
         """Whether the drive stops by itself if the control loop stops."""
         if isinstance(self.servo, DbcServoSection):
             return self.servo.watchdog_ms is not None
+        if self.servo.stops_alone is False:
+            return False
         return not isinstance(self.bus, SerialBus)
 
     @property
@@ -302,7 +306,35 @@ def load_bench(name: str | Path) -> Document[Bench]:
         document.require(
             (("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench)
         )
-    return in_force(document)
+    return in_force(_with_watch(document))
+
+
+def _with_watch(document: Document[Bench]) -> Document[Bench]:
+    """Take from the EDS file whether the drive stops by itself, where the bench leaves it open.
+
+    A file that cannot be read, or is not a drive's, is refused later with all its faults.
+    """
+    bench = document.value
+    servo = bench.servo
+    if not isinstance(servo, ServoSection) or servo.stops_alone is not None or servo.eds is None:
+        return document
+    try:
+        described = read_eds(document.path.parent / servo.eds, servo.node)
+    except ConfigurationError:
+        return document
+    is_drive = all(index in described for index, _ in cia402_objects.NEEDED)
+    if cia402_objects.ON_ABORT[0] in described or not is_drive:
+        return document
+    return without_watch(document)
+
+
+def without_watch(document: Document[Bench]) -> Document[Bench]:
+    """Return a bench whose drive does not stop by itself."""
+    bench = document.value
+    if not isinstance(bench.servo, ServoSection):
+        return document
+    servo = bench.servo.model_copy(update={"stops_alone": False})
+    return dataclasses.replace(document, value=bench.model_copy(update={"servo": servo}))
 
 
 def _unreported(bench: Bench) -> Iterator[tuple[Loc, str]]:

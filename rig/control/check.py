@@ -72,7 +72,7 @@ def examine(
         *device_findings(devices, wanted, bench.cycle_s),
         *reading_findings(readings, limits),
     ]
-    watching = watcher(devices)
+    watching, lacks = watcher(devices), devices.servo.lacks(bench.cycle_s)
     return {
         "schema": SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -95,6 +95,7 @@ def examine(
         "has_watchdog": devices.link.has_watchdog,
         "watched_by": watching.kind,
         "watch_s": watching.after_s,
+        "not_held": sorted(lacks.limits),
         "calibrations": calibration_records(bench, utc_now().date()),
         **described,
         "limits_stated": sorted(set(described["limits"]) - devices.servo.limits_taken),
@@ -158,7 +159,9 @@ def _limits(found: dict[str, Any]) -> str:
         [
             [
                 _title(name),
-                _show(name, held[name]) + STATED * (name in found["limits_stated"]),
+                "has none"
+                if name in found["not_held"]
+                else _show(name, held[name]) + STATED * (name in found["limits_stated"]),
                 _show(name, allowed),
                 _unit(name),
             ]

@@ -156,11 +156,11 @@ def _moves(
         if reset_fault and servo.state() is ServoState.FAULT:
             servo.reset_fault()
         devices.prepare(bench.cycle_s)
-        held = servo.read_limits()
-        require_within_own(wanted, held, servo.limit_steps(), servo.limit_places)
+        held, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
+        require_within_own(wanted, held, servo.limit_steps(), servo.limit_places, unheld)
         own.append(held)
         servo.write_limits(wanted)
-        require_written(servo, wanted)
+        require_written(servo, wanted, bench.cycle_s)
         here = _enable(cycle, devices, bench)
         for angle in jog.angles:
             _go(cycle, here, angle, jog.speed, bench.cycle_s)

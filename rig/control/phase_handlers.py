@@ -187,11 +187,12 @@ class PhaseHandlers:
         devices.prepare(plan.cycle_s)
         servo = devices.servo
         if self.own_limits is None:
-            own = servo.read_limits()
-            require_within_own(plan.servo_limits, own, servo.limit_steps(), servo.limit_places)
+            own, unheld = servo.read_limits(), servo.lacks(plan.cycle_s).limits
+            steps, places = servo.limit_steps(), servo.limit_places
+            require_within_own(plan.servo_limits, own, steps, places, unheld)
             self.own_limits = own
         servo.write_limits(plan.servo_limits)
-        require_written(servo, plan.servo_limits)
+        require_written(servo, plan.servo_limits, plan.cycle_s)
         self._recorder.event(self.cycle.now_ns, "stage start", stage=self.stage.name)
         return Event.DONE
 

@@ -268,11 +268,27 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
     told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
-        "limits": dataclasses.asdict(devices.servo.read_limits()),
+        "limits": held_limits(devices),
     }
     if devices.pressure is not None:
         told["pressure"] = dataclasses.asdict(devices.pressure.identity())
     return told
+
+
+def held_limits(devices: Devices) -> dict[str, float | None]:
+    """Read the limits that the drive holds; None for those that it has no object for, and for a
+    following error window that is off.
+
+    Raises:
+        DeviceError: The drive does not answer.
+    """
+    limits = dataclasses.asdict(devices.servo.read_limits())
+    if not limits["quick_stop_option"] >= 0:
+        limits["quick_stop_option"] = None
+    return {
+        name: None if value is None or math.isnan(value) else value
+        for name, value in limits.items()
+    }
 
 
 def _head(

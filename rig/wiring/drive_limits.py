@@ -106,6 +106,7 @@ def loosened(
     own: ServoLimits,
     steps: LimitSteps | None = None,
     places: Mapping[str, str] | None = None,
+    unheld: Set[str] = frozenset(),
 ) -> list[Row]:
     """Return the drive's own limits that ``wanted`` would loosen; see
     :func:`require_within_own`.
@@ -114,8 +115,11 @@ def loosened(
     return [
         row
         for row in compare(wanted, own, steps, places)
-        if (row.looser and row.field not in _REACTIONS)
-        or (keeps_power and row.field == "quick_stop_option")
+        if row.field not in unheld
+        and (
+            (row.looser and row.field not in _REACTIONS)
+            or (keeps_power and row.field == "quick_stop_option")
+        )
     ]
 
 
@@ -124,6 +128,7 @@ def require_within_own(
     own: ServoLimits,
     steps: LimitSteps | None = None,
     places: Mapping[str, str] | None = None,
+    unheld: Set[str] = frozenset(),
 ) -> None:
     """Refuse to loosen the limits that the drive was commissioned with.
 
@@ -134,11 +139,12 @@ def require_within_own(
             keep it on; the quick stop deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
         places: As there.
+        unheld: Limits that the drive has no object for, see :class:`drivers.lacks.Lacks`.
 
     Raises:
         ConfigurationError: Lists every limit that would be looser.
     """
-    rows = loosened(wanted, own, steps, places)
+    rows = loosened(wanted, own, steps, places, unheld)
     if rows:
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
@@ -163,8 +169,8 @@ def require_held(
         wanted: The limits that were written.
         steps: As for :func:`compare`.
         places: As there.
-        taken: Limits that the drive takes; the others are not written, see :func:`only_here`. None
-            for all.
+        taken: Limits that the drive takes; the others are not written, see :func:`only_here`, or
+            the drive has no object for them. None for all.
 
     Raises:
         ConfigurationError: Lists every limit that is looser.
@@ -182,16 +188,20 @@ def require_held(
         )
 
 
-def require_written(servo: Servo, wanted: ServoLimits) -> None:
+def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
     """Read the limits back, and refuse a drive that does not hold those it takes.
+
+    Args:
+        servo: The drive.
+        wanted: The limits that were written.
+        cycle_s: Period of the cycle, s.
 
     Raises:
         ConfigurationError: As :func:`require_held`.
         DeviceError: The drive does not answer.
     """
-    require_held(
-        servo.read_limits(), wanted, servo.limit_steps(), servo.limit_places, servo.limits_taken
-    )
+    taken = servo.limits_taken - servo.lacks(cycle_s).limits
+    require_held(servo.read_limits(), wanted, servo.limit_steps(), servo.limit_places, taken)
 
 
 def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | None:

@@ -463,3 +463,17 @@ def test_a_trip_outside_of_a_run_is_said_without_a_time() -> None:
 def test_a_remedy_leaves_out_that_the_run_can_be_tried_again() -> None:
     assert remedy(Check.TEMPERATURE) == "let the motor cool"
     assert remedy(Check.PRESSURE).endswith("let the generator burn out")
+
+
+@pytest.mark.parametrize(
+    ("name", "flag"),
+    [("temperature", "reports_temperature"), ("supply_voltage", "reports_supply")],
+)
+def test_only_a_value_that_the_drive_does_not_report_is_left_out(name: str, flag: str) -> None:
+    missing = sample(**{name: math.nan})
+    assert check(missing, 0.0, 0.0, LIMITS) is not None
+    blind = dataclasses.replace(LIMITS, **{flag: False})
+    assert check(missing, 0.0, 0.0, blind) is None
+    for other in ("temperature", "supply_voltage", "velocity", "current", "angle"):
+        if other != name:
+            assert check(sample(**{name: math.nan, other: math.nan}), 0.0, 0.0, blind) is not None
