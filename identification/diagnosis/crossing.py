@@ -222,8 +222,8 @@ def _empty(views: Sequence[View], torque: float) -> float:
     """Return by how many standard errors a loop with this closing ``torque`` (N m), fitted to the
     angles, is preferred to a gap.
 
-    The result is never above zero: a loop that closes without torque is a gap with one more
-    parameter; one that closes with torque has been judged by the angles already.
+    The result is at most zero. A loop that closes without torque equals a gap, which has one
+    parameter less; a loop that closes with torque was compared with a gap by the angles before.
     """
     usual = float(
         np.median(
