@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.diagnosis.contest import Contender, Round, numbers
 from identification.diagnosis.crossing import PAIR
-from identification.diagnosis.joint import Joint
+from identification.diagnosis.joint import Joint, told
 from identification.diagnosis.kept import LEAST_FURTHER
 from identification.diagnosis.linear import directions
 from identification.diagnosis.search import Search
@@ -61,7 +61,10 @@ def _indistinct(final: Joint, place: int, terms: Sequence[Term]) -> list[str]:
     if not columns:
         return []
     made = stack.projected(stack.whitened(columns) @ np.array(own.coefficients)[:, None])[:, 0]
-    context = Context(final.equations[0].views, final.nominal)
+    others = [e for k, e in enumerate(final.effects) if k != place]
+    # Regressors that follow the drive's torque must not contain the effect's own torque.
+    without = replace(stack, nominal=told(final.nominal, others), own={})
+    context = Context(final.equations[0].views, without.nominal)
     found = []
     for term in terms:
         if term.name == own.term.name or {own.term.name, term.name} == set(PAIR):
@@ -69,7 +72,7 @@ def _indistinct(final: Joint, place: int, terms: Sequence[Term]) -> list[str]:
         if not columns.keys() & term.columns.keys():
             continue
         for shape in term.shapes(context):
-            its = stack.columns(term, shape)
+            its = without.columns(term, shape)
             width = max((c.shape[1] for c in its.values()), default=0)
             if not width or term.freedom + width > numbers(own):
                 continue
