@@ -64,6 +64,24 @@ def _not_zero(value: float) -> float:
     return value
 
 
+class MotorConstantSection(Schema):
+    """A constant of the motor, SI; a number alone is short for `{value: ...}`.
+
+    Attributes:
+        value: Declared value.
+        std: Standard deviation of the declared value. `identify --ladder` fits the simulated angle
+            with the constant held, and with the constant free within this; 30 % unless given.
+    """
+
+    value: Constant
+    std: PositiveFloat | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        return {"value": data} if isinstance(data, str | int | float) else data
+
+
 class BenchSection(Schema):
     """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`.
 
@@ -85,9 +103,9 @@ class BenchSection(Schema):
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
-    torque_constant: Constant | None = None
+    torque_constant: MotorConstantSection | None = None
     back_emf_constant: Constant | None = None
-    resistance: Constant | None = None
+    resistance: MotorConstantSection | None = None
     inductance: Constant | None = None
     gear_ratio: Constant = 1.0
     moment_arm: Constant | None = None
@@ -97,7 +115,11 @@ class BenchSection(Schema):
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        constants = self.model_dump(exclude={"gas_generator"}, exclude_none=True)
+        motor = {"torque_constant": self.torque_constant, "resistance": self.resistance}
+        constants = self.model_dump(exclude={"gas_generator", *motor}, exclude_none=True)
+        for name, given in motor.items():
+            if given is not None:
+                constants |= {name: given.value, f"{name}_std": given.std}
         if self.gas_generator is None:
             return Bench(**constants)
         return Bench(

@@ -99,6 +99,10 @@ def _moved(
         level += load * (truth["mu_gc"] + (truth["mu_gs"] - truth["mu_gc"]) * falling)
         level += truth["sigma_2"] * abs(w)
         stopping = inertia * w / _STEP + motor + external
-        w += _STEP / inertia * (motor + external - math.copysign(min(abs(stopping), level), stopping))
+        w += (
+            _STEP
+            / inertia
+            * (motor + external - math.copysign(min(abs(stopping), level), stopping))
+        )
         q += _STEP * w
     return angles, volts

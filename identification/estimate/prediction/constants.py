@@ -1,4 +1,4 @@
-"""Motor constants after a fit to the predicted angle: by how much they moved (M63)."""
+"""Motor constants after a fit to the predicted angle: by how much they moved (M51)."""
 
 from __future__ import annotations
 
@@ -78,10 +78,10 @@ def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[C
     assert km is not None
     assert r is not None
     freedom = len({p.recording.name for p in pieces}) - 1.0
-    both = [
-        Spread(c.names, each, max(freedom, 1.0))
-        for each in (covariance, np.atleast_2d(np.cov(points, rowvar=False)))
-    ]
+    scatter = np.zeros_like(covariance)
+    if len(points) > 1:
+        scatter = np.atleast_2d(np.cov(points, rowvar=False))
+    both = [Spread(c.names, each, max(freedom, 1.0)) for each in (covariance, scatter)]
     at = dict(zip(c.names, found.x, strict=True))
     rows: tuple[tuple[str, str, float, float | None, dict[str, float]], ...] = (
         (KM, "N m/A", km, c.prior[KM], {KM: 1.0}),

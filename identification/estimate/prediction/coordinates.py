@@ -1,4 +1,4 @@
-"""Coordinates of the search over friction, motor constants and the lateness of the command (M62).
+"""Coordinates of the search over friction, motor constants and the lateness of the command (M50).
 
 Rises instead of static levels, and logarithms of the Stribeck speed and of the ratios of motor
 constants; all within bounds.

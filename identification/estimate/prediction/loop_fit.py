@@ -1,4 +1,4 @@
-"""Fit of one friction model to the predicted angle (M61, M62): Levenberg-Marquardt within bounds,
+"""Fit of one friction model to the predicted angle (M50, M51): Levenberg-Marquardt within bounds,
 from several Stribeck speeds.
 """
 
@@ -98,7 +98,7 @@ def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
 
 def unit_of(found: Sequence[Array], threshold: float) -> float:
     """Return the error that counts as one standard deviation of an independent observation, rad
-    (M62).
+    (M51).
 
     Huber's cost over threshold times mean absolute error is the negative log likelihood of errors
     with Laplace's distribution; errors of one simulation persist, so it is divided by the number of

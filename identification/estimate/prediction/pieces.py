@@ -1,4 +1,4 @@
-"""Pieces of recordings over which the angle is predicted from a measured state (M60).
+"""Pieces of recordings over which the angle is predicted from a measured state (M49).
 
 In a position loop the simulated angle is drawn to the command, so one piece is the whole recording.
 Driven by a measured voltage or torque alone the prediction drifts; the pieces then end about where

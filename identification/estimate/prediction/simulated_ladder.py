@@ -1,5 +1,5 @@
 """The ladder of friction models fitted to the simulated angle, with declared and with free motor
-constants (M60 to M63).
+constants (M48 to M51).
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from identification.estimate.prediction.coordinates import (
 from identification.estimate.prediction.loop_fit import (
     FOLDS,
     LoopFit,
-    absolute_error,
     drawn,
     errors,
     fit_loop,
@@ -38,6 +37,8 @@ from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare
 from identification.recording import Dataset, Recording
 
+ONE_SIDED = 1.645
+"""Standard errors by which a cross-validated error has to exceed the least to be distinguished."""
 STARTS = (0.08, 0.2)
 """Stribeck speeds from which a search starts beside that of the equation error, over the greatest
 speed: stick-slip makes the cost rough, and narrow falling parts have minima of their own.
@@ -60,6 +61,7 @@ class SimulatedRung:
         horizon_s: Longest prediction, s.
         best: Share of the draws with the least error on the recordings scored.
         chosen: Whether it has the least cross-validated error among those with the same ``free``.
+        tied: Whether its cross-validated error exceeds the least by no more than its uncertainty.
         ends: Cost at the end of each start.
     """
 
@@ -74,6 +76,7 @@ class SimulatedRung:
     horizon_s: float
     best: float
     chosen: bool
+    tied: bool
     ends: tuple[float, ...]
 
 
@@ -91,10 +94,14 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Case:
-    """One fit with its draws: coordinates of each, and its errors on fitted and scored."""
+    """One fit with its draws: coordinates of each, and its errors on fitted and scored.
+
+    ``crossed`` has the sum of absolute errors and the number of samples of each recording fitted,
+    predicted from others, shape (m, 2).
+    """
 
     found: LoopFit
-    crossed: float
+    crossed: Array
     points: Array
     train: tuple[float, Array]
     scored: tuple[float, Array]
@@ -253,16 +260,16 @@ def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Cas
     )
 
 
-def _crossed(problem: _Problem, found: LoopFit) -> float:
-    """Return the mean absolute error on each fold, predicted from the others."""
-    left: list[Array] = []
+def _crossed(problem: _Problem, found: LoopFit) -> Array:
+    """Return the errors on each recording fitted, predicted from the other folds, shape (m, 2)."""
+    sums: list[Array] = []
     for names in _folds([p.recording for p in problem.fitted]):
-        others = [p for p in problem.fitted if p.recording.name not in names]
-        if not others:
-            return math.nan
         own = [p for p in problem.fitted if p.recording.name in names]
-        left += errors(own, refit(others, found).point, problem.dataset.model.alpha)
-    return absolute_error(left)
+        others = [p for p in problem.fitted if p.recording.name not in names]
+        if others:
+            part = refit(others, found)
+            sums.append(_by_recording(own, part, part.x))
+    return np.concatenate(sums) if sums else np.full((1, 2), math.nan)
 
 
 def _folds(recordings: Sequence[Recording]) -> Iterator[set[str]]:
@@ -307,7 +314,8 @@ def _rungs(problem: _Problem, cases: Mapping[tuple[str, bool], _Case]) -> Iterat
     table = np.array([case.scored[1] for case in cases.values()])
     winners = np.argmin(table, axis=0) if table.size else np.array([])
     for k, ((rung, free), case) in enumerate(cases.items()):
-        rivals = [c.crossed for (_, other), c in cases.items() if other == free]
+        rivals = [c for (_, other), c in cases.items() if other == free]
+        least = min(rivals, key=lambda c: _crossed_error(c.crossed))
         point = case.found.point
         yield SimulatedRung(
             friction=rung,
@@ -315,14 +323,30 @@ def _rungs(problem: _Problem, cases: Mapping[tuple[str, bool], _Case]) -> Iterat
             alpha=problem.dataset.model.alpha,
             fitted={**point.values, LATENESS: point.lateness},
             train=_interval(*case.train),
-            crossed=case.crossed,
+            crossed=_crossed_error(case.crossed),
             scored=_interval(*case.scored) if aside else None,
             constants=constants(problem.fitted, case.found, case.points),
             horizon_s=max(float(p.inputs.time[-1] - p.inputs.time[0]) for p in problem.fitted),
             best=float(np.mean(winners == k)),
-            chosen=case.crossed == min(rivals),
+            chosen=case is least,
+            tied=_tied(case.crossed, least.crossed),
             ends=case.found.ends,
         )
+
+
+def _crossed_error(sums: Array) -> float:
+    return float(np.sum(sums[:, 0]) / np.sum(sums[:, 1]))
+
+
+def _tied(sums: Array, least: Array) -> bool:
+    """Whether the errors exceed the least ones by no more than 1.645 standard errors of the paired
+    differences over recordings.
+    """
+    apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
+    if len(apart) < 2:
+        return not np.any(apart > 0.0)
+    deviation = float(np.std(apart, ddof=1)) / math.sqrt(len(apart))
+    return bool(np.mean(apart) <= ONE_SIDED * deviation)
 
 
 def _interval(value: float, draws: Array) -> Interval:

@@ -165,6 +165,7 @@ def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
             "horizon_s": finite(rung.horizon_s),
             "best_share": rung.best,
             "chosen": rung.chosen,
+            "tied": rung.tied,
             "constants": {c.name: _constant_record(c) for c in rung.constants},
         }
         for rung in rungs

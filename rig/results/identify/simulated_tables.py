@@ -35,7 +35,7 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
         "90 %",
         "best in",
         *names,
-        "chosen",
+        "by cross-validation",
     )
     rows = [
         (
@@ -47,7 +47,7 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
             *_cells(rung.scored, scale),
             f"{100.0 * rung.best:.3g} %",
             *(_changes(rung.constants, names)),
-            "*" if rung.chosen else "",
+            "least" if rung.chosen else "tied" if rung.tied else "",
         )
         for rung in rungs
     ]
@@ -61,7 +61,7 @@ def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
     lines = [
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
         f"MAE: mean absolute error of that angle. Cross-validated: each third of the recordings "
-        f"fitted, predicted from the other two; chosen: the least of these.",
+        f"fitted, predicted from the other two; tied: not distinguished from the least of these.",
     ]
     for rung in rungs:
         if rung.chosen and rung.constants:
