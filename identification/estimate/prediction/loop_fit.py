@@ -17,7 +17,7 @@ from identification.numerics.bounded_descent import bounded_step, minimise_withi
 from identification.numerics.levenberg_marquardt import Minimum, huber_weight
 from identification.numerics.spread import correlation_samples
 
-QUADRATIC = 0.5
+QUADRATIC = 0.2
 """Error up to which the cost is quadratic, over the median absolute error of the start: beyond it
 the cost is that of the mean absolute error, and a recording that no friction explains has a bounded
 pull.
@@ -27,7 +27,8 @@ TOLERANCE, MOST_STEPS = 1e-3, 40
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
 """The same for each of several starts; only the best end is searched further."""
 FOLDS = 3
-_RIDGE = 1e-9
+_RIDGE = 1e-3
+"""Damping of the step to a draw: along directions that hardly change the angle it goes nowhere."""
 
 
 @dataclass(frozen=True)

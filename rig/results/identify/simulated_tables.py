@@ -56,7 +56,9 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
 
 
 def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
-    """Return explanations of the table, and by how much each constant moved in the chosen fit."""
+    """Return explanations of the table, and by how much each constant moved in the fits that
+    cross-validation does not reject.
+    """
     longest = max(rung.horizon_s for rung in rungs)
     lines = [
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
@@ -64,7 +66,7 @@ def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
         f"fitted, predicted from the other two; tied: not distinguished from the least of these.",
     ]
     for rung in rungs:
-        if rung.chosen and rung.constants:
+        if rung.tied and rung.constants:
             lines += [_constant_line(c, rung.friction) for c in rung.constants]
     return lines
 
