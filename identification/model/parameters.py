@@ -45,7 +45,6 @@ UNITS_ROTARY: Mapping[str, str] = {
     "mu_2": "s/rad",
     "mu_gc": "1",
     "mu_gs": "1",
-    DRIVE_SHARE: "1",
     "offset": "N m",
 }
 UNITS_LINEAR: Mapping[str, str] = {
