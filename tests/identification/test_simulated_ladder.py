@@ -149,6 +149,12 @@ def test_a_loop_is_one_piece_and_a_horizon_may_be_asked_for() -> None:
     assert len(pieces_of(prepared, 1.0)) == 3
 
 
+def test_one_recording_cannot_be_cross_validated() -> None:
+    found = climbed(Dataset((lever(0.4, 0.08, duration=4.0),)), draws=2)
+    assert all(math.isnan(rung.crossed) for rung in found.values())
+    assert not any(rung.chosen or rung.tied for rung in found.values())
+
+
 def test_measured_torque_needs_no_prediction() -> None:
     torque = sine(rate=200.0)
     assert not predictable(torque)

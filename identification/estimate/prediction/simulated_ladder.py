@@ -55,7 +55,8 @@ class SimulatedRung:
         alpha: Stribeck exponent.
         fitted: Parameters by name, SI; ``lateness`` of the command, s.
         train: Mean absolute angle error on the recordings fitted, rad (m).
-        crossed: The same on each third of these, predicted from the other two.
+        crossed: The same on each third of these, predicted from the other two; NaN for a single
+            recording, of which none is chosen.
         scored: The same on the recordings set aside; None without any.
         constants: Motor constants and their changes; empty where they were held.
         horizon_s: Longest prediction, s.
@@ -328,7 +329,7 @@ def _rungs(problem: _Problem, cases: Mapping[tuple[str, bool], _Case]) -> Iterat
             constants=constants(problem.fitted, case.found, case.points),
             horizon_s=max(float(p.inputs.time[-1] - p.inputs.time[0]) for p in problem.fitted),
             best=float(np.mean(winners == k)),
-            chosen=case is least,
+            chosen=case is least and math.isfinite(_crossed_error(case.crossed)),
             tied=_tied(case.crossed, least.crossed),
             ends=case.found.ends,
         )
@@ -343,6 +344,8 @@ def _tied(sums: Array, least: Array) -> bool:
     differences over recordings.
     """
     apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
+    if not np.all(np.isfinite(apart)):
+        return False
     if len(apart) < 2:
         return not np.any(apart > 0.0)
     deviation = float(np.std(apart, ddof=1)) / math.sqrt(len(apart))
