@@ -29,8 +29,8 @@ import numpy as np
 from cmaes import CMA
 from scipy import optimize
 
-from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify
 from identification.estimate.equation_error import variable_projection as varpro
 from identification.estimate.paper_method.paper import GENERATIONS, POPULATION

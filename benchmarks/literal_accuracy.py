@@ -11,8 +11,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.parts.constants import Joint, Machine
+from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.config.bench import load_bench

@@ -17,9 +17,9 @@ from time import perf_counter
 import numpy as np
 from numba import njit
 
-from drivers.mock.direct import record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import record
 from rig.common.tables import table
 
 DURATION_S = 20.0

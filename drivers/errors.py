@@ -53,3 +53,7 @@ class DriveFault(DeviceError):
 
 class ConfigurationError(DeviceError):
     """The device differs from the bench file: wrong identity, scale, unit or limit."""
+
+
+class NotDescribedError(ConfigurationError):
+    """The device's description has no such object."""

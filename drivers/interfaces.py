@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Set
+from dataclasses import dataclass, fields
 from enum import Enum
 from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
+from drivers.lacks import NOTHING, Lacks
 
 
 class ServoState(Enum):
@@ -58,7 +59,8 @@ class Identity:
 class ServoLimits:
     """Limits held in the drive, at the joint, in SI units.
 
-    ``following_error_rad`` is None where the drive's window is off (6065h = FFFFFFFFh).
+    ``following_error_rad`` is None where the drive's window is off (6065h = FFFFFFFFh). A limit
+    that the drive does not hold is NaN, see :meth:`Servo.lacks`.
     """
 
     angle_min_rad: float
@@ -193,9 +195,14 @@ class Servo(ABC):
     Attributes:
         watch_s: Silence of the control loop after which the drive stops by itself, s; None if it
             never does.
+        limits_taken: Fields of :class:`ServoLimits` that :meth:`write_limits` can set.
+        limit_places: Field of :class:`ServoLimits` to the name of the place where the drive holds
+            it; None for the objects of CiA 402.
     """
 
     watch_s: float | None = None
+    limits_taken: Set[str] = frozenset(field.name for field in fields(ServoLimits))
+    limit_places: Mapping[str, str] | None = None
 
     @abstractmethod
     def identity(self) -> Identity:
@@ -208,6 +215,14 @@ class Servo(ABC):
     @abstractmethod
     def read_limits(self) -> ServoLimits:
         """Read back the limits held in the drive."""
+
+    def lacks(self, cycle_s: float) -> Lacks:
+        """Return what the drive neither holds nor tells. Sends nothing."""
+        return NOTHING
+
+    def speed_remedy(self, factor: float) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one."""
+        return "correct the unit of its speed in the bench file"
 
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Sends nothing."""

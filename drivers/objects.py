@@ -7,16 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, ParamSpec, Protocol
+from typing import Final, ParamSpec, Protocol, TypeVar
 
-from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
+from drivers.errors import ConfigurationError, DeviceError, NotDescribedError, ObjectAccessError
 from drivers.interfaces import Identity
 
 ObjectAddress = tuple[int, int]
 """Index and subindex of an object."""
-IDENTITY: Final = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
-"""Vendor, product, revision and serial number."""
+VENDOR: Final = (0x1018, 1)
+"""Vendor of a device, the only part of its identity that CiA 301 prescribes."""
+ABSENT: Final = (0x06020000, 0x06090011)
+"""Abort codes of a device that lacks an object or a subindex."""
 P = ParamSpec("P")
+V = TypeVar("V")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
@@ -70,12 +73,15 @@ class PdoLayout:
         every: Period of the exchange in cycles.
         slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
             for inputs with slack.
+        mean: Object that is a mean over the cycle, which a transport without SYNC brings to the
+            instant of the position; None where there is none.
     """
 
     number: int
     objects: tuple[ObjectAddress, ...]
     every: int = 1
     slack: int = 0
+    mean: ObjectAddress | None = None
 
 
 class ProcessChannel(ObjectAccess, Protocol):
@@ -94,6 +100,37 @@ class ProcessChannel(ObjectAccess, Protocol):
     @property
     def fresh(self) -> bool:
         """Whether all data due at the last exchange arrived complete."""
+        ...
+
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the last exchange's sampling, microseconds modulo 2^32; stands in for the
+        time stamp of a device that has none.
+        """
+        ...
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        """Return whether the device's description has an object, and, with ``mappable``, allows it
+        in process data. Without ``mappable`` a faulty description of it counts, so that its use is
+        refused.
+
+        Sends nothing.
+        """
+        ...
+
+    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
+        """Return whether these objects can travel in one layout; True for unknown ones, which
+        :meth:`require_mappable` refuses. Sends nothing.
+        """
+        ...
+
+    def require_watchable(self) -> None:
+        """Check against the description that the device can watch the control loop, as far as the
+        transport leaves this to the device. Sends nothing.
+
+        Raises:
+            ConfigurationError: It cannot.
+        """
         ...
 
     def insist(self, index: int, subindex: int, value: int) -> None:
@@ -151,13 +188,38 @@ class ProcessChannel(ObjectAccess, Protocol):
 
 
 def read_identity(objects: ObjectAccess) -> Identity:
-    """Read who the device is (1018h, 1008h, 1009h, 100Ah)."""
+    """Read who the device is (1018h, 1008h, 1009h, 100Ah).
+
+    CiA 301 prescribes only the vendor (1018h:01h); what else a device lacks is empty or 0.
+
+    Raises:
+        ObjectAccessError: The device refuses to tell its vendor.
+        LinkError: No answer.
+    """
     return Identity(
-        name=objects.read_text(0x1008),
-        vendor_id=objects.read(*IDENTITY[0]),
-        product_code=objects.read(*IDENTITY[1]),
-        revision=objects.read(*IDENTITY[2]),
-        serial_number=objects.read(*IDENTITY[3]),
-        hardware_version=objects.read_text(0x1009),
-        software_version=objects.read_text(0x100A),
+        name=optional(objects.read_text, 0x1008, 0) or "",
+        vendor_id=objects.read(*VENDOR),
+        product_code=optional(objects.read, 0x1018, 2) or 0,
+        revision=optional(objects.read, 0x1018, 3) or 0,
+        serial_number=optional(objects.read, 0x1018, 4) or 0,
+        hardware_version=optional(objects.read_text, 0x1009, 0) or "",
+        software_version=optional(objects.read_text, 0x100A, 0) or "",
     )
+
+
+def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:
+    """Read an object that a device may lack; None where it, or its EDS, has none.
+
+    Raises:
+        ObjectAccessError: The device refuses for another reason.
+        ConfigurationError: Its EDS describes the object wrongly.
+        LinkError: No answer.
+    """
+    try:
+        return read(index, subindex)
+    except NotDescribedError:
+        return None
+    except ObjectAccessError as refused:
+        if refused.code in ABSENT:
+            return None
+        raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 from drivers.errors import ConfigurationError
@@ -19,55 +20,70 @@ FOLLOWING_WINDOW: Final = (0x6065, 0)
 QUICK_STOP_OPTION: Final = (0x605A, 0)
 QUICK_STOP_DECELERATION: Final = (0x6085, 0)
 WINDOW_OFF: Final = 0xFFFFFFFF
-OBJECTS: Final = (
-    *(POSITION_MIN, POSITION_MAX, MAX_SPEED, MAX_TORQUE, MAX_CURRENT),
-    *(FOLLOWING_WINDOW, QUICK_STOP_OPTION, QUICK_STOP_DECELERATION),
-)
+NO_OPTION: Final = -1
+"""Stands for the quick stop option of a drive that has no object for it."""
+FIELDS: Final[Mapping[ObjectAddress, tuple[str, str]]] = {
+    POSITION_MIN: ("angle_min_rad", "lower end of the joint angle"),
+    POSITION_MAX: ("angle_max_rad", "upper end of the joint angle"),
+    MAX_SPEED: ("speed_rad_s", "joint speed"),
+    MAX_TORQUE: ("torque_N_m", "joint torque"),
+    MAX_CURRENT: ("current_A", "motor current"),
+    FOLLOWING_WINDOW: ("following_error_rad", "following error"),
+    QUICK_STOP_OPTION: ("quick_stop_option", "quick stop option"),
+    QUICK_STOP_DECELERATION: ("quick_stop_deceleration_rad_s2", "quick stop deceleration"),
+}
+"""Object to the field of :class:`~drivers.interfaces.ServoLimits` that it holds, and its name."""
+OBJECTS: Final = tuple(FIELDS)
 """All of them."""
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
     """Return the object values that hold ``limits``, each rounded to the drive's unit and never to
-    a wider limit.
+    a wider limit. A limit that the drive does not hold, NaN, is left out.
     """
-    first, last = sorted(
-        (angle - scales.offset_rad) / scales.joint_rad_per_count
-        for angle in (limits.angle_min_rad, limits.angle_max_rad)
-    )
+    count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
+    lower, upper = (limits.angle_min_rad, limits.angle_max_rad)[:: scales.sign]
     window = limits.following_error_rad
-    speed = scales.joint_speed_unit_rad_s
-    return {
-        POSITION_MIN: -_whole(-first),
-        POSITION_MAX: _whole(last),
-        MAX_SPEED: _whole(limits.speed_rad_s / speed),
-        MAX_TORQUE: _whole(limits.torque_N_m / scales.joint_torque_unit_N_m),
-        MAX_CURRENT: _whole(limits.current_A / scales.current_unit_A),
-        FOLLOWING_WINDOW: WINDOW_OFF
-        if window is None
-        else _whole(window / abs(scales.joint_rad_per_count)),
+    values = {
+        POSITION_MIN: (lower - scales.offset_rad) / count,
+        POSITION_MAX: (upper - scales.offset_rad) / count,
+        MAX_SPEED: limits.speed_rad_s / speed,
+        MAX_TORQUE: limits.torque_N_m / scales.joint_torque_unit_N_m,
+        MAX_CURRENT: limits.current_A / scales.current_unit_A,
+        FOLLOWING_WINDOW: WINDOW_OFF if window is None else window / abs(count),
         QUICK_STOP_OPTION: limits.quick_stop_option,
-        QUICK_STOP_DECELERATION: round(limits.quick_stop_deceleration_rad_s2 / speed),
+        QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2 / speed,
+    }
+    # The deceleration is no limit, so that it is rounded to the nearest.
+    return {
+        address: -_whole(-value)
+        if address == POSITION_MIN
+        else round(value)
+        if address == QUICK_STOP_DECELERATION
+        else _whole(value)
+        for address, value in values.items()
+        if not math.isnan(value)
     }
 
 
-def decode(values: dict[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
-    """Return the limits that the object values hold."""
-    ends = sorted(
-        (scales.joint_angle_rad(values[POSITION_MIN]), scales.joint_angle_rad(values[POSITION_MAX]))
-    )
-    window = values[FOLLOWING_WINDOW]
-    speed = scales.joint_speed_unit_rad_s
+def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
+    """Return the limits that the object values hold; NaN for those that the drive lacks."""
+
+    def held(address: ObjectAddress, unit: float, offset: float = 0.0) -> float:
+        return values[address] * unit + offset if address in values else math.nan
+
+    count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
+    lower, upper = (POSITION_MIN, POSITION_MAX)[:: scales.sign]
+    window = values.get(FOLLOWING_WINDOW)
     return ServoLimits(
-        angle_min_rad=ends[0],
-        angle_max_rad=ends[1],
-        speed_rad_s=values[MAX_SPEED] * speed,
-        torque_N_m=values[MAX_TORQUE] * scales.joint_torque_unit_N_m,
-        current_A=values[MAX_CURRENT] * scales.current_unit_A,
-        following_error_rad=None
-        if window == WINDOW_OFF
-        else window * abs(scales.joint_rad_per_count),
-        quick_stop_option=values[QUICK_STOP_OPTION],
-        quick_stop_deceleration_rad_s2=values[QUICK_STOP_DECELERATION] * speed,
+        angle_min_rad=held(lower, count, scales.offset_rad),
+        angle_max_rad=held(upper, count, scales.offset_rad),
+        speed_rad_s=held(MAX_SPEED, speed),
+        torque_N_m=held(MAX_TORQUE, scales.joint_torque_unit_N_m),
+        current_A=held(MAX_CURRENT, scales.current_unit_A),
+        following_error_rad=None if window == WINDOW_OFF else held(FOLLOWING_WINDOW, abs(count)),
+        quick_stop_option=values.get(QUICK_STOP_OPTION, NO_OPTION),
+        quick_stop_deceleration_rad_s2=held(QUICK_STOP_DECELERATION, speed),
     )
 
 
@@ -84,24 +100,37 @@ def _whole(units: float) -> int:
     return math.floor(units + 1e-6)
 
 
-def read(drive: ObjectAccess, scales: ServoScales) -> ServoLimits:
-    """Read the limits a drive holds."""
-    return decode({address: drive.read(*address) for address in OBJECTS}, scales)
+def read(
+    drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
+) -> ServoLimits:
+    """Read the limits a drive holds, in those objects that it has."""
+    return decode({address: drive.read(*address) for address in held}, scales)
 
 
-def write(drive: ObjectAccess, scales: ServoScales, limits: ServoLimits) -> None:
-    """Write limits into a drive and verify each by reading back.
+def write(
+    drive: ObjectAccess,
+    scales: ServoScales,
+    limits: ServoLimits,
+    held: Sequence[ObjectAddress] = OBJECTS,
+) -> None:
+    """Write limits into a drive, into those objects that it has, and verify each by reading back.
 
     Raises:
         ConfigurationError: The drive holds another value, or one does not fit its object.
         ObjectAccessError: The drive refuses one.
     """
     for address, value in encode(limits, scales).items():
-        store(drive, address, value)
+        if address in held:
+            store(drive, address, value)
 
 
 def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
-    """Write one object and verify it; raises as :func:`write`."""
+    """Write one object and verify it; raises as :func:`write`.
+
+    What the drive holds already is not written, as it may be fixed there.
+    """
+    if drive.read(*address) == value:
+        return
     drive.write(*address, value)
     found = drive.read(*address)
     if found != value:

@@ -9,13 +9,11 @@ from functools import cached_property, partial
 from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
-from drivers.objects import ObjectAccess, ObjectAddress
+from drivers.objects import ObjectAccess, ObjectAddress, optional
 
 RATED: Final = ((0x6075, 0), (0x6076, 0))
 """Rated current and rated torque, mA and mN m."""
-_NO_OBJECT: Final = 0x06020000
 _TOLERANCE: Final = 1e-3
-_MILLI: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -35,6 +33,16 @@ class ServoScales:
         voltage_unit_V: Unit of that object, V.
         temperature_object: Object of the drive's temperature.
         temperature_unit_C: Unit of that object, deg C.
+        supply_object: Object of the supply voltage.
+        supply_unit_V: Unit of that object, V.
+        current_object: The maker's own object of the motor current; None for 6078h, else 6077h.
+        named_current_unit_A: Unit of the maker's own object, A.
+        torque_constant_N_m_A: Motor torque per ampere, for drives that report torque and no
+            current; None for the ratio of the rated values.
+        rated_current_object: Object of the rated current.
+        rated_current_object_unit_A: Unit of that object, A.
+        rated_torque_object: Object of the rated torque.
+        rated_torque_object_unit_N_m: Unit of that object, N m.
     """
 
     counts_per_turn: float
@@ -48,6 +56,32 @@ class ServoScales:
     voltage_unit_V: float = 0.01
     temperature_object: ObjectAddress = (0x2101, 0)
     temperature_unit_C: float = 0.1
+    supply_object: ObjectAddress = (0x6079, 0)
+    supply_unit_V: float = 1e-3
+    current_object: ObjectAddress | None = None
+    named_current_unit_A: float = 1e-3
+    torque_constant_N_m_A: float | None = None
+    rated_current_object: ObjectAddress = RATED[0]
+    rated_current_object_unit_A: float = 1e-3
+    rated_torque_object: ObjectAddress = RATED[1]
+    rated_torque_object_unit_N_m: float = 1e-3
+
+    @property
+    def named_objects(self) -> tuple[ObjectAddress, ...]:
+        """Objects that are named for this drive, so that it must have them."""
+        usual = ServoScales
+        return tuple(
+            address
+            for address, default in (
+                (self.current_object, None),
+                (self.voltage_object, usual.voltage_object),
+                (self.temperature_object, usual.temperature_object),
+                (self.supply_object, usual.supply_object),
+                (self.rated_current_object, usual.rated_current_object),
+                (self.rated_torque_object, usual.rated_torque_object),
+            )
+            if address is not None and address != default
+        )
 
     def __post_init__(self) -> None:
         """Refuse invalid scales.
@@ -79,13 +113,32 @@ class ServoScales:
     @cached_property
     def joint_speed_unit_rad_s(self) -> float:
         """Joint speed of one velocity unit, without sign."""
-        unit = self.velocity_unit_rad_s or 2.0 * math.pi / self.counts_per_turn
-        return unit / self.gear_ratio
+        return self.motor_speed_unit_rad_s / self.gear_ratio
+
+    @property
+    def motor_speed_unit_rad_s(self) -> float:
+        """Motor speed of one velocity unit, without sign."""
+        return self.velocity_unit_rad_s or self.count_rad
+
+    @property
+    def count_rad(self) -> float:
+        """Motor angle of one count, without sign."""
+        return 2.0 * math.pi / self.counts_per_turn
 
     @cached_property
     def current_unit_A(self) -> float:
         """Current of one unit of 6078h, without sign."""
         return self.rated_current_A / 1000.0
+
+    @cached_property
+    def torque_as_current_A(self) -> float:
+        """Motor current behind one unit of 6077h, without sign."""
+        rated_A = (
+            self.rated_current_A
+            if self.torque_constant_N_m_A is None
+            else self.rated_torque_N_m / self.torque_constant_N_m_A
+        )
+        return rated_A / 1000.0
 
     @cached_property
     def joint_torque_unit_N_m(self) -> float:
@@ -101,45 +154,60 @@ class ServoScales:
         return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
 
     def mismatches(self, drive: ObjectAccess) -> Iterator[DeviceError]:
-        """Yield differences of the scales from the drive's own values: 6075h, 6076h and 608Fh, if
-        present.
+        """Yield differences of the scales from the drive's own values: 6075h and 6076h (or the
+        objects named instead) and 608Fh, if present.
 
         Values count as equal within 0.1 % or within one unit of the object, as drives may round. An
-        object that the drive refuses is yielded as well.
+        object that the drive lacks is not compared; one that it refuses otherwise is yielded.
 
         Raises:
             LinkError: No answer.
         """
-        current, torque = RATED
-        for what, address, bench, unit in (
-            ("rated current, 6075h", current, self.rated_current_A, "A"),
-            ("rated torque, 6076h", torque, self.rated_torque_N_m, "N m"),
+        for what, address, object_unit, bench, unit in (
+            (
+                "rated current",
+                self.rated_current_object,
+                self.rated_current_object_unit_A,
+                self.rated_current_A,
+                "A",
+            ),
+            (
+                "rated torque",
+                self.rated_torque_object,
+                self.rated_torque_object_unit_N_m,
+                self.rated_torque_N_m,
+                "N m",
+            ),
         ):
+            name = f"{what}, {address[0]:04X}h"
             yield from _compare(
-                what, partial(_milli, drive, address), bench, unit, resolution=_MILLI
+                name, partial(_scaled, drive, address, object_unit), bench, unit, object_unit
             )
         what, unit = "encoder resolution, 608Fh", "counts per motor turn"
-        for error in _compare(what, lambda: _resolution(drive), self.counts_per_turn, unit):
-            if not isinstance(error, ObjectAccessError) or error.code != _NO_OBJECT:
-                yield error
+        yield from _compare(what, lambda: _resolution(drive), self.counts_per_turn, unit)
 
 
-def _milli(drive: ObjectAccess, address: ObjectAddress) -> float:
-    return drive.read(*address) * _MILLI
+def _scaled(drive: ObjectAccess, address: ObjectAddress, unit: float) -> float | None:
+    value = optional(drive.read, *address)
+    return None if value is None else value * unit
 
 
-def _resolution(drive: ObjectAccess) -> float:
-    increments, turns = drive.read(0x608F, 1), drive.read(0x608F, 2)
+def _resolution(drive: ObjectAccess) -> float | None:
+    increments, turns = optional(drive.read, 0x608F, 1), optional(drive.read, 0x608F, 2)
+    if increments is None or turns is None:
+        return None
     return increments / turns if turns else math.inf
 
 
 def _compare(
-    what: str, read: Callable[[], float], bench: float, unit: str, resolution: float = 0.0
+    what: str, read: Callable[[], float | None], bench: float, unit: str, resolution: float = 0.0
 ) -> Iterator[DeviceError]:
     try:
         device = read()
     except (ConfigurationError, ObjectAccessError) as error:
         yield error
+        return
+    if device is None:
         return
     # The margin keeps a difference of one whole unit at one unit.
     if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution * (1.0 + 1e-6)):
@@ -157,11 +225,14 @@ class EncoderScales:
         counts_per_turn: Expected value of 6001h.
         sign: 1 if rising counts are a rising joint angle, else -1.
         offset_rad: Joint angle at 6004h = 0.
+        middle_rad: Middle of the joint's travel, to which the first angle is taken as near as the
+            encoder's range allows; None for the angle at 6004h = 0.
     """
 
     counts_per_turn: int
     sign: int = 1
     offset_rad: float = 0.0
+    middle_rad: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse invalid scales.
@@ -181,26 +252,41 @@ class EncoderScales:
         """Joint angle of one count, with sign."""
         return self.sign * 2.0 * math.pi / self.counts_per_turn
 
+    @cached_property
+    def middle(self) -> int:
+        """Count of the middle of the joint's travel; 0 where none is given."""
+        if self.middle_rad is None:
+            return 0
+        return round((self.middle_rad - self.offset_rad) / self.rad_per_count)
+
+
+def nearest(value: int, modulus: int, near: int) -> int:
+    """Return the count nearest to ``near`` that equals ``value`` modulo ``modulus``.
+
+    The lower one of two that are equally near is returned.
+    """
+    half = modulus // 2
+    return near + (value - near + half) % modulus - half
+
 
 class Unwrapper:
     """Unwraps a counter modulo ``modulus``.
 
     Each new value is unwrapped to the nearest to the last one, so the counter must move less than
-    half its range between calls. The first value is unchanged or, with ``signed``, the nearest to
-    zero.
+    half its range between calls. The first value is unchanged or, with ``near``, the nearest to
+    that count.
     """
 
-    def __init__(self, modulus: int, signed: bool = False) -> None:
+    def __init__(self, modulus: int, near: int | None = None) -> None:
         self._modulus = modulus
         self._half = modulus // 2
-        self._total: int | None = None
-        self._signed = signed
+        self._total = near
 
     def update(self, raw: int) -> int:
         """Return the unwrapped count for a new raw value."""
         total = self._total
         if total is None:
-            total = 0 if self._signed else raw
+            total = raw
         modulus = self._modulus
         step = (raw - total) % modulus
         if step > self._half:

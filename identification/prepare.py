@@ -64,8 +64,8 @@ class Prepared:
         angle: rad.
         velocity: rad/s.
         acceleration: rad/s^2.
-        torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque
-        constant is known.
+        torque: Drive torque plus that of the known loads, less what their inertia takes, N m; A
+            where no torque constant is known.
         drive_torque: Drive torque alone, N m.
         moment: Contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded.
         used: Samples in motion whose filter window contains no sample at rest and none near a late
@@ -74,7 +74,7 @@ class Prepared:
         filter: The filter, to be applied to regressors that are not linear in the velocity.
         raw_velocity: Velocity before that filter, rad/s, shape (m,), from which such regressors are
             formed.
-        raw_load: Magnitude of the pendulum's torque before that filter, N m, shape (m,).
+        raw_load: Magnitude of the known loads' torque before that filter, N m, shape (m,).
     """
 
     recording: Recording
@@ -293,11 +293,8 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
     drive = drive_torque(recording, grid, velocity)
     if not exact:
         drive = smooth(drive, rate, cutoff)
-    known, hanging = np.zeros(len(grid)), np.zeros(len(grid))
-    if recording.pendulum is not None:
-        pendulum = recording.pendulum
-        hanging = pendulum.torque(angle, recording.bench.gravity)
-        known = hanging - pendulum.inertia * acceleration
+    hanging = recording.known_torque(angle)
+    known = hanging - recording.known_inertia * acceleration
     margin = 0 if exact else round(1.5 * rate / cutoff)
     bad = _unresolved(velocity, rate) | still if exact else widened(still, margin)
     used = without_rare(low_pass, bad, widened(irregular(recording.time, grid), margin))

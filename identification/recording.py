@@ -112,6 +112,29 @@ class Pendulum:
 
 
 @dataclass(frozen=True)
+class Hoist:
+    """A known mass that the joint lifts when it moves forward: torque -m g r, inertia m r^2.
+
+    Attributes:
+        mass: kg.
+        radius: m, of the drum or pulley; negative where forward motion lowers the mass. On a
+            linear bench 1 or -1.
+    """
+
+    mass: float
+    radius: float = 1.0
+
+    @property
+    def inertia(self) -> float:
+        """Inertia m r^2 about the joint, kg m^2."""
+        return self.mass * self.radius**2
+
+    def torque(self, gravity: float) -> float:
+        """Return the mass's torque on the joint, N m, with ``gravity`` in m/s^2."""
+        return -self.mass * gravity * self.radius
+
+
+@dataclass(frozen=True)
 class Controller:
     """The position loop in which a recording was made: output = clip(kp (command - angle) - kv
     velocity, limit).
@@ -138,6 +161,7 @@ class Model:
         terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and a
             diagnosis does not report it.
         fixed: Parameters that are not fitted: name to value.
+        priors: Parameters known with an uncertainty: name to value and standard deviation.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
     """
@@ -146,6 +170,7 @@ class Model:
     fixed: Mapping[str, float] = field(default_factory=dict)
     alpha: float = 2.0
     friction: str = "stribeck"
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -161,6 +186,8 @@ class Recording:
         stage: ``unloaded`` or ``loaded``.
         weight_mass: m_w on the lever, kg; 0 in a hot firing, where gas pressure loads the valve.
         pendulum: A weight that turns with the joint, or None.
+        hoist: A mass that the joint lifts, or None.
+        constant_torque: Known constant torque on the joint, N m; positive drives it forward.
         controller: The loop in which it was made, if known; only simulations need it.
         role: ``fit``, or ``validate``: in no fit, but tests the effects of a diagnosis.
         averaged: Channels whose samples are means over the period that ends at their time.
@@ -168,6 +195,10 @@ class Recording:
         sha256: SHA-256 digest of that file.
         notes: Every correction made on reading, as text.
         partial: Whether its run stopped before the end of its command.
+        start: When its first sample was taken, s on the clock of the session; None where nothing
+            but its time stamps says so.
+        uncertainties: Standard deviations of known constants, by their place in this record
+            (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); others count as exact.
     """
 
     name: str
@@ -176,6 +207,8 @@ class Recording:
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: float = 0.0
     pendulum: Pendulum | None = None
+    hoist: Hoist | None = None
+    constant_torque: float = 0.0
     controller: Controller | None = None
     role: Literal["fit", "validate"] = "fit"
     averaged: frozenset[str] = frozenset()
@@ -183,6 +216,8 @@ class Recording:
     sha256: str = ""
     notes: tuple[str, ...] = ()
     partial: bool = False
+    start: float | None = None
+    uncertainties: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check shapes, names and time.
@@ -224,6 +259,37 @@ class Recording:
         return float(np.median(np.diff(self.time)))
 
     @property
+    def span(self) -> tuple[float, float]:
+        """When it began and ended, s: on the session's clock if known, else by its stamps."""
+        first, last = float(self.time[0]), float(self.time[-1])
+        return (first, last) if self.start is None else (self.start, self.start + last - first)
+
+    @property
+    def known_load(self) -> bool:
+        """Whether a known torque other than the drive's acts on the joint."""
+        return self.pendulum is not None or self.hoist is not None or self.constant_torque != 0.0
+
+    @property
+    def known_inertia(self) -> float:
+        """Inertia of the known weights about the joint, kg m^2."""
+        return sum((w.inertia for w in (self.pendulum, self.hoist) if w is not None), 0.0)
+
+    @property
+    def steady_torque(self) -> float:
+        """Known torque on the joint that is the same at every angle, N m."""
+        lifted = 0.0 if self.hoist is None else self.hoist.torque(self.bench.gravity)
+        return self.constant_torque + lifted
+
+    def known_torque(self, angle: Array) -> Array:
+        """Return the torque of the known loads on the joint at ``angle``, N m, shape (n,)."""
+        steady = np.full(len(angle), self.steady_torque)
+        return (
+            steady
+            if self.pendulum is None
+            else (steady + self.pendulum.torque(angle, self.bench.gravity))
+        )
+
+    @property
     def hot_fire(self) -> bool:
         """Whether a gas generator, and not a weight, loads the valve."""
         return self.stage == "loaded" and self.weight_mass == 0.0 and "pressure" in self.channels
@@ -236,10 +302,17 @@ class Recording:
 
 @dataclass(frozen=True)
 class Dataset:
-    """Recordings of one bench and the model to be fitted to them."""
+    """Recordings of one bench and the model to be fitted to them.
+
+    Attributes:
+        recordings: The recordings.
+        model: The model.
+        tables: Tables that list the recordings: file to SHA-256.
+    """
 
     recordings: tuple[Recording, ...]
     model: Model = field(default_factory=Model)
+    tables: Mapping[str, str] = field(default_factory=dict)
 
     def part(self, role: Literal["fit", "validate"]) -> tuple[Recording, ...]:
         """Return the recordings of one role."""

@@ -207,6 +207,46 @@ class MeasuredNoise:
 
 
 @dataclass(frozen=True)
+class Prior:
+    """What was known of a parameter, what the recordings say, and both together.
+
+    Attributes:
+        name: The parameter.
+        value: Prior value.
+        uncertainty: Its standard deviation.
+        alone: Estimate from the recordings alone.
+        alone_uncertainty: Its standard deviation.
+        posterior: Value of both together.
+        posterior_uncertainty: Its standard deviation.
+    """
+
+    name: str
+    value: float
+    uncertainty: float
+    alone: float
+    alone_uncertainty: float
+    posterior: float
+    posterior_uncertainty: float
+
+
+@dataclass(frozen=True)
+class KnownConstant:
+    """A constant that was given with an uncertainty, and what this adds to the estimates.
+
+    Attributes:
+        place: Its place in a recording, such as ``bench.torque_constant`` or ``weight_mass``.
+        value: The constant, SI.
+        uncertainty: Its standard deviation.
+        shifts: Parameter to its change with the constant raised by one standard deviation.
+    """
+
+    place: str
+    value: float
+    uncertainty: float
+    shifts: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Identification:
     """Result of one identification of one dataset by one method.
 
@@ -231,6 +271,9 @@ class Identification:
         noise: Noise of the measurement; None where refined values were not accepted.
         profiles: Profile likelihoods, if requested.
         resampled: Spread over bootstrap samples, if requested.
+        known_constants: Constants given with an uncertainty; the intervals of ``parameters``, not
+            profiles and bootstrap, hold it.
+        priors: Priors of parameters that were joined with the recordings.
     """
 
     method: str
@@ -252,6 +295,8 @@ class Identification:
     noise: MeasuredNoise | None = None
     profiles: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
+    known_constants: tuple[KnownConstant, ...] = ()
+    priors: tuple[Prior, ...] = ()
 
     @property
     def torque_unit(self) -> str:

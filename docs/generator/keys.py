@@ -40,7 +40,7 @@ def fields(record: type) -> Iterator[Key]:
             made = shape(info.annotation, tuple(info.metadata))
             missing = info.default is PydanticUndefined and info.default_factory is None
             value = info.get_default(call_default_factory=True) if not missing else None
-            yield Key(name, made, REQUIRED if missing else plain(value))
+            yield Key(info.alias or name, made, REQUIRED if missing else plain(value))
         return
     hints = typing.get_type_hints(record, include_extras=True)
     for field in dataclasses.fields(record):
@@ -100,7 +100,7 @@ def _sections(record: type, path: str, titles: dict[type, str]) -> Iterator[str]
         for at, inside in key.shape.records:
             place = ".".join(filter(None, (path, key.name))) + at
             if inside not in titles:
-                titles[inside] = place + _variant(inside, key.shape)
+                titles[inside] = getattr(inside, "heading", place + _variant(inside, key.shape))
                 deeper.append((place, inside))
             links.append(f"[{titles[inside]}](#{_anchor(titles[inside])})")
         words = (

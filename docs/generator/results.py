@@ -33,6 +33,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:fit_record",
         "rig.results.identify.record:_stage_record",
         "rig.results.identify.record:_history_record",
+        "rig.results.identify.record:known_record",
         "rig.results.identify.record:uncertainty_record",
         "rig.results.identify.record:ladder_record",
         "rig.results.identify.record:simulated_record",
@@ -55,6 +56,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.record:_curve_record",
         "rig.results.diagnose.record:_step_record",
     ),
+    "rig diagnose --observable": ("rig.results.diagnose.observable:Seen.record",),
     "rig simulate: simulate.json": (
         "rig.results.simulate.record:simulation_record",
         "rig.results.simulate.record:_case_record",
@@ -71,6 +73,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     "rig effects --json": (
         "rig.results.effects:effects_record",
         "rig.results.effects:_entry_record",
+    ),
+    "rig look --json": (
+        "rig.results.look:look_record",
+        "rig.results.look:_log_record",
+        "rig.results.look:_clock_record",
+        "rig.results.look:_column_record",
     ),
     "rig paper: paper.json": (
         "rig.results.paper.record:paper_record",

@@ -24,6 +24,8 @@ _SCALARS = {
 _VALIDATORS = {
     "_buildable": "> 1e-9, < 1e9",
     "_not_zero": "not 0",
+    "_measured": "",
+    "iso_time": "(ISO 8601 date and time)",
     "_known_channel": "a [canonical channel](#channels)",
     "_known_parameter": "a [parameter](../glossary.md)",
     "_known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, "

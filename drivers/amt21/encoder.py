@@ -17,7 +17,7 @@ from drivers.clock import NS
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.interfaces import Encoder, EncoderSample, Identity
 from drivers.objects import refusal
-from drivers.units import EncoderScales
+from drivers.units import EncoderScales, nearest
 
 COUNTS_PER_TURN: Final = 1 << 14
 TURNS: Final = 1
@@ -51,11 +51,6 @@ def decode(answer: bytes) -> int | None:
     return value if encode(value) == answer else None
 
 
-def near_zero(value: int) -> int:
-    """Return a position with the upper half of the turn mapped to negative values."""
-    return (value + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
-
-
 class PlausibilityGate:
     """Tracks positions modulo a turn and rejects those that the joint cannot have reached since the
     last good one.
@@ -82,13 +77,13 @@ class PlausibilityGate:
         self._speed = 0.0
         self.position = 0
 
-    def start(self, value: int, period_s: float) -> None:
-        """Begin with a trusted position; the upper half of the turn counts as just below zero.
+    def start(self, value: int, period_s: float, near: int = 0) -> None:
+        """Begin with a trusted position, of all turns the one nearest to ``near``.
 
         The joint is assumed at rest until the next position, which may differ by the motion of one
         period.
         """
-        self.position = near_zero(value)
+        self.position = nearest(value, COUNTS_PER_TURN, near)
         self._seen_ns = None
         self._interval_s = period_s
         self._patience_s = max(self.PATIENCE_S, self.PATIENCE_PERIODS * period_s)
@@ -159,7 +154,9 @@ class Amt21Encoder(Encoder):
         """
         self.line.find_echo()
         value = self._ask()
-        return math.nan if value is None else self._angle(near_zero(value))
+        if value is None:
+            return math.nan
+        return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield answers that do not agree at rest.
@@ -176,7 +173,7 @@ class Amt21Encoder(Encoder):
             LinkError: No encoder answers.
             ConfigurationError: Its answers do not agree.
         """
-        self._gate.start(self._trusted(), cycle_s)
+        self._gate.start(self._trusted(), cycle_s, near=self._scales.middle)
         self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
 

@@ -38,11 +38,17 @@ raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(
 """Makes a :class:`RawFrame` from a tuple in half the constructor's time; a cycle has six frames."""
 
 
+def hexadecimal(identifier: int) -> str:
+    """Return an identifier as it is written: 3 digits, or 8 in extended format."""
+    extended = identifier & EXTENDED_FLAG
+    return f"{identifier & _IDENTIFIER_BITS:08X}h" if extended else f"{identifier:03X}h"
+
+
 class FramePort(Protocol):
     """An open bus. Its methods raise nothing but OSError, also after :meth:`shutdown`."""
 
     def transmit(self, identifier: int, data: bytes) -> None:
-        """Send a base-format data frame.
+        """Send a frame; the flags of the identifier choose its format as in :class:`RawFrame`.
 
         Raises:
             OSError: The bus refuses it, is gone, or does not take it within :data:`SEND_LIMIT_S`.
@@ -87,7 +93,15 @@ class PythonCanPort:
         Raises:
             OSError: The bus refuses it, is gone, or does not take it in time.
         """
-        message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
+        if identifier > _HIGHEST_BASE:
+            message = can.Message(
+                arbitration_id=identifier & _IDENTIFIER_BITS,
+                is_extended_id=bool(identifier & EXTENDED_FLAG),
+                is_remote_frame=bool(identifier & REMOTE_FLAG),
+                data=data,
+            )
+        else:
+            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=data)
         try:
             self._bus.send(message, timeout=SEND_LIMIT_S)
         except BlockingIOError as error:

@@ -43,8 +43,12 @@ MAX_LINE: Final = 64
 
 
 def encode(identifier: int, data: bytes) -> bytes:
-    """Return the line that sends a base-format data frame."""
-    return f"t{identifier:03X}{len(data)}{data.hex().upper()}\r".encode()
+    """Return the line that sends a frame; the flags of the identifier choose its format."""
+    kind, digits = ("T", 8) if identifier & EXTENDED_FLAG else ("t", 3)
+    if identifier & REMOTE_FLAG:
+        kind = "R" if kind == "T" else "r"
+    number = identifier & ~(EXTENDED_FLAG | REMOTE_FLAG)
+    return f"{kind}{number:0{digits}X}{len(data)}{data.hex().upper()}\r".encode()
 
 
 class LineDecoder:

@@ -6,29 +6,127 @@ from collections.abc import Iterator
 
 from drivers import servo_limits
 from drivers.canopen import cia402_objects as objects
+from drivers.canopen import velocity_unit
+from drivers.canopen.cia402_objects import Cyclic
 from drivers.errors import ConfigurationError, DeviceError
-from drivers.objects import IDENTITY, ProcessChannel, refusal
+from drivers.lacks import Lacks
+from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
 from drivers.units import ServoScales
+
+_ONLY_HOST = "only this program checks it, in every cycle"
 
 
 def description_refusals(
-    channel: ProcessChannel, scales: ServoScales, torque_offset: bool
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool
 ) -> Iterator[DeviceError]:
     """Yield the objects that the servo needs and the EDS lacks. Sends nothing."""
-    for address in (*IDENTITY, *objects.SINGLE, *servo_limits.OBJECTS):
-        yield from refusal(channel.require_fit, *address, 0)
-    yield from refusal(channel.require_mappable, *objects.layouts(scales, torque_offset))
+    yield from refusal(channel.require_fit, *VENDOR, 0)
+    lacking = False
+    for address, purpose in objects.NEEDED.items():
+        for error in refusal(channel.require_fit, *address, 0):
+            lacking = True
+            yield ConfigurationError(f"{error}; every run needs it: {purpose}")
+    for address in scales.named_objects:
+        for error in refusal(channel.require_fit, *address, 0):
+            lacking = True
+            yield ConfigurationError(f"{error}; the bench file names it: correct the bench file")
+    yield from refusal(channel.require_watchable)
+    if told.current is None:
+        lacking = True
+        yield ConfigurationError(
+            "neither the current 6078h nor the torque 6077h is in the device's EDS as process "
+            "data; one of them is needed, as the limits of current and torque are checked against "
+            "it: name the drive's own object with servo.current_object and current_unit_A"
+        )
+    if not lacking:
+        settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
+        for address in (*held_limits(channel), *settings):
+            if channel.describes(*address):
+                yield from refusal(channel.require_fit, *address, 0)
+        yield from refusal(
+            channel.require_mappable, objects.outputs(torque_offset), objects.inputs(told, channel)
+        )
+
+
+def held_limits(channel: ProcessChannel) -> tuple[ObjectAddress, ...]:
+    """Return the objects of limits that the drive's EDS has. Sends nothing."""
+    return tuple(address for address in servo_limits.OBJECTS if channel.describes(*address))
+
+
+def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float) -> Lacks:
+    """Return what the drive neither holds nor tells, according to its EDS. Sends nothing.
+
+    Args:
+        channel: The drive.
+        scales: Its units.
+        told: What it tells in every cycle.
+        cycle_s: Control cycle, s.
+    """
+    held = held_limits(channel)
+    missing = {
+        field: f"{what} ({_name(address)})"
+        for address, (field, what) in servo_limits.FIELDS.items()
+        if address not in held
+    }
+    words = [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
+    supply, temperature = _name(scales.supply_object), _name(scales.temperature_object)
+    words += [
+        text
+        for there, text in (
+            (told.supply, f"not watched: supply voltage ({supply}); servo.supply_object names it"),
+            (
+                told.temperature,
+                f"not watched: temperature ({temperature}); servo.temperature_object names it",
+            ),
+            (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
+            (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
+            (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
+            (
+                told.current if scales.current_object or told.current != objects.TORQUE else None,
+                "no motor current (6078h): it is taken from the torque 6077h",
+            ),
+            *(
+                (
+                    channel.describes(*rated) or None,
+                    f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
+                    f"values are; read it with the maker's tool",
+                )
+                for what, rated in (
+                    ("rated current", scales.rated_current_object),
+                    ("rated torque", scales.rated_torque_object),
+                )
+            ),
+            (
+                channel.describes(*objects.CYCLE) or None,
+                f"no interpolation period (60C2h): set it to {cycle_s * 1e3:g} ms with the maker's "
+                f"tool",
+            ),
+            (
+                channel.describes(*objects.ON_ABORT) or None,
+                "no reaction to a lost master (6007h), so that the drive counts as one without a "
+                "watchdog; servo.stops_alone: true where its manual says that it takes the power "
+                "off when the heartbeat of this program ends",
+            ),
+        )
+        if there is None
+    ]
+    return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
+
+
+def _name(address: tuple[int, int]) -> str:
+    index, subindex = address
+    return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
 
 
 def refusals(
-    channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield units that differ from the bench file, a cycle that cannot be set, and missing
     objects.
     """
     yield from unit_refusals(channel, scales, torque_offset, cycle_s)
-    outputs, inputs = objects.layouts(scales, torque_offset)
-    unmappable = list(refusal(channel.require_mappable, outputs, inputs))
+    inputs = objects.inputs(told, channel)
+    unmappable = list(refusal(channel.require_mappable, objects.outputs(torque_offset), inputs))
     yield from unmappable
     if not unmappable:
         for layout in inputs:
@@ -41,6 +139,7 @@ def unit_refusals(
 ) -> Iterator[DeviceError]:
     """Yield refusals that mapping the process data does not detect."""
     yield from scales.mismatches(channel)
+    yield from velocity_unit.refusals(channel, scales)
     milliseconds = round(cycle_s * 1e3)
     if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
         yield ConfigurationError(

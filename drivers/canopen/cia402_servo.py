@@ -10,9 +10,10 @@ from contextlib import suppress
 from typing import Final
 
 from drivers import servo_limits
-from drivers.canopen import cia402, cia402_checks
+from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
+from drivers.canopen.cia402_values import CyclicValues
 from drivers.canopen.emergency import explain
 from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
@@ -33,18 +34,12 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
-from drivers.objects import (
-    ObjectAddress,
-    ProcessChannel,
-    read_identity,
-    refusal,
-)
-from drivers.units import ServoScales, Unwrapper
+from drivers.lacks import Lacks
+from drivers.objects import ObjectAddress, ProcessChannel, optional, read_identity, refusal
+from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
 """Heartbeat time-out after which the drive stops by itself, s."""
-_US: Final = 1e-6
-_MILLI: Final = 1e-3
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -59,6 +54,8 @@ class Cia402Servo(Servo):
         watch_s: Silence of the control loop after which the drive stops by itself, s.
         state_timeout_s: Time-out for reaching a state, s.
         torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
+        stops_alone: Whether the drive takes the power off by itself when the control loop is
+            silent; None where its EDS shows it (6007h).
     """
 
     def __init__(
@@ -69,12 +66,21 @@ class Cia402Servo(Servo):
         watch_s: float = WATCH_S,
         state_timeout_s: float = 1.0,
         torque_offset: bool = False,
+        stops_alone: bool | None = None,
     ) -> None:
         self._channel = channel
         self._link = link
         self._clock = link.clock
         self._scales = scales
-        self.watch_s = self._watch_s = watch_s
+        self._told = objects.cyclic(channel, scales)
+        self._held = cia402_checks.held_limits(channel)
+        self._inputs = objects.inputs(self._told, channel)
+        self._values = CyclicValues(channel, scales, self._told, self._inputs)
+        self._watch_s = watch_s
+        if stops_alone is None:
+            stops_alone = channel.describes(*objects.ON_ABORT)
+        self.watch_s = watch_s if stops_alone else None
+        link.has_watchdog = link.has_watchdog and stops_alone
         self._timeout_s = state_timeout_s
         self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE
@@ -83,7 +89,6 @@ class Cia402Servo(Servo):
         self._offset = 0
         self._previous = 0
         self._staged_in = 0
-        self._time = Unwrapper(1 << 32)
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
@@ -95,7 +100,15 @@ class Cia402Servo(Servo):
 
     def read_limits(self) -> ServoLimits:
         """Read back the limits the drive itself holds."""
-        return servo_limits.read(self._channel, self._scales)
+        return servo_limits.read(self._channel, self._scales, self._held)
+
+    def lacks(self, cycle_s: float) -> Lacks:
+        """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
+        return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
+
+    def speed_remedy(self, factor: float) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one."""
+        return velocity_unit.remedy(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each limit's object, at the joint."""
@@ -104,7 +117,8 @@ class Cia402Servo(Servo):
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
         """Yield each limit that its object cannot hold."""
         for address, value in servo_limits.encode(limits, self._scales).items():
-            yield from refusal(self._channel.require_fit, *address, value)
+            if address in self._held:
+                yield from refusal(self._channel.require_fit, *address, value)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
@@ -113,45 +127,49 @@ class Cia402Servo(Servo):
             ConfigurationError: The drive holds another value, or one does not fit.
             ObjectAccessError: The drive refuses one.
         """
-        servo_limits.write(self._channel, self._scales, limits)
+        servo_limits.write(self._channel, self._scales, limits, self._held)
 
     def readings(self) -> ServoReadings:
         """Read each value singly; NaN for values that the drive does not have."""
-        scales = self._scales
+        scales, told = self._scales, self._told
         counts, speed, current, supply, temperature = map(
             self._read_or_nan,
             (
                 objects.POSITION,
                 objects.SPEED_ACTUAL,
-                objects.CURRENT,
-                objects.DC_LINK,
+                told.current,
+                scales.supply_object,
                 scales.temperature_object,
             ),
         )
         return ServoReadings(
             counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
             speed * scales.joint_speed_unit_rad_s * scales.sign,
-            current * scales.current_unit_A * scales.sign,
-            supply * _MILLI,
+            current * told.current_unit_A * scales.sign,
+            supply * scales.supply_unit_V,
             temperature * scales.temperature_unit_C,
         )
 
     def fault(self) -> DriveFault:
         """Read why the drive is in fault (603Fh)."""
-        code = self._channel.read(*objects.ERROR_CODE)
-        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
+        code, label = optional(self._channel.read, *objects.ERROR_CODE), self._channel.label
+        if code is None:
+            return DriveFault(0, f"{label} is in fault, and has no code 603Fh: see its display")
+        return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
         yield from cia402_checks.description_refusals(
-            self._channel, self._scales, self._takes_offset
+            self._channel, self._scales, self._told, self._takes_offset
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield units that differ from the bench file, a cycle that cannot be set, and missing
         objects.
         """
-        yield from cia402_checks.refusals(self._channel, self._scales, self._takes_offset, cycle_s)
+        yield from cia402_checks.refusals(
+            self._channel, self._scales, self._told, self._takes_offset, cycle_s
+        )
 
     def prepare(self, cycle_s: float) -> None:
         """Check units, map process data, set the cycle, and verify that the heartbeat time-out can
@@ -176,15 +194,18 @@ class Cia402Servo(Servo):
             channel, self._scales, self._takes_offset, cycle_s
         ):
             raise error
-        servo_limits.store(channel, objects.CYCLE, round(cycle_s * 1e3))
-        servo_limits.store(channel, objects.CYCLE_EXPONENT, -3)
-        servo_limits.store(channel, objects.ON_ABORT, objects.ABORT_IS_FAULT)
+        for address, value in (
+            (objects.CYCLE, round(cycle_s * 1e3)),
+            (objects.CYCLE_EXPONENT, -3),
+            (objects.ON_ABORT, objects.ABORT_IS_FAULT),
+        ):
+            if channel.describes(*address):
+                servo_limits.store(channel, address, value)
         self._offset = 0
-        channel.map_process_data(
-            *objects.layouts(self._scales, self._takes_offset), cycle_s=cycle_s
-        )
+        outputs = objects.outputs(self._takes_offset)
+        channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
-        self._time = Unwrapper(1 << 32)
+        self._values.begin(self._cycle_ns)
         channel.watch(self._watch_s)
         channel.unwatch()
         self._stage(channel.read(*objects.POSITION))
@@ -208,8 +229,7 @@ class Cia402Servo(Servo):
             self._word = cia402.DISABLE_VOLTAGE
             self._offset = 0
             self._stage(self._channel.read(*objects.POSITION))
-            self._select_mode()
-            self._walk()
+            self._walk(in_mode=self._select_mode())
         except DeviceError:
             with suppress(DeviceError):
                 self.disable()
@@ -288,29 +308,14 @@ class Cia402Servo(Servo):
 
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange."""
-        channel, scales = self._channel, self._scales
-        statusword, position, current = channel.latest(objects.MOTION_PDO)
-        velocity, time_us = channel.latest(objects.SPEED_PDO)
-        (voltage,) = channel.latest(objects.VOLTAGE_PDO)
-        supply, temperature = channel.latest(objects.SUPPLY_PDO)
-        following = 0.0
+        statusword, position = self._values.motion()
+        following = 0
         if statusword & 0x6F == 0x27:
             # The target of the previous exchange is the one that the drive has reached at this
             # SYNC.
-            demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
-            following = (demand - position) * scales.joint_rad_per_count
-        return ServoSample(
-            self._time.update(time_us) * _US,
-            position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-            velocity * scales.joint_speed_unit_rad_s * scales.sign,
-            current * scales.current_unit_A * scales.sign,
-            voltage * scales.voltage_unit_V * scales.sign,
-            supply * _MILLI,
-            temperature * scales.temperature_unit_C,
-            following,
-            statusword,
-            channel.fresh,
-        )
+            demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
+            following = demand - position
+        return self._values.sample(following)
 
     def _stage(self, counts: int) -> None:
         if self._channel.cycle != self._staged_in:
@@ -322,7 +327,9 @@ class Cia402Servo(Servo):
         else:
             self._channel.stage(objects.OUTPUT_PDO, self._word, counts)
 
-    def _read_or_nan(self, address: ObjectAddress) -> float:
+    def _read_or_nan(self, address: ObjectAddress | None) -> float:
+        if address is None:
+            return math.nan
         try:
             return self._channel.read(*address)
         except (ConfigurationError, ObjectAccessError):
@@ -339,24 +346,28 @@ class Cia402Servo(Servo):
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
-    def _select_mode(self) -> None:
-        self._channel.write(*objects.MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+    def _select_mode(self) -> bool:
+        """Select the mode and wait for it; returns whether it came."""
+        cia402_mode.select(self._channel)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            mode = self._channel.read(*objects.MODE_DISPLAY)
-            if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
-                return
+            if cia402_mode.in_force(self._channel):
+                return True
             if not in_time:
-                raise StateError(
-                    f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP "
-                    f"(6502h)"
-                )
+                break
+        return False
 
-    def _walk(self) -> None:
+    def _walk(self, in_mode: bool) -> None:
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            statusword, position, _ = self._channel.latest(objects.MOTION_PDO)
+            statusword, position = self._values.motion()
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()
+            if state in cia402_mode.NEEDED_IN and not in_mode:
+                in_mode = cia402_mode.in_force(self._channel)
+                if not in_mode and not in_time:
+                    raise cia402_mode.not_shown(self._channel, state, self._timeout_s)
+                if not in_mode:
+                    continue
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
                 return
             if not in_time:

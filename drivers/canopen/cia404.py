@@ -8,7 +8,7 @@ from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Identity, PressureSample, PressureTransmitter
-from drivers.objects import IDENTITY, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, refusal
 
 FRAMES: Final = ((5, 1),)
 """As for the drive."""
@@ -53,7 +53,7 @@ class Cia404Transmitter(PressureTransmitter):
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
-        for address in (*IDENTITY, _UNIT, _DIGITS):
+        for address in (VENDOR, _UNIT, _DIGITS):
             yield from refusal(self._channel.require_fit, *address, 0)
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 

@@ -8,18 +8,30 @@ from typing import Final
 
 from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Encoder, EncoderSample, Identity
-from drivers.objects import IDENTITY, PdoLayout, ProcessChannel, read_identity, refusal
-from drivers.units import EncoderScales, Unwrapper
+from drivers.objects import (
+    VENDOR,
+    PdoLayout,
+    ProcessChannel,
+    optional,
+    read_identity,
+    refusal,
+)
+from drivers.units import EncoderScales, Unwrapper, nearest
 
 _POSITION: Final = 1
 FRAMES: Final = ((8, 1),)
 """As for the drive."""
 _US: Final = 1e-6
-_RESOLUTION: Final = (0x6001, 0)
+_RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
+"""Steps per turn: as set (class 2), and of the disc (class 1)."""
 _RANGE: Final = (0x6002, 0)
+_TURNS: Final = (0x6502, 0)
 _ALARMS: Final = (0x6503, 0)
 _VALUE: Final = (0x6004, 0)
-_INPUTS: Final = (PdoLayout(_POSITION, (_VALUE, (0x1013, 0))),)
+_TIME: Final = (0x1013, 0)
+_WHOLE: Final = 1 << 32
+_WHOLE_WORDS: Final = (0, _WHOLE - 1)
+"""Values of 6002h that stand for 2^32, which it cannot hold."""
 
 
 class Cia406Encoder(Encoder):
@@ -33,8 +45,9 @@ class Cia406Encoder(Encoder):
     def __init__(self, channel: ProcessChannel, scales: EncoderScales) -> None:
         self._channel = channel
         self._scales = scales
-        self._counter = Unwrapper(1 << 32, signed=True)
-        self._time = Unwrapper(1 << 32)
+        self._stamped = True
+        self._counter = Unwrapper(_WHOLE, near=scales.middle)
+        self._time = Unwrapper(_WHOLE)
 
     def identity(self) -> Identity:
         """Read the encoder's identity."""
@@ -43,30 +56,32 @@ class Cia406Encoder(Encoder):
     def reading(self) -> float:
         """Read the position (6004h); NaN where the encoder refuses it."""
         try:
-            counts = Unwrapper(self._channel.read(*_RANGE), signed=True).update(
-                self._channel.read(*_VALUE)
-            )
+            counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):
             return math.nan
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
-        for address in (*IDENTITY, _RESOLUTION, _RANGE, _ALARMS):
-            yield from refusal(self._channel.require_fit, *address, 0)
-        yield from refusal(self._channel.require_mappable, (), _INPUTS)
+        yield from refusal(self._channel.require_fit, *VENDOR, 0)
+        yield from refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield a resolution that differs from the bench file, alarms, and missing objects."""
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
-        unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
+        yield from refusal(self._modulus)
+        unmappable = list(
+            refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
+        )
         yield from unmappable
-        for address in (_RANGE, *(() if unmappable else _INPUTS[0].objects)):
-            yield from refusal(self._channel.read, *address)
+        if not unmappable:
+            yield from refusal(self._channel.read, *_VALUE)
 
     def prepare(self, cycle_s: float) -> None:
         """Check resolution and alarms, and map process data.
+
+        The time stamp is the encoder's (1013h) where it has one, else the host's of the SYNC.
 
         Raises:
             ConfigurationError: 6001h differs from the bench file, or the encoder reports an alarm.
@@ -74,30 +89,52 @@ class Cia406Encoder(Encoder):
         self._require_resolution()
         self._require_no_alarm()
         channel = self._channel
-        channel.map_process_data([], _INPUTS, cycle_s)
-        # Positions in the upper half of the range are read as just below zero.
-        self._counter = Unwrapper(channel.read(*_RANGE), signed=True)
-        self._time = Unwrapper(1 << 32)
+        self._stamped = (
+            channel.describes(*_TIME, mappable=True) and optional(channel.read, *_TIME) is not None
+        )
+        channel.map_process_data([], [self._inputs(self._stamped)], cycle_s)
+        self._counter = Unwrapper(self._modulus(), near=self._scales.middle)
+        self._time = Unwrapper(_WHOLE)
 
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange."""
-        position, time_us = self._channel.latest(_POSITION)
+        position, *stamp = self._channel.latest(_POSITION)
         angle = (
             self._counter.update(position) * self._scales.rad_per_count + self._scales.offset_rad
         )
+        time_us = stamp[0] if stamp else self._channel.sync_us
         return EncoderSample(self._time.update(time_us) * _US, angle, self._channel.fresh)
 
+    def _inputs(self, stamped: bool) -> PdoLayout:
+        return PdoLayout(_POSITION, (_VALUE, _TIME) if stamped else (_VALUE,))
+
+    def _modulus(self) -> int:
+        """Return the range of the position in steps.
+
+        An encoder of class 1 has no 6002h, but the steps and turns of its discs; one that tells
+        nothing is taken modulo a turn, of which every range is a multiple.
+        """
+        channel, turn = self._channel, self._scales.counts_per_turn
+        span = optional(channel.read, *_RANGE)
+        if span is not None:
+            return _WHOLE if span in _WHOLE_WORDS else span
+        return min(_WHOLE, turn * max(1, optional(channel.read, *_TURNS) or 1))
+
     def _require_resolution(self) -> None:
-        counts = self._channel.read(*_RESOLUTION)
-        if counts != self._scales.counts_per_turn:
-            raise ConfigurationError(
-                f"{self._channel.label}: 6001h says {counts} counts per turn, the bench file "
-                f"{self._scales.counts_per_turn}; correct the bench file, or check that this is "
-                f"the right encoder"
-            )
+        for address in _RESOLUTION:
+            counts = optional(self._channel.read, *address)
+            if counts is None:
+                continue
+            if counts != self._scales.counts_per_turn:
+                raise ConfigurationError(
+                    f"{self._channel.label}: {address[0]:04X}h says {counts} counts per turn, the "
+                    f"bench file {self._scales.counts_per_turn}; correct the bench file, or check "
+                    f"that this is the right encoder"
+                )
+            return
 
     def _require_no_alarm(self) -> None:
-        if alarms := self._channel.read(*_ALARMS):
+        if alarms := optional(self._channel.read, *_ALARMS):
             raise ConfigurationError(
                 f"{self._channel.label} reports alarms {alarms:04X}h (6503h); see the encoder's "
                 f"manual"

@@ -1,32 +1,53 @@
-"""Reads the object dictionary of a device from its EDS file, which may be damaged."""
+"""Reads the object dictionary of a device from its EDS or DCF file, which may be damaged."""
 
 from __future__ import annotations
 
-import configparser
-import warnings
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from typing import Any, Final
 
-import canopen
-from canopen.objectdictionary import ObjectDictionary, ObjectDictionaryError
+from canopen.objectdictionary import (
+    ObjectDictionary,
+    ODArray,
+    ODRecord,
+    ODVariable,
+    datatypes,
+)
 
+from drivers.canopen.eds_text import Section, decode, integer, sections
 from drivers.errors import ConfigurationError
 from drivers.plain_file import require_plain
 
-_UNREADABLE = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    ArithmeticError,
-    configparser.Error,
-    ObjectDictionaryError,
-)
-"""Exceptions that canopen's parser raises on damaged files."""
+_OBJECT: Final = re.compile(r"([0-9A-F]{4})(?:SUB([0-9A-F]{1,2}))?")
+_VARIABLE, _ARRAY, _RECORD = 7, 8, 9
+_DOMAIN: Final = 2
+_LAST_STANDARD_TYPE: Final = 0x1B
+_MOST_MEMBERS: Final = 254
+_NODE: Final = re.compile(r"\+?\$NODEID\+?", re.IGNORECASE)
+_BLOBS: Final = (datatypes.OCTET_STRING, datatypes.DOMAIN)
+_TEXTS: Final = (datatypes.VISIBLE_STRING, datatypes.UNICODE_STRING)
+Address = tuple[int, int]
 
 
-def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
+class Described(ObjectDictionary):
+    """Objects of a device as its EDS describes them.
+
+    Attributes:
+        faults: Index and subindex of each object whose description cannot be used, to why; with
+            file and line. Such an object is left out.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()  # type: ignore[no-untyped-call]
+        self.faults: dict[Address, str] = {}
+
+
+def read_eds(eds: Path, node_id: int) -> Described:
     """Read the object dictionary of a device.
+
+    Only the sections of objects are used; a header or a comment never prevents reading.
 
     Args:
         eds: The file; EDS or DCF.
@@ -36,33 +57,162 @@ def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
         ConfigurationError: It cannot be read, or describes no object.
     """
     try:
-        # canopen warns of an incomplete file through a deprecated call of its logger.
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)
-            with open(eds, encoding=_encoding(eds)) as stream:
-                dictionary = canopen.import_od(stream, node_id)
-    except _UNREADABLE as error:
+        require_plain(eds)
+        text = decode(eds.read_bytes())
+    except (OSError, ValueError) as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
             f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the device's own EDS "
             f"file"
         ) from error
+    dictionary = _Reader(eds, node_id, sections(text)).dictionary()
     if not len(dictionary):
+        why = next(iter(dictionary.faults.values()), f"{eds}:1: there is no section like [1000]")
         raise ConfigurationError(
-            f"EDS file {eds} of node {node_id} describes no object; use the device's own EDS file"
+            f"EDS file {eds} of node {node_id} describes no object: {why}; use the device's own "
+            f"EDS file"
         )
     return dictionary
 
 
-def _encoding(eds: Path) -> str:
-    """Return a file's encoding: CiA 306 allows only ASCII, but makers use local encodings.
+def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
+    """Return index and subindex of everything that can be read or written."""
+    return frozenset(
+        (variable.index, variable.subindex)
+        for item in dictionary.values()
+        for variable in ([item] if isinstance(item, ODVariable) else item.values())
+    )
 
-    Raises:
-        OSError: It cannot be read, or is no plain file.
+
+class _Reader:
+    """Turns sections into objects.
+
+    Args:
+        eds: The file, for messages.
+        node_id: Node identifier.
+        found: Its sections, from :func:`~drivers.canopen.eds_text.sections`.
     """
-    require_plain(eds)
-    try:
-        eds.read_bytes().decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return "latin-1"
-    return "utf-8-sig"
+
+    def __init__(self, eds: Path, node_id: int, found: Mapping[str, Section]) -> None:
+        self._eds = eds
+        self._node_id = node_id
+        self._sections = found
+        self._heads: dict[int, Section] = {}
+        self._members: dict[int, dict[int, Section]] = {}
+        for name, section in found.items():
+            match = _OBJECT.fullmatch(name)
+            if match is None:
+                continue
+            index = int(match[1], 16)
+            if match[2] is None:
+                self._heads[index] = section
+            else:
+                self._members.setdefault(index, {})[int(match[2], 16)] = section
+
+    def dictionary(self) -> Described:
+        """Return the objects that can be used, and the faults of the others."""
+        described = Described()
+        for index in sorted({*self._heads, *self._members}):
+            item = self._item(index, described.faults)
+            if item is not None:
+                described.add_object(item)
+        return described
+
+    def _item(self, index: int, faults: dict[Address, str]) -> Any:
+        head = self._heads.get(index, Section(f"{index:04X}", 1))
+        kind = _VARIABLE
+        with suppress(ValueError):
+            kind = integer(head.text("ObjectType", str(_VARIABLE)))
+        members = self._members.get(index, {})
+        if kind not in (_ARRAY, _RECORD) and not (members and "datatype" not in head.values):
+            return self._variable(head, index, 0, faults)
+        name = head.text("ParameterName", head.name)
+        item = ODArray(name, index) if kind == _ARRAY else ODRecord(name, index)
+        for variable in (
+            *self._compact(head, index, faults),
+            *(self._variable(section, index, sub, faults) for sub, section in members.items()),
+        ):
+            if variable is not None:
+                item.add_member(variable)
+        # canopen derives members of an array from the first one.
+        return item if len(item) and (kind != _ARRAY or 1 in item) else None
+
+    def _compact(
+        self, head: Section, index: int, faults: dict[Address, str]
+    ) -> Iterator[ODVariable | None]:
+        """Yield the members of an object that are described by one section (CiA 306, 4.5.2.4)."""
+        count = 0
+        with suppress(ValueError):
+            count = integer(head.text("CompactSubObj", "0"))
+        if count > 0:
+            number = ODVariable("Number of entries", index, 0)
+            number.data_type, number.access_type = datatypes.UNSIGNED8, "ro"
+            yield number
+        for sub in range(1, min(count, _MOST_MEMBERS) + 1):
+            yield self._variable(head, index, sub, faults)
+
+    def _variable(
+        self, section: Section, index: int, subindex: int, faults: dict[Address, str]
+    ) -> ODVariable | None:
+        variable = ODVariable(section.text("ParameterName", section.name), index, subindex)
+        try:
+            variable.data_type = self._data_type(section)
+            variable.pdo_mappable = bool(self._number(section, "PDOMapping", 0))
+        except ValueError as error:
+            faults[index, subindex] = str(error)
+            return None
+        variable.access_type = section.text("AccessType", "rw").lower()
+        variable.min = self._limit(section, "LowLimit", variable)
+        variable.max = self._limit(section, "HighLimit", variable)
+        default = section.text("DefaultValue")
+        variable.relative = _NODE.search(default) is not None
+        with suppress(ValueError):
+            variable.default = self._value(variable.data_type, default)
+        return variable
+
+    def _data_type(self, section: Section) -> int:
+        """Return the data type of an object; raises ValueError with file and line."""
+        if "datatype" not in section.values:
+            raise ValueError(
+                f"{self._eds}:{section.line}: section [{section.name}] has no DataType"
+            )
+        kind = self._number(section, "DataType")
+        if kind > _LAST_STANDARD_TYPE:
+            # Some tools name a type with limits of its own, and describe it in a section.
+            own = self._sections.get(f"{kind:X}SUB1", Section("", 0))
+            kind = self._number(own, "DefaultValue", _DOMAIN)
+        return kind
+
+    def _number(self, section: Section, key: str, default: int | None = None) -> int:
+        text = section.text(key)
+        if not text and default is not None:
+            return default
+        try:
+            return integer(text)
+        except ValueError:
+            raise ValueError(
+                f"{self._eds}:{section.place(key)}: {key} of section [{section.name}] is "
+                f"{text!r}, must be a number such as 0x0007"
+            ) from None
+
+    def _limit(self, section: Section, key: str, variable: ODVariable) -> int | None:
+        try:
+            limit = integer(_NODE.sub("", section.text(key)))
+        except ValueError:
+            return None
+        signed = variable.data_type in datatypes.SIGNED_TYPES
+        # Limits of signed objects are also written as the bits of the value.
+        bits = len(variable)
+        return limit - (1 << bits) if signed and limit >= 1 << (bits - 1) else limit
+
+    def _value(self, kind: int, text: str) -> Any:
+        if kind in _TEXTS:
+            return text
+        if not text:
+            return None
+        if kind in _BLOBS:
+            return bytes.fromhex(text)
+        if kind in datatypes.FLOAT_TYPES:
+            return float(text)
+        own = self._node_id if _NODE.search(text) else 0
+        return integer(_NODE.sub("", text) or "0") + own

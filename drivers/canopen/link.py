@@ -17,8 +17,6 @@ from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.emergency import explain
 from drivers.canopen.node import (
-    HEARTBEAT_S,
-    HEARTBEATS_MISSED,
     INITIALISING,
     NMT_NAMES,
     OPERATIONAL,
@@ -35,7 +33,6 @@ MASTER_ID: Final = 0x7F
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
-_SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
 _SYNC: Final = 0x080
 _SDO_ANSWER: Final = 0x580
 _HIGHEST_ID: Final = 0x7FF
@@ -67,6 +64,7 @@ class CanopenLink(Link):
 
     Attributes:
         cycle: Number of exchanges so far.
+        sync_ns: Time of the last SYNC.
     """
 
     def __init__(
@@ -79,6 +77,7 @@ class CanopenLink(Link):
     ) -> None:
         self.clock = clock
         self.cycle = 0
+        self.sync_ns = 0
         self.master_id = master_id
         self.sdo_timeout_s = sdo_timeout_s
         self._name = name
@@ -175,15 +174,16 @@ class CanopenLink(Link):
         self._receive(0.0)
         self.cycle += 1
         self._missing = 0
-        heard_since = self.clock.now_ns() - _SILENCE_NS
+        now = self.clock.now_ns()
         for node in self._nodes.values():
-            if node.heard_ns < heard_since and node.monitored:
+            if node.monitored and now - node.heard_ns > node.silence_ns:
                 self._troubles.append((node.node_id, self._lost(node)))
             node.cycle = self.cycle
             node.missing = node.expected
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             self._missing += node.expected
+        self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")
         if self.cycle % self._heartbeat_every == 0:
             self.heartbeat()
@@ -314,8 +314,8 @@ class CanopenLink(Link):
     def _lost(self, node: CanopenNode) -> LinkError:
         silent_s = (self.clock.now_ns() - node.heard_ns) / NS
         return LinkError(
-            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {_SILENCE_NS / NS:g} s); "
-            "check its supply and the bus cable"
+            f"{node.label} sent no heartbeat for {silent_s:.3f} s "
+            f"(limit {node.silence_ns / NS:g} s); check its supply and the bus cable"
         )
 
     def _raise_troubles(self) -> None:

@@ -8,14 +8,18 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen.pdo import Input, configure, plan
-from drivers.canopen.sdo import PumpedNode, Wire, translated, variable
+from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, configure, plan
+from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
+from drivers.clock import NS
 from drivers.errors import ConfigurationError, LinkError
-from drivers.objects import PdoLayout
+from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
 
+_MS: Final = 1_000_000
 _BOOT_TIMEOUT_S: Final = 1.0
 HEARTBEAT_S: Final = 0.05
-"""Period of the device's own heartbeat (1017h)."""
+"""Wanted period of the device's own heartbeat (1017h); devices may round it up."""
+_CONSUMER: Final = (0x1016, 1)
+_PRODUCER: Final = (0x1017, 0)
 HEARTBEATS_MISSED: Final = 4
 """The device counts as lost after this many periods without one."""
 
@@ -54,6 +58,7 @@ class CanopenNode:
         cycle: Number of the last exchange.
         nmt_state: NMT state in its last heartbeat; None before the first.
         heard_ns: Time of its last heartbeat.
+        silence_ns: Time without one after which it counts as lost.
         monitored: True once process data is running.
     """
 
@@ -67,6 +72,7 @@ class CanopenNode:
         self.cycle = wire.cycle
         self.nmt_state: int | None = None
         self.heard_ns = 0
+        self.silence_ns = 0
         self.monitored = False
         self._wire = wire
         self._dictionary = dictionary
@@ -123,6 +129,27 @@ class CanopenNode:
         with translated(self.node_id, index, subindex):
             self.remote.sdo.download(index, subindex, data)
 
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the last SYNC, microseconds modulo 2^32."""
+        return self._wire.sync_ns // 1000 & 0xFFFFFFFF
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        """Return whether the EDS has an object, and allows it in process data. Sends nothing."""
+        return described(self._dictionary, index, subindex, mappable)
+
+    def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
+        """Return whether a PDO can hold these objects. Sends nothing."""
+        found = (self._dictionary.get_variable(*address) for address in addresses)
+        return sum(len(item) for item in found if item is not None) <= PDO_BITS
+
+    def require_watchable(self) -> None:
+        """Check that the EDS has a heartbeat consumer; raises as :meth:`watch`. Sends nothing."""
+        for error in refusal(self._packed, *_CONSUMER, 0):
+            raise ConfigurationError(
+                f"{error}; every run needs it: by it the drive notices that this program died"
+            ) from error
+
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object whose type can hold a value; raises as :meth:`write`.
 
@@ -142,8 +169,12 @@ class CanopenNode:
 
         Sends nothing.
         """
-        for maps, layouts in ((self.remote.rpdo, outputs), (self.remote.tpdo, inputs)):
-            plan(self.remote, maps, layouts)
+        for error in refusal(self._packed, *_PRODUCER, 0):
+            raise ConfigurationError(
+                f"{error}; every run needs it: by it a lost device is noticed"
+            ) from error
+        for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
+            plan(self._dictionary, self.label, direction, layouts)
 
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
@@ -161,16 +192,17 @@ class CanopenNode:
         self._wire.set_cycle(cycle_s, self.label)
         self.monitored = False
         self._command(0x80)
-        self.write(0x1017, 0, round(HEARTBEAT_S * 1e3))
+        self._disarm()
+        self._produce_heartbeat()
         self.outputs, self._staged = {}, {}
         for layout, (identifier, packing) in zip(
-            outputs, configure(self.remote, self.remote.rpdo, outputs), strict=True
+            outputs, configure(self, self._dictionary, RECEIVE, outputs), strict=True
         ):
             self.outputs[identifier] = bytes(packing.size)
             self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered, self._slow = {}, {}, []
         for layout, (identifier, packing) in zip(
-            inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True
+            inputs, configure(self, self._dictionary, TRANSMIT, inputs), strict=True
         ):
             slot = Input(packing, layout.every, layout.slack)
             slot.values = tuple(self.read(*address) for address in layout.objects)
@@ -197,9 +229,9 @@ class CanopenNode:
             ConfigurationError: 1016h does not read back as written.
         """
         setting = self._wire.master_id << 16 | round(limit_s * 1e3)
-        self.write(0x1016, 1, setting)
+        self.write(*_CONSUMER, setting)
         self._wire.heartbeat()
-        found = self.read(0x1016, 1)
+        found = self.read(*_CONSUMER)
         if found != setting:
             raise ConfigurationError(
                 f"{self.label}: heartbeat watch 1016h:01h reads {found:08X}h after writing "
@@ -209,7 +241,33 @@ class CanopenNode:
 
     def unwatch(self) -> None:
         """Disarm the heartbeat consumer."""
-        self.write(0x1016, 1, 0)
+        self.write(*_CONSUMER, 0)
+
+    def _disarm(self) -> None:
+        """Disarm a heartbeat consumer that a program which died left armed.
+
+        The heartbeat before it ends the wait of a device that lost its master; the one before the
+        start of the node would otherwise start the time-out again.
+        """
+        if optional(self.read, *_CONSUMER):
+            self._wire.heartbeat()
+            self.unwatch()
+
+    def _produce_heartbeat(self) -> None:
+        """Set the device's heartbeat, and take its period as the device holds it.
+
+        Raises:
+            ConfigurationError: It sends none.
+        """
+        wanted_ms = round(HEARTBEAT_S * 1e3)
+        self.write(*_PRODUCER, wanted_ms)
+        period_ms = self.read(*_PRODUCER)
+        if not period_ms:
+            raise ConfigurationError(
+                f"{self.label}: heartbeat period 1017h reads 0 after writing {wanted_ms} ms; a "
+                f"lost device would not be noticed"
+            )
+        self.silence_ns = HEARTBEATS_MISSED * period_ms * _MS
 
     def _packed(self, index: int, subindex: int, value: int) -> bytes:
         item = variable(self._dictionary, index, subindex)
@@ -230,15 +288,18 @@ class CanopenNode:
 
     def _start(self) -> None:
         self.nmt_state = None
+        # A device may refuse to start until it hears its master.
+        self._wire.heartbeat()
         self._command(0x01)
-        if not self._wire.pump(lambda: self.nmt_state == OPERATIONAL, _BOOT_TIMEOUT_S):
+        timeout_s = _BOOT_TIMEOUT_S + self.silence_ns / NS
+        if not self._wire.pump(lambda: self.nmt_state == OPERATIONAL, timeout_s):
             state = (
                 "none"
                 if self.nmt_state is None
                 else NMT_NAMES.get(self.nmt_state, f"{self.nmt_state}")
             )
             raise LinkError(
-                f"{self.label} did not report OPERATIONAL within {_BOOT_TIMEOUT_S:g} s "
+                f"{self.label} did not report OPERATIONAL within {timeout_s:g} s "
                 f"(heartbeat: {state})"
             )
         self.monitored = True

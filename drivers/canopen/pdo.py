@@ -1,18 +1,21 @@
-"""Host side of PDOs: configure them through canopen, pack and unpack them by struct."""
+"""Host side of PDOs: configure them by SDO, pack and unpack them by struct."""
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final, Protocol
 
 from canopen.objectdictionary import ObjectDictionary, datatypes
+from canopen.sdo.exceptions import SdoAbortedError
 
-from drivers.canopen.sdo import PumpedNode, translated, variable
-from drivers.errors import ConfigurationError
-from drivers.objects import PdoLayout
+from drivers.canopen.sdo import variable
+from drivers.errors import ConfigurationError, ObjectAccessError
+from drivers.objects import PdoLayout, optional
 
 _MAX_BYTES: Final = 8
+PDO_BITS: Final = 8 * _MAX_BYTES
 _CODES: Final[Mapping[int, str]] = {
     datatypes.INTEGER8: "b",
     datatypes.INTEGER16: "h",
@@ -21,6 +24,25 @@ _CODES: Final[Mapping[int, str]] = {
     datatypes.UNSIGNED16: "H",
     datatypes.UNSIGNED32: "I",
 }
+
+
+class Node(Protocol):
+    """A device whose PDOs are configured."""
+
+    node_id: int
+
+    @property
+    def label(self) -> str:
+        """Name of the device in messages."""
+        ...
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """Read an integer object."""
+        ...
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object."""
+        ...
 
 
 class Input:
@@ -68,51 +90,173 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
     return packed
 
 
-def plan(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> dict[int, struct.Struct]:
+@dataclass(frozen=True)
+class Direction:
+    """The PDOs of one direction, as the device sees it (CiA 301, 7.5.2.33).
+
+    Attributes:
+        name: Name in messages.
+        communication: Index of the communication record of PDO 1; of the mapping, 200h above.
+        identifiers: CAN identifier of PDO 1 less the node identifier, in the predefined connection
+            set.
+    """
+
+    name: str
+    communication: int
+    identifiers: int
+
+
+RECEIVE: Final = Direction("RPDO", 0x1400, 0x200)
+TRANSMIT: Final = Direction("TPDO", 0x1800, 0x180)
+_PREDEFINED: Final = 4
+_MOST: Final = 512
+_MAPPING: Final = 0x200
+_OFF: Final = 1 << 31
+_NO_REMOTE: Final = 1 << 30
+"""Bits of a COB-ID: the PDO does not exist; it is not sent on a remote frame (TPDO)."""
+_IDENTIFIER: Final = 0x7FF
+_NODE: Final = 0x7F
+"""Part of an identifier of the predefined connection set that is the node's."""
+_OUT_OF_RANGE: Final = 0x06090030
+_READ_ONLY: Final = (0x06010002, 0x06010000)
+
+
+def numbers(dictionary: ObjectDictionary, direction: Direction) -> list[int]:
+    """Return the numbers of the PDOs that the EDS describes, both records of each."""
+    first = direction.communication
+    return [
+        index - first + 1
+        for index in dictionary
+        if first <= index < first + _MOST and index + _MAPPING in dictionary
+    ]
+
+
+def plan(
+    dictionary: ObjectDictionary, label: str, direction: Direction, layouts: Sequence[PdoLayout]
+) -> dict[int, struct.Struct]:
     """Return the packing of the PDOs of one direction, by number; sends nothing.
 
     Raises as :func:`configure`.
     """
-    missing = {layout.number for layout in layouts} - set(maps)
+    missing = {layout.number for layout in layouts} - set(numbers(dictionary, direction))
     if missing:
-        node_id = int(remote.id or 0)
+        index = direction.communication + min(missing) - 1
         raise ConfigurationError(
-            f"node {node_id} has no PDO {min(missing)} in its EDS; use the device's own EDS file"
+            f"{label}: {direction.name} {min(missing)} ({index:04X}h, {index + _MAPPING:04X}h) is "
+            f"not in the device's EDS; cyclic values need {len(layouts)} {direction.name}s"
         )
-    return {layout.number: packing(remote.object_dictionary, layout) for layout in layouts}
+    return {layout.number: packing(dictionary, layout) for layout in layouts}
 
 
 def configure(
-    remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]
+    device: Node,
+    dictionary: ObjectDictionary,
+    direction: Direction,
+    layouts: Sequence[PdoLayout],
 ) -> list[tuple[int, struct.Struct]]:
     """Write the mapping of all PDOs of one direction into a device; PDOs not listed are disabled.
 
+    What already reads as wanted is not written, as devices may have it fixed. The flags of a COB-ID
+    stay as the device has them: one without remote frames refuses to have bit 30 cleared.
+
     Args:
-        remote: The device.
-        maps: Its ``rpdo`` or ``tpdo``.
+        device: The device, in PRE-OPERATIONAL.
+        dictionary: Its objects.
+        direction: Which PDOs.
         layouts: Objects to map; synchronous, every ``layout.every``-th SYNC.
 
     Returns:
         Identifier and packing of each layout.
 
     Raises:
-        ConfigurationError: The EDS has no such PDO or object, or the PDO is too long.
-        ObjectAccessError: The device refuses.
+        ConfigurationError: The EDS has no such PDO or object, the PDO is too long, or the device
+            holds other settings than those written.
+        ObjectAccessError: The device refuses; names the object that was written.
         LinkError: No answer.
     """
-    node_id = int(remote.id or 0)
-    packings = plan(remote, maps, layouts)
+    packings = plan(dictionary, device.label, direction, layouts)
     wanted = {layout.number: layout for layout in layouts}
     identifiers: dict[int, int] = {}
-    for number, pdo in maps.items():
-        pdo.clear()
-        pdo.cob_id = pdo.predefined_cob_id
-        pdo.enabled = number in wanted
+    for number in numbers(dictionary, direction):
+        index = direction.communication + number - 1
         if number in wanted:
-            pdo.trans_type = wanted[number].every
-            for address in wanted[number].objects:
-                pdo.add_variable(*address)
-            identifiers[number] = pdo.cob_id
-        with translated(node_id, pdo.com_record.od.index, 0):
-            pdo.save()
+            identifiers[number] = _map(device, dictionary, direction, wanted[number])
+        elif (cob_id := optional(device.read, index, 1)) is not None:
+            _switch_off(device, index, cob_id)
     return [(identifiers[layout.number], packings[layout.number]) for layout in layouts]
+
+
+def _map(
+    device: Node, dictionary: ObjectDictionary, direction: Direction, layout: PdoLayout
+) -> int:
+    """Configure one PDO and return its CAN identifier."""
+    index = direction.communication + layout.number - 1
+    before = device.read(index, 1)
+    fixed = not _switch_off(device, index, before)
+    own = before & _IDENTIFIER
+    if not fixed and layout.number <= _PREDEFINED:
+        own = direction.identifiers + (layout.number - 1) * 0x100 + device.node_id
+    elif own & _NODE != device.node_id:
+        raise ConfigurationError(
+            f"{device.label}: {direction.name} {layout.number} has the identifier {own:03X}h of "
+            f"another node, and {index:04X}h:01h is read only: set it with the maker's tool"
+        )
+    _store(device, index, 2, layout.every)
+    _store_mapping(device, dictionary, index + _MAPPING, layout)
+    if not fixed:
+        _write_cob_id(device, index, before & _NO_REMOTE | own)
+    return own
+
+
+def _switch_off(device: Node, index: int, cob_id: int) -> bool:
+    """Switch a PDO off, so that it may be changed; False where its COB-ID is fixed and on."""
+    if cob_id & _OFF:
+        return True
+    try:
+        _write_cob_id(device, index, cob_id | _OFF)
+    except ObjectAccessError as refused:
+        if refused.code not in _READ_ONLY:
+            raise
+        return False
+    return True
+
+
+def _write_cob_id(device: Node, index: int, cob_id: int) -> None:
+    """Write a COB-ID; with the flag "no remote frames" where a device refuses it without."""
+    try:
+        device.write(index, 1, cob_id)
+    except ObjectAccessError as refused:
+        if refused.code != _OUT_OF_RANGE or index < TRANSMIT.communication or cob_id & _NO_REMOTE:
+            raise
+        device.write(index, 1, cob_id | _NO_REMOTE)
+
+
+def _store_mapping(
+    device: Node, dictionary: ObjectDictionary, index: int, layout: PdoLayout
+) -> None:
+    entries = [
+        address[0] << 16 | address[1] << 8 | len(variable(dictionary, *address))
+        for address in layout.objects
+    ]
+    count = device.read(index, 0)
+    if count == len(entries) and entries == [
+        device.read(index, sub) for sub in range(1, count + 1)
+    ]:
+        return
+    if count:
+        device.write(index, 0, 0)
+    for sub, (entry, address) in enumerate(zip(entries, layout.objects, strict=True), start=1):
+        try:
+            device.write(index, sub, entry)
+        except ObjectAccessError as refused:
+            raise ObjectAccessError(
+                *(index, sub, refused.code),
+                f"{device.label} refuses to map object {address[0]:04X}h:{address[1]:02X}h: "
+                f"{SdoAbortedError.CODES.get(refused.code, 'unknown reason')}",
+            ) from refused
+    _store(device, index, 0, len(entries))
+
+
+def _store(device: Node, index: int, subindex: int, value: int) -> None:
+    if device.read(index, subindex) != value:
+        device.write(index, subindex, value)

@@ -12,7 +12,7 @@ from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.errors import ConfigurationError, LinkError, NotDescribedError, ObjectAccessError
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
@@ -31,6 +31,7 @@ class Wire(Protocol):
     sdo_timeout_s: float
     cycle: int
     master_id: int
+    sync_ns: int
 
     def send(self, identifier: int, data: bytes) -> None:
         """Send one frame."""
@@ -97,11 +98,13 @@ class PumpedNode(canopen.RemoteNode):
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
         self._wire = wire
-        super().__init__(node_id, dictionary)
+        self._described = dictionary
+        # canopen would look up all PDO records, and fails where the EDS has only some of them.
+        super().__init__(node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
         """Add an SDO channel."""
-        client = PumpedSdoClient(rx_cobid, tx_cobid, self.object_dictionary, self._wire)
+        client = PumpedSdoClient(rx_cobid, tx_cobid, self._described, self._wire)
         self.sdo_channels.append(client)
         if self.has_network():
             self.network.subscribe(client.tx_cobid, client.on_response)
@@ -134,12 +137,30 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
     """Find an object in the EDS.
 
     Raises:
-        ConfigurationError: The EDS has no such object.
+        NotDescribedError: The EDS has no such object.
+        ConfigurationError: It describes the object wrongly.
     """
     found = dictionary.get_variable(index, subindex)
     # For an object without members canopen returns that object, whatever the subindex.
     if found is None or found.subindex != subindex:
-        raise ConfigurationError(
-            f"object {index:04X}h:{subindex:02X}h is not in the device's EDS; use its own EDS file"
-        )
+        fault = getattr(dictionary, "faults", {}).get((index, subindex))
+        name = f"object {index:04X}h:{subindex:02X}h"
+        if fault:
+            raise ConfigurationError(f"{name} cannot be used: {fault}; correct the file")
+        raise NotDescribedError(f"{name} is not in the device's EDS")
     return found
+
+
+def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable: bool) -> bool:
+    """Return whether the EDS has an object, and, with ``mappable``, allows it in process data.
+
+    An object whose description is faulty counts, except for process data.
+    """
+    if (index, subindex) in getattr(dictionary, "faults", {}):
+        return not mappable
+    found = dictionary.get_variable(index, subindex)
+    return (
+        found is not None
+        and found.subindex == subindex
+        and (not mappable or bool(found.pdo_mappable))
+    )

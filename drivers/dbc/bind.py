@@ -3,35 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from typing import Final
 
-from drivers.dbc.codec import CHECKSUMS, Signal
+from drivers.dbc.codec import Signal, checksum_of
 from drivers.dbc.file import Layout
-from drivers.dbc.map import STATES, Assignments, DbcMap, LimitSignals, Protection, Quantity
-from drivers.dbc.wiring import BoundLimit, BoundMessage, BoundQuantity, Wiring
+from drivers.dbc.map import STATES, DbcMap, LimitSignals, Protection, Quantity
+from drivers.dbc.orders import bind_orders, stop_image
+from drivers.dbc.problems import DbcMapError, Names, Place
+from drivers.dbc.wiring import BoundLimit, BoundMessage, BoundPage, BoundQuantity, Wiring
 from drivers.interfaces import ServoState
 
-Place = tuple[str | int, ...]
-"""Path of keys from the top of the map to the faulty value."""
-Problem = tuple[Place, str]
+_Find = Callable[[Place, str], tuple[str, Signal] | None]
 _NOT_SAMPLED: Final = frozenset({"fault_code", "serial_number", "revision"})
-
-
-class DbcMapError(Exception):
-    """The map does not fit the DBC.
-
-    Attributes:
-        problems: Place in the map and description of each problem.
-    """
-
-    def __init__(self, problems: Iterable[Problem]) -> None:
-        self.problems = tuple(problems)
-        super().__init__(
-            "; ".join(f"{'.'.join(map(str, place))}: {text}" for place, text in self.problems)
-        )
 
 
 def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
@@ -45,55 +30,82 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
 
 
 class _Binder:
-    """Collects problems, so that all are reported at once."""
+    """Binds part by part; problems are collected, so that all are reported at once."""
 
     def __init__(self, spec: DbcMap, layouts: Mapping[str, Layout]) -> None:
         self._spec = spec
         self._layouts = layouts
-        self._problems: list[Problem] = []
+        self._names = Names(layouts)
         self._received: set[str] = set()
-        self._sent: set[str] = set()
+        self._pages: dict[str, BoundPage] = {}
         self._settings: set[str] = set()
 
     def bind(self) -> Wiring:
-        spec = self._spec
+        spec, names = self._spec, self._names
         inputs = self._inputs()
-        status = self._signal(("status", "signal"), spec.status.signal, self._received)
+        status = self._heard(("status", "signal"), spec.status.signal)
         states = self._states(status[1]) if status else {}
-        target = self._quantity(("target",), spec.target, self._sent)
-        orders = spec.orders
-        enable = {STATES[name]: values for name, values in orders.enable.items()}
-        wanted = {"disable": orders.disable, "stop": orders.stop, "reset": orders.reset}
-        for place, values in self._order_places():
-            for name in values:
-                self._signal((*place, name), name, self._sent)
-        images = {name: self._images(("orders", name), values) for name, values in wanted.items()}
-        steps = {
-            state: self._images(("orders", "enable", name), values)
-            for (state, values), name in zip(enable.items(), orders.enable, strict=True)
-        }
-        stop_frame = self._stop_frame()
+        written = [quantity for quantity in (spec.target, spec.torque_offset) if quantity]
+        targets = [
+            self._quantity((key,), quantity, self._written)
+            for key, quantity in zip(("target", "torque_offset"), written, strict=False)
+        ]
+        self._check_offset(targets)
+        orders = bind_orders(spec, names, [quantity.signal for quantity in written])
+        stop = stop_image(spec, names)
         limits = self._limits()
-        received, sent, settings = map(self._messages, (self._received, self._sent, self._settings))
-        self._check_whole()
-        if self._problems or target is None or status is None or stop_frame is None:
-            raise DbcMapError(dict.fromkeys(self._problems))
+        cyclic, once = orders.cyclic, orders.once
+        received, sent, alone, settings, stops = (
+            self._messages(some)
+            for some in (
+                self._received, cyclic, once, self._settings, {stop[0].name} if stop else ()
+            )
+        )  # fmt: skip
+        self._check_whole(cyclic | once, {stop[0].name} if stop else set())
+        target = targets[0]
+        if names.problems or target is None or status is None or stop is None:
+            raise DbcMapError(dict.fromkeys(names.problems))
         return Wiring(
             received=received,
+            pages=self._pages,
             sampled=frozenset(q.message for name, q in inputs.items() if name not in _NOT_SAMPLED)
-            | {status[0].name},
+            | {status[0]},
             sent=sent,
+            once=alone,
             settings=settings,
             inputs=inputs,
             limits=limits,
-            status_message=status[0].name,
+            status_message=status[0],
             status=status[1],
             states=states,
+            asked=spec.status.asked,
             target=target,
-            **images,
-            enable=steps,
-            stop_frame=stop_frame,
+            torque_offset=targets[1] if len(targets) > 1 else None,
+            **orders.orders,
+            enable=orders.enable,
+            stop_message=stops[stop[0].name],
+            stop_image=stop[1],
         )
+
+    def _check_offset(self, targets: Sequence[BoundQuantity | None]) -> None:
+        """Report a torque offset that cannot be zero, or has no room beside the target."""
+        target, offset, *_ = (*targets, None)
+        if offset is None:
+            return
+        try:
+            offset.bits(0.0)
+        except ValueError as error:
+            self._names.report(("torque_offset",), f"cannot be zero: {error}")
+        if target is None or target.message != offset.message:
+            return
+        pages = set(target.signal.pages) & set(offset.signal.pages)
+        if target.signal.covers & offset.signal.covers or (
+            target.signal.pages and offset.signal.pages and not pages
+        ):
+            self._names.report(
+                ("torque_offset", "signal"),
+                "shares its bits with the target or is on another page; use a signal beside it",
+            )
 
     def _inputs(self) -> dict[str, BoundQuantity]:
         bound: dict[str, BoundQuantity] = {}
@@ -101,18 +113,12 @@ class _Binder:
             quantity: Quantity | None = getattr(self._spec.inputs, item.name)
             if quantity is None:
                 continue
-            found = self._quantity(("inputs", item.name), quantity, self._received)
+            found = self._quantity(("inputs", item.name), quantity, self._heard)
             if found is not None:
                 bound[item.name] = found
                 if item.name in _NOT_SAMPLED:
-                    self._require_whole(("inputs", item.name, "signal"), found.signal)
+                    self._names.require_whole(("inputs", item.name, "signal"), found.signal)
         return bound
-
-    def _require_whole(self, place: Place, signal: Signal) -> None:
-        if signal.real:
-            self._problems.append(
-                (place, f"signal {signal.name!r} is floating-point; use one of whole numbers")
-            )
 
     def _limits(self) -> dict[str, BoundLimit]:
         bound: dict[str, BoundLimit] = {}
@@ -120,144 +126,96 @@ class _Binder:
             signals: LimitSignals | None = getattr(self._spec.limits, item.name)
             if signals is None:
                 continue
-            written = self._quantity(("limits", item.name, "set"), signals.set, self._settings)
-            held = self._quantity(("limits", item.name, "held"), signals.held, self._received)
-            if written is not None and held is not None:
+            written = self._quantity(("limits", item.name, "set"), signals.set, self._set)
+            held = None
+            if signals.held is not None:
+                held = self._quantity(("limits", item.name, "held"), signals.held, self._heard)
+            if written is not None and (held is not None or signals.held is None):
                 bound[item.name] = BoundLimit(written, held)
         return bound
 
-    def _order_places(self) -> list[tuple[Place, Assignments]]:
-        orders = self._spec.orders
-        return [
-            (("orders", "disable"), orders.disable),
-            (("orders", "stop"), orders.stop),
-            (("orders", "reset"), orders.reset),
-            *((("orders", "enable", state), values) for state, values in orders.enable.items()),
-        ]
-
-    def _quantity(self, place: Place, quantity: Quantity, used: set[str]) -> BoundQuantity | None:
+    def _quantity(self, place: Place, quantity: Quantity, find: _Find) -> BoundQuantity | None:
         if not (math.isfinite(quantity.scale) and quantity.scale > 0):
-            self._problems.append(
-                ((*place, "scale"), f"must be more than zero, not {quantity.scale:g}; use sign")
+            self._names.report(
+                (*place, "scale"), f"must be more than zero, not {quantity.scale:g}; use sign"
             )
             return None
-        found = self._signal((*place, "signal"), quantity.signal, used)
+        found = find((*place, "signal"), quantity.signal)
+        if found is None:
+            return None
+        key, signal = found
+        if (after := quantity.wraps_after) is not None:
+            if place not in (("inputs", "position"), ("target",)):
+                self._names.report((*place, "wraps_after"), "is for position and target; remove it")
+            elif not (math.isfinite(after) and after > 0):
+                self._names.report(
+                    (*place, "wraps_after"), f"must be more than zero, not {after:g}"
+                )
+        gain = quantity.sign * quantity.scale * signal.factor
+        bias = quantity.sign * (quantity.scale * signal.offset + quantity.offset)
+        if not (gain and math.isfinite(gain) and math.isfinite(1.0 / gain) and math.isfinite(bias)):
+            self._names.report(
+                (*place, "scale"),
+                f"with the factor {signal.factor:g} and offset {signal.offset:g} of signal "
+                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct it, or the DBC",
+            )
+            return None
+        return BoundQuantity(key, signal, gain, bias, quantity.wraps_after)
+
+    def _heard(self, place: Place, name: str) -> tuple[str, Signal] | None:
+        """Find a signal that the drive sends; returns its message or page."""
+        found = self._names.signal(place, name)
         if found is None:
             return None
         layout, signal = found
-        gain = quantity.sign * quantity.scale * signal.factor
-        bias = quantity.sign * (quantity.scale * signal.offset + quantity.offset)
-        return BoundQuantity(layout.name, signal, gain, bias)
+        self._received.add(layout.name)
+        if signal.selector is None:
+            return layout.name, signal
+        number = signal.pages[0]
+        key = f"{layout.name} page {number}"
+        pages = {page for other in layout.signals.values() for page in other.pages}
+        self._pages[key] = BoundPage(layout.name, signal.selector, number, len(pages))
+        return key, signal
 
-    def _signal(self, place: Place, name: str, used: set[str]) -> tuple[Layout, Signal] | None:
-        message, dot, signal = name.partition(".")
-        if not dot:
-            self._problems.append((place, f"{name!r} must be written Message.Signal"))
-            return None
-        layout = self._layout(place, message)
-        if layout is None:
-            return None
-        if signal not in layout.signals:
-            text = (
-                f"message {message!r} has no signal {signal!r}; {nearest(signal, layout.signals)}"
-            )
-            self._problems.append((place, text))
-            return None
-        used.add(message)
-        return layout, layout.signals[signal]
+    def _written(self, place: Place, name: str) -> tuple[str, Signal] | None:
+        """Find a signal that the program writes in every cycle."""
+        found = self._names.signal(place, name)
+        return None if found is None else (found[0].name, found[1])
 
-    def _layout(self, place: Place, message: str) -> Layout | None:
-        layout = self._layouts.get(message)
-        if layout is None:
-            self._problems.append(
-                (place, f"the DBC has no message {message!r}; {nearest(message, self._layouts)}")
-            )
-        elif layout.obstacle:
-            self._problems.append((place, f"message {message!r} {layout.obstacle}"))
+    def _set(self, place: Place, name: str) -> tuple[str, Signal] | None:
+        """Find a signal that carries a limit."""
+        found = self._names.signal(place, name)
+        if found is None:
             return None
-        return layout
+        if found[1].selector is not None:
+            self._names.report(
+                place, f"signal {name!r} is on a page of a multiplexed message; use another"
+            )
+        self._settings.add(found[0].name)
+        return found[0].name, found[1]
 
     def _states(self, signal: Signal) -> dict[float, ServoState]:
-        self._require_whole(("status", "signal"), signal)
+        names = self._names
+        names.require_whole(("status", "signal"), signal)
         states: dict[float, ServoState] = {}
         for name, values in self._spec.status.states.items():
             for number, value in enumerate(values):
                 place = ("status", "states", name, number)
-                raw = self._raw(place, signal, value)
+                raw = names.raw(place, signal, value)
                 if raw is not None and states.setdefault(raw, STATES[name]) is not STATES[name]:
-                    self._problems.append(
-                        (place, f"value {value!r} already means another state; name it once")
+                    names.report(
+                        place, f"value {value!r} already means another state; name it once"
                     )
-        for needed in (
-            ServoState.SWITCH_ON_DISABLED,
-            ServoState.OPERATION_ENABLED,
-            ServoState.FAULT,
-        ):
+        for needed in self._needed_states():
             if needed not in states.values():
                 word = next(word for word, state in STATES.items() if state is needed)
-                self._problems.append((("status", "states"), f"no value means {word!r}; name one"))
+                names.report(("status", "states"), f"no value means {word!r}; name one")
         return states
 
-    def _raw(self, place: Place, signal: Signal, value: str | int) -> int | None:
-        """Return the raw value of a label, or the number itself if it fits."""
-        if isinstance(value, str):
-            raw = next((raw for raw, label in signal.labels.items() if label == value), None)
-            if raw is None:
-                known = signal.labels.values()
-                self._problems.append(
-                    (
-                        place,
-                        f"signal {signal.name!r} has no value {value!r}; {nearest(value, known)}",
-                    )
-                )
-            return raw
-        if signal.real:
-            self._problems.append(
-                (place, f"signal {signal.name!r} is floating-point; use one of whole numbers")
-            )
-            return None
-        low, high = signal.range
-        if low <= value <= high:
-            return value
-        self._problems.append(
-            (place, f"{value} is outside {low} to {high}, what {signal.name!r} can hold")
-        )
-        return None
-
-    def _images(self, place: Place, values: Assignments) -> dict[str, bytes]:
-        """Return the frames of an order: all messages used by any order, with the given values."""
-        images = {name: bytes(self._layouts[name].size) for name in self._sent}
-        for name, value in values.items():
-            message, _, signal_name = name.partition(".")
-            layout = self._layouts.get(message)
-            signal = layout.signals.get(signal_name) if layout is not None else None
-            if signal is None or message not in images:
-                continue
-            raw = self._raw((*place, name), signal, value)
-            if raw is not None:
-                images[message] = signal.insert(images[message], raw & signal.mask)
-        return images
-
-    def _stop_frame(self) -> tuple[int, bytes] | None:
-        stop = self._spec.stop_frame
-        layout = self._layout(("stop_frame", "message"), stop.message)
-        if layout is None:
-            return None
-        data = bytes(layout.size)
-        for name, value in stop.signals.items():
-            place = ("stop_frame", "signals", name)
-            signal = layout.signals.get(name)
-            if signal is None:
-                text = (
-                    f"message {stop.message!r} has no signal {name!r}; "
-                    f"{nearest(name, layout.signals)}"
-                )
-                self._problems.append((place, text))
-                continue
-            raw = self._raw(place, signal, value)
-            if raw is not None:
-                data = signal.insert(data, raw & signal.mask)
-        return layout.identifier, data
+    def _needed_states(self) -> list[ServoState]:
+        """Return the states that must have a value; a fault may show in the fault code alone."""
+        needed = [ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED]
+        return needed if self._spec.inputs.fault_code else [*needed, ServoState.FAULT]
 
     def _messages(self, names: Iterable[str]) -> dict[str, BoundMessage]:
         bound: dict[str, BoundMessage] = {}
@@ -269,67 +227,96 @@ class _Binder:
                 name=name,
                 identifier=layout.identifier,
                 size=layout.size,
-                counter=self._guard(layout, "counter", guard.counter),
-                checksum=self._guard(layout, "checksum", guard.checksum),
-                algorithm=CHECKSUMS[guard.algorithm],
+                counter=(counter := self._guard(layout, "counter", guard.counter)),
+                turn=self._turn(name, guard, counter),
+                checksum=(checksum := self._guard(layout, "checksum", guard.checksum)),
+                algorithm=self._algorithm(name, guard, checksum),
                 period_s=(layout.period_s or 0.0) if period_ms is None else period_ms * 1e-3,
+                remote=guard.remote,
             )
         return bound
+
+    def _turn(self, name: str, guard: Protection, signal: Signal | None) -> int:
+        """Return the number of values of a counter."""
+        last = guard.counter_last
+        if signal is None:
+            if last is not None:
+                self._names.report(
+                    ("messages", name, "counter_last"), "is of a counter, and there is none"
+                )
+            return 0
+        if last is None:
+            return signal.mask + 1
+        if not 1 <= last <= signal.mask:
+            self._names.report(
+                ("messages", name, "counter_last"),
+                f"{last} is outside 1 to {signal.mask}, what {signal.name!r} can hold",
+            )
+        return last + 1
+
+    def _algorithm(
+        self, name: str, guard: Protection, signal: Signal | None
+    ) -> Callable[[bytes], int]:
+        """Return how the checksum of a message is computed."""
+        place: Place = ("messages", name, "prefix")
+        if signal is None:
+            if guard.prefix or guard.own_byte != "zero":
+                self._names.report(place[:2], "says how a checksum is computed, and has none")
+            return sum
+        if not all(0 <= byte <= 0xFF for byte in guard.prefix):
+            self._names.report(place, f"{list(guard.prefix)} are not bytes of 0 to 255")
+            return sum
+        left_out = guard.own_byte == "left out"
+        if left_out and signal.covers not in {0xFF << 8 * at for at in range(signal.size)}:
+            self._names.report(
+                (*place[:2], "own_byte"), f"signal {signal.name!r} is not a whole byte"
+            )
+        return checksum_of(guard.algorithm, signal, bytes(guard.prefix), left_out=left_out)
 
     def _guard(self, layout: Layout, role: str, name: str | None) -> Signal | None:
         if name is None:
             return None
         place = ("messages", layout.name, role)
-        signal = layout.signals.get(name)
+        signal = self._names.part(place, layout, name)
         if signal is None:
-            text = (
-                f"message {layout.name!r} has no signal {name!r}; {nearest(name, layout.signals)}"
-            )
-            self._problems.append((place, text))
-        elif role == "checksum" and signal.width != 8:
-            self._problems.append(
-                (place, f"signal {name!r} has {signal.width} bits; a checksum has 8")
-            )
+            return None
+        if role == "checksum" and signal.width != 8:
+            self._names.report(place, f"signal {name!r} has {signal.width} bits; a checksum has 8")
+        for key in ("target", "torque_offset"):
+            quantity: Quantity | None = getattr(self._spec, key)
+            if quantity is not None and quantity.signal == f"{layout.name}.{name}":
+                self._names.report(place, f"signal {name!r} is the {key} of this map")
         return signal
 
-    def _check_whole(self) -> None:
-        spec = self._spec
+    def _check_whole(self, sent: Set[str], stop: Set[str]) -> None:
+        spec, report = self._spec, self._names.report
         if (spec.inputs.current is None) == (spec.inputs.torque is None):
-            self._problems.append((("inputs",), "give one of current and torque"))
-        if "disabled" not in spec.orders.enable:
-            self._problems.append(
-                (("orders", "enable"), "has no order for a drive that is 'disabled'; add one")
-            )
-        if "running" not in spec.orders.enable:
-            self._problems.append(
-                (("orders", "enable"), "has no order that keeps a 'running' drive running; add one")
-            )
+            report(("inputs",), "give one of current and torque")
+        for state, does in (
+            ("disabled", "for a drive that is 'disabled'"),
+            ("running", "that keeps a 'running' drive running"),
+        ):
+            if state not in spec.orders.enable:
+                report(("orders", "enable"), f"has no order {does}; add one")
+        used = self._received | sent | self._settings | stop
         for name, guard in spec.messages.items():
             place: Place = ("messages", name)
-            used = self._received | self._sent | self._settings
-            if self._layout(place, name) is not None and name not in used:
-                self._problems.append(
-                    (place, f"message {name!r} carries nothing in this map; remove it")
-                )
+            if self._names.layout(place, name) is not None and name not in used:
+                report(place, f"message {name!r} carries nothing in this map; remove it")
             if guard.period_ms is not None and guard.period_ms < 0:
-                self._problems.append(((*place, "period_ms"), "must be zero or more"))
-        both = self._received & (self._sent | self._settings) | self._sent & self._settings
-        if both:
-            self._problems.append(
-                (
-                    ("inputs",),
-                    f"message {min(both)!r} has two uses (input, command or setting); it may have "
-                    f"one",
+                report((*place, "period_ms"), "must be zero or more")
+            if guard.remote and name not in self._received:
+                report((*place, "remote"), "is for a message that the drive sends; remove it")
+        numbers: dict[int, str] = {}
+        for name in sorted(used):
+            first = numbers.setdefault(self._layouts[name].identifier, name)
+            if first != name:
+                report(
+                    ("inputs",), f"messages {first!r} and {name!r} have one identifier in the DBC"
                 )
+        both = self._received & (sent | self._settings | stop) | (sent | stop) & self._settings
+        if both:
+            report(
+                ("inputs",),
+                f"message {min(both)!r} has two uses (input, command or setting); it may have one",
             )
-
-
-def nearest(name: str, known: Iterable[str]) -> str:
-    """Suggest the names closest to a mistyped one, or list them all."""
-    names = sorted(known)
-    close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
-        name, names, n=3
-    )
-    if close:
-        return f"did you mean {' or '.join(repr(k) for k in close)}?"
-    return f"known are {', '.join(names)}" if names else "none is known"

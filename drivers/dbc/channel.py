@@ -5,10 +5,12 @@ and checksums. No I/O.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Final
 
+from drivers.can.port import REMOTE_FLAG
 from drivers.clock import NS
-from drivers.dbc.wiring import BoundMessage, Images, Wiring
+from drivers.dbc.wiring import BoundMessage, BoundPage, Images, Order, Wiring
 from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 
@@ -30,6 +32,7 @@ class Slot:
         cycle: Exchange in which the last good frame came.
         time_ns: Time of the last good frame.
         refused: Number of bad frames.
+        pages: Slots of the pages of this message, with the page that each is for.
     """
 
     def __init__(self, message: BoundMessage) -> None:
@@ -39,6 +42,7 @@ class Slot:
         self.cycle = -1
         self.time_ns = 0
         self.refused = 0
+        self.pages: list[tuple[BoundPage, Slot]] = []
         self._counter = message.counter
         self._checksum = message.checksum
         self._last: int | None = None
@@ -47,27 +51,36 @@ class Slot:
         """Accept a frame if it is good."""
         if not self._good(data):
             self.refused += 1
+            for _, slot in self.pages:
+                slot.refused += 1
             return False
+        self._keep(data, cycle, time_ns)
+        for page, slot in self.pages:
+            if page.selector.bits(data) == page.number:
+                slot._keep(data, cycle, time_ns)
+        return True
+
+    def _keep(self, data: bytes, cycle: int, time_ns: int) -> None:
         self.data = data
         self.count += 1
         self.cycle = cycle
         self.time_ns = time_ns
-        return True
 
     def _good(self, data: bytes) -> bool:
         if len(data) != self.message.size:
             return False
         checksum = self._checksum
-        if checksum is not None and self.message.algorithm(
-            checksum.insert(data, 0)
-        ) != checksum.bits(data):
+        if checksum is not None and self.message.algorithm(data) != checksum.bits(data):
             return False
         counter = self._counter
         if counter is None:
             return True
         number, last = counter.bits(data), self._last
         self._last = number
-        return last is None or 0 < (number - last & counter.mask) <= (counter.mask + 1) // 2
+        turn = self.message.turn
+        if number >= turn:
+            return False
+        return last is None or 0 < (number - last) % turn <= turn // 2
 
 
 class _Output:
@@ -81,11 +94,11 @@ class _Output:
         self.every = 1
         self._count = 0
 
-    def frame(self) -> bytes:
-        """Return the next frame."""
-        data, message = self.image, self.message
+    def frame(self, image: bytes | None = None) -> bytes:
+        """Return the next frame, or the next one with another image."""
+        data, message = self.image if image is None else image, self.message
         if (counter := message.counter) is not None:
-            self._count = self._count + 1 & counter.mask
+            self._count = (self._count + 1) % message.turn
             data = counter.insert(data, self._count)
         if (checksum := message.checksum) is not None:
             data = checksum.insert(data, message.algorithm(data))
@@ -115,20 +128,37 @@ class DbcChannel:
         by_name = {name: Slot(message) for name, message in wiring.received.items()}
         self.slots = {slot.message.identifier: slot for slot in by_name.values()}
         self._by_name = by_name
+        for key, page in wiring.pages.items():
+            base = by_name[page.message]
+            # A page comes once in as many messages as there are pages.
+            period_s = base.message.period_s * page.count
+            by_name[key] = slot = Slot(replace(base.message, period_s=period_s))
+            base.pages.append((page, slot))
         self._sampled = [by_name[name] for name in sorted(wiring.sampled)]
         self._answers: list[Slot] = []
-        self._timed: list[Slot] = []
+        self._timed: list[tuple[Slot, float]] = []
         self._outputs = {name: _Output(message) for name, message in wiring.sent.items()}
+        self._once = {name: _Output(message) for name, message in wiring.once.items()}
+        self._pending: list[_Output] = []
+        stop = wiring.stop_message
+        known = {**self._once, **self._outputs}
+        self._stop = known.get(stop.name) or _Output(stop)
         self._settings = {name: _Output(message) for name, message in wiring.settings.items()}
+        self._requests = [slot for slot in self.slots.values() if slot.message.remote]
+        self._request_every: dict[int, int] = {}
         self._pinned: dict[str, float] = {}
         self._limit_slots = [
-            by_name[name]
-            for name in sorted({limit.held.message for limit in wiring.limits.values()})
+            by_name[name] for name in sorted({held.message for held in wiring.reported.values()})
         ]
         self._limits_heard = 0
         self._target_bits = 0
+        self._offset_bits = 0
+        self._own_target = False
         self._holding = False
         self._begun_ns = 0
+        fault = wiring.inputs.get("fault_code")
+        self._fault = None if fault is None else (by_name[fault.message], fault.read)
+        self.rest()
         self.order(wiring.disable)
 
     def slot(self, message: str) -> Slot:
@@ -139,35 +169,107 @@ class DbcChannel:
         """Set the cycle time and compute the period in cycles of each message of the host."""
         for output in self._outputs.values():
             output.every = max(1, round(output.message.period_s / cycle_s))
-        self._answers = [slot for slot in self._sampled if slot.message.period_s <= cycle_s]
-        self._timed = [slot for slot in self._sampled if slot.message.period_s > cycle_s]
+        for slot in self._requests:
+            every = max(1, round(slot.message.period_s / cycle_s))
+            self._request_every[slot.message.identifier] = every
+        pages = {id(slot): page for base in self.slots.values() for page, slot in base.pages}
+        self._answers, self._timed = [], []
+        for slot in self._sampled:
+            period_s = slot.message.period_s
+            if (page := pages.get(id(slot))) is not None and page.count > 1:
+                period_s = max(period_s, cycle_s * page.count)
+            if period_s <= cycle_s:
+                self._answers.append(slot)
+            else:
+                self._timed.append((slot, period_s))
 
-    def order(self, images: Images, *, hold: bool = False) -> None:
-        """Put an order into every frame from now on.
+    def order(self, order: Order, *, hold: bool = False) -> None:
+        """Put an order into every frame from now on; messages that go only with an order go once.
 
         Args:
-            images: The order's frames.
+            order: The order.
             hold: Whether the drive must keep running; if it stops by itself, the order becomes
                 disable.
         """
-        for name, image in images.items():
-            self._outputs[name].image = image
+        outputs, once = self._outputs, self._once
+        # What an earlier order has not sent yet is not sent any more.
+        self._pending = []
+        for name, image in order.frames.items():
+            output = outputs.get(name)
+            if output is None:
+                output = once[name]
+                self._pending.append(output)
+            output.image = image
+        self._own_target = order.own_target
         self._holding = hold
-        self.aim(self._target_bits)
+        if not hold:
+            self.rest()
+        self._fill()
 
     def aim(self, bits: int) -> None:
-        """Put a target into every frame from now on, as raw bits."""
+        """Put a target into every frame from now on, as raw bits; not into those of an order that
+        sets the target itself.
+        """
         self._target_bits = bits
-        target = self.wiring.target
-        output = self._outputs[target.message]
-        output.image = target.signal.insert(output.image, bits)
+        self._fill()
+
+    def push(self, bits: int) -> None:
+        """Put a torque that the drive adds into every frame from now on, as raw bits.
+
+        Zero is put there instead while the drive is not ordered to run.
+        """
+        if self._holding:
+            self._offset_bits = bits
+            self._fill()
+
+    def rest(self) -> None:
+        """Let the drive add no torque from now on."""
+        offset = self.wiring.torque_offset
+        if offset is not None:
+            self._offset_bits = offset.bits(0.0)
+
+    def _fill(self) -> None:
+        wiring = self.wiring
+        if self._own_target:
+            return
+        for quantity, bits in (
+            (wiring.target, self._target_bits),
+            (wiring.torque_offset, self._offset_bits),
+        ):
+            if quantity is None:
+                continue
+            output, signal = self._outputs[quantity.message], quantity.signal
+            image = output.image
+            if signal.selector is not None:
+                image = signal.selector.insert(image, signal.pages[0])
+            output.image = signal.insert(image, bits)
 
     def frames(self, *, all_now: bool = False) -> Iterator[tuple[int, bytes]]:
-        """Yield identifier and data of each frame that is due in this cycle, or of all."""
+        """Yield identifier and data of each frame that is due in this cycle, or of all.
+
+        A message that goes only with an order is due until it has been sent.
+        """
         self.commanded = True
         for output in self._outputs.values():
             if all_now or self.cycle % output.every == 0:
                 yield output.message.identifier, output.frame()
+        # The target comes first: a drive takes the one at hand when an order makes it run.
+        while self._pending:
+            output = self._pending[0]
+            yield output.message.identifier, output.frame()
+            if self._pending and self._pending[0] is output:
+                del self._pending[0]
+
+    def requests(self, *, all_now: bool = False) -> Iterator[int]:
+        """Yield the identifier of each remote frame that is due in this cycle, or of all."""
+        for slot in self._requests:
+            identifier = slot.message.identifier
+            if all_now or self.cycle % self._request_every.get(identifier, 1) == 0:
+                yield identifier | REMOTE_FLAG
+
+    def stop_frame(self) -> tuple[int, bytes]:
+        """Return identifier and data of the next stop frame."""
+        return self._stop.message.identifier, self._stop.frame(self.wiring.stop_image)
 
     def settings(self, images: Images) -> list[tuple[int, bytes]]:
         """Return identifier and data of the frames that carry settings."""
@@ -177,10 +279,9 @@ class DbcChannel:
 
     def limits(self) -> dict[str, float]:
         """Return the limits in their last good frames, by name in the map."""
-        held = {name: limit.held for name, limit in self.wiring.limits.items()}
         return {
             name: quantity.read(self._by_name[quantity.message].data)
-            for name, quantity in held.items()
+            for name, quantity in self.wiring.reported.items()
         }
 
     def pin(self, limits: dict[str, float]) -> None:
@@ -209,16 +310,32 @@ class DbcChannel:
         begun = self._begun_ns
         return self.answered and all(
             [
-                slot.count and begun - slot.time_ns <= PERIODS_KEPT * slot.message.period_s * NS
-                for slot in self._timed
+                slot.count and begun - slot.time_ns <= PERIODS_KEPT * period_s * NS
+                for slot, period_s in self._timed
             ]
         )
 
     @property
     def state(self) -> ServoState | None:
-        """State in its last good frame; None for a value that is not in the map."""
+        """State in its last good frames; None for a value that is not in the map.
+
+        A fault code is a fault whatever the state word shows: with power on, until it is off.
+        """
         wiring = self.wiring
-        return wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
+        shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
+        if not self.fault_code:
+            return shown
+        if shown is None or shown.energised:
+            return ServoState.FAULT_REACTION
+        return ServoState.FAULT
+
+    @property
+    def fault_code(self) -> int:
+        """Fault code in its last good frame; 0 before the first, and where it reports none."""
+        if self._fault is None:
+            return 0
+        slot, read = self._fault
+        return round(read(slot.data)) if slot.count else 0
 
     def settle(self) -> None:
         """End an exchange: a drive that has stopped by itself is not commanded to run again.
@@ -253,13 +370,7 @@ class DbcChannel:
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""
-        quantity = self.wiring.inputs.get("fault_code")
-        code = (
-            round(quantity.read(self._by_name[quantity.message].data))
-            if quantity is not None
-            else 0
-        )
         return DriveFault(
-            code,
+            self.fault_code,
             f"{self.label} is in fault: see its manual for the code, remove the cause, then reset",
         )

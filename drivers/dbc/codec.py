@@ -35,6 +35,9 @@ class Signal:
         factor: Physical value of one raw unit.
         offset: Physical value at raw 0.
         labels: Names of raw values (``VAL_``).
+        selector: In a multiplexed message, the signal whose value says whether this one is in the
+            frame; None for a signal that always is.
+        pages: Raw values of the selector with which this signal is in the frame.
     """
 
     name: str
@@ -47,11 +50,18 @@ class Signal:
     factor: float = 1.0
     offset: float = 0.0
     labels: Mapping[int, str] = field(default_factory=lambda: NO_LABELS, compare=False)
+    selector: Signal | None = None
+    pages: tuple[int, ...] = ()
 
     @cached_property
     def mask(self) -> int:
         """Bit mask of the signal, not shifted."""
         return (1 << self.width) - 1
+
+    @cached_property
+    def covers(self) -> int:
+        """The signal's bits in its frame, read as one big-endian number."""
+        return int.from_bytes(self.insert(bytes(self.size), self.mask), "big")
 
     @cached_property
     def order(self) -> Literal["little", "big"]:
@@ -94,6 +104,8 @@ class Signal:
         """
         if self.real:
             code, unsigned = _FLOATS[self.width]
+            if not math.isfinite(raw):
+                raise ValueError(f"{self.name}: {raw:g} is no finite number")
             try:
                 packed = struct.pack(code, raw)
             except OverflowError:
@@ -181,4 +193,24 @@ CHECKSUMS: Final[Mapping[ChecksumKind, Callable[[bytes], int]]] = {
     "sum8": sum8,
     "xor8": xor8,
 }
-"""Each runs over the whole frame with the checksum's own bits at zero."""
+"""Each runs over the bytes that :func:`checksum_of` chooses."""
+
+
+def checksum_of(
+    kind: ChecksumKind, signal: Signal, prefix: bytes = b"", *, left_out: bool = False
+) -> Callable[[bytes], int]:
+    """Return the function that computes the checksum of a frame, whatever is in its place.
+
+    Args:
+        kind: The algorithm.
+        signal: The checksum's signal, of 8 bits.
+        prefix: Bytes covered before those of the frame.
+        left_out: Whether the checksum's own byte is left out; else it counts as zero. Its signal
+            then is a whole byte.
+    """
+    algorithm = CHECKSUMS[kind]
+    if not left_out:
+        return lambda data: algorithm(prefix + signal.insert(data, 0))
+    at = signal.covers
+    byte = signal.size - 1 - (at & -at).bit_length() // 8
+    return lambda data: algorithm(prefix + data[:byte] + data[byte + 1 :])

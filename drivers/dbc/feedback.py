@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from drivers.can.port import hexadecimal
 from drivers.clock import NS
 from drivers.dbc.channel import PERIODS_KEPT, DbcChannel, Slot
 from drivers.dbc.link import DbcLink
@@ -32,7 +33,8 @@ class Feedback:
             name: (channel.slot(quantity.message), quantity.read)
             for name, quantity in self._inputs.items()
         }
-        self._status = channel.slot(channel.wiring.status_message)
+        self._fault_asked = False
+        self._position: float | None = None
         self.restart_time()
 
     def restart_time(self) -> None:
@@ -42,17 +44,16 @@ class Feedback:
 
     def unasked(self, *names: str) -> list[float]:
         """Return quantities from their next good frames; NaN if these come only in answer to a
-        command.
+        command, and for a quantity that the drive does not report.
         """
-        slots = {name: self._reads[name][0] for name in names}
-        messages = {slot.message.name: slot for slot in slots.values()}
+        slots = {name: self._reads[name][0] for name in names if name in self._reads}
         heard = {
-            message: self._link.await_frame(self._channel, slot, _patience_s(slot))
-            for message, slot in messages.items()
+            key: self._await(slot)
+            for key, slot in {id(slot): slot for slot in slots.values()}.items()
         }
         return [
-            self.value(name) if heard[slot.message.name] else math.nan
-            for name, slot in slots.items()
+            self.value(name) if name in slots and heard[id(slots[name])] else math.nan
+            for name in names
         ]
 
     def limits(self) -> dict[str, float]:
@@ -61,21 +62,43 @@ class Feedback:
         Raises:
             LinkError: The drive is silent.
         """
-        limits = self._channel.wiring.limits.values()
-        for message in sorted({limit.held.message for limit in limits}):
+        reported = self._channel.wiring.reported.values()
+        for message in sorted({held.message for held in reported}):
             self.await_frame(message)
         return self._channel.limits()
 
+    def fault_code(self, *, again: bool = False) -> None:
+        """Wait for the fault code, if none has come yet or ``again``.
+
+        A drive that sends it only in answer to a command is waited for once.
+        """
+        quantity = self._inputs.get("fault_code")
+        if quantity is None or quantity.message == self._channel.wiring.status_message:
+            return
+        slot = self._channel.slot(quantity.message)
+        if again or not (slot.count or self._fault_asked):
+            self._fault_asked = True
+            self._await(slot)
+
     def value(self, name: str) -> float:
-        """Return a quantity from its last good frame."""
+        """Return a quantity from its last good frame; NaN if the drive does not report it."""
+        if name not in self._reads:
+            return math.nan
         slot, read = self._reads[name]
-        return read(slot.data)
+        found = read(slot.data)
+        if name != "position" or (period := self._inputs[name].wraps_after) is None:
+            return found
+        last = found if self._position is None else self._position
+        self._position = last + math.remainder(found - last, period)
+        return self._position
 
     def device_time(self) -> float:
-        """Return the drive's time of its last status, s; the host's time if it reports none."""
+        """Return the drive's time of its last sample, s; if it reports none, the host's time at
+        which its position came.
+        """
         quantity = self._inputs.get("time")
         if quantity is None:
-            return self._status.time_ns / NS
+            return self._reads["position"][0].time_ns / NS
         raw = quantity.signal.raw(self._channel.slot(quantity.message).data)
         whole = raw if quantity.signal.real else self._time.update(int(raw))
         return whole * quantity.gain + quantity.bias
@@ -100,8 +123,25 @@ class Feedback:
         """
         slot = self._channel.slot(name)
         refused = slot.refused
-        if not self._link.await_frame(self._channel, slot, _patience_s(slot)):
+        if not self._await(slot):
             raise self._silent(slot, refused)
+
+    def _await(self, slot: Slot) -> bool:
+        """Wait for the next good frame of a slot; ask for it with the order in force where the
+        drive is silent otherwise.
+        """
+        link, channel, message = self._link, self._channel, slot.message
+        patience_s = _patience_s(slot)
+        if not channel.wiring.asked or message.remote or message.period_s:
+            return link.await_frame(channel, slot, patience_s)
+        deadline = self._clock.now_ns() + round(patience_s * NS)
+        link.drain(channel)
+        count = slot.count
+        while (left := deadline - self._clock.now_ns()) > 0:
+            link.command(channel)
+            if link.pump(lambda: slot.count != count, min(_RETRY_S, left / NS)):
+                return True
+        return False
 
     def hear(self, name: str) -> None:
         """Send the current order until a message has come; some come only as an answer.
@@ -116,6 +156,7 @@ class Feedback:
             if self._clock.now_ns() >= deadline:
                 raise self._silent(slot, refused)
             self._link.command(self._channel)
+            self._link.request(slot)
             self._link.pump(lambda: slot.count != count, _RETRY_S)
 
     def _silent(self, slot: Slot, refused: int) -> LinkError:
@@ -125,9 +166,9 @@ class Feedback:
             if bad
             else "check its supply and bus"
         )
-        message = slot.message
+        name, identifier = slot.message.name, hexadecimal(slot.message.identifier)
         return LinkError(
-            f"{self._channel.label} sent no good {message.name} ({message.identifier:03X}h) "
+            f"{self._channel.label} sent no good {name} ({identifier}) "
             f"in {_patience_s(slot):g} s: {why}"
         )
 

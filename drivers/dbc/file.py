@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
+import logging
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -13,10 +17,22 @@ from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as FileSignal
 from cantools.database.errors import Error as DbcError
 
+from drivers.can.port import EXTENDED_FLAG
 from drivers.dbc.codec import Signal, motorola_shift
 from drivers.errors import ConfigurationError
 from drivers.plain_file import require_plain
 
+_MARKS: Final = (
+    (codecs.BOM_UTF8, ("utf-8",)),
+    (codecs.BOM_UTF16_LE, ("utf-16",)),
+    (codecs.BOM_UTF16_BE, ("utf-16",)),
+)
+"""Byte order mark to the encoding that it stands for."""
+_ENCODINGS: Final = ("utf-8", "cp1252", "cp932", "gb18030", "big5")
+"""Tried in this order where there is no byte order mark."""
+_ODD: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
+"""What ``cantools`` raises on files whose syntax is right and whose references are not."""
+_TWICE: Final = "is defined twice in the DBC; remove one"
 _PLACE: Final = re.compile(r"line (\d+), column (\d+)")
 
 
@@ -26,7 +42,7 @@ class Layout:
 
     Attributes:
         name: Name in the DBC.
-        identifier: CAN identifier, 11 bits.
+        identifier: CAN identifier; with bit 31 set where it has 29 bits.
         size: Number of bytes.
         period_s: Cycle time in the DBC (``GenMsgCycleTime``), s; None if there is none.
         signals: Signals by name.
@@ -52,24 +68,74 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     """
     try:
         require_plain(path)
-        # The encoding that DBC editors use.
-        text = path.read_text(encoding="cp1252")
+        data = path.read_bytes()
     except OSError as error:
         raise ConfigurationError(
             f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
         ) from error
-    except UnicodeDecodeError as error:
-        raise ConfigurationError(
-            f"{path}: is not a text file: byte {error.start} is not cp1252"
-        ) from error
     try:
-        database = cantools.database.load_string(text, database_format="dbc")
+        database = _load(data)
     except DbcError as error:
         raise ConfigurationError(
             f"{path}{_explain(str(error))}; correct it with a DBC editor"
         ) from error
-    assert isinstance(database, Database)
-    return {message.name: _layout(message) for message in database.messages}
+    except _NotTextError as error:
+        raise ConfigurationError(f"{path}: is not a text file: {error}") from error
+    counts = Counter(message.name for message in database.messages)
+    layouts = {message.name: _layout(message) for message in database.messages}
+    twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
+    return layouts | twice
+
+
+class _NotTextError(Exception):
+    """The bytes cannot be the text of a DBC file."""
+
+
+def _load(data: bytes) -> Database:
+    """Parse a DBC file in the first encoding in which its syntax is right.
+
+    The names that a map uses are ASCII; what no encoding can read is in comments and labels, and is
+    replaced. The encodings of East Asia come last: their second bytes include the backslash, which
+    another encoding would read as an escape of the quote after it.
+
+    Raises:
+        DbcError: The syntax is wrong in each; the error in the first that can decode the file.
+        _NotTextError: There is a zero byte.
+    """
+    encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
+    if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:
+        raise _NotTextError(f"byte {zero} is zero; name the drive's DBC file")
+    first: DbcError | None = None
+    for encoding in encodings:
+        try:
+            # UTF-8 is known by its bytes; the others take almost any, and are tried by the syntax.
+            strict = encodings is _ENCODINGS and encoding == "utf-8"
+            text = data.decode(encoding, "strict" if strict else "replace").removeprefix("\ufeff")
+        except UnicodeDecodeError:
+            continue
+        try:
+            with _quiet():
+                database = cantools.database.load_string(text, database_format="dbc")
+        except DbcError as error:
+            first = first or error
+        except _ODD as error:
+            first = first or DbcError(f"DBC: {type(error).__name__}: {error}")
+        else:
+            assert isinstance(database, Database)
+            return database
+    assert first is not None
+    raise first
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep the warnings of ``cantools`` off the terminal; what matters in them is an obstacle."""
+    log, handler = logging.getLogger("cantools"), logging.NullHandler()
+    log.addHandler(handler)
+    try:
+        yield
+    finally:
+        log.removeHandler(handler)
 
 
 def _explain(error: str) -> str:
@@ -81,27 +147,40 @@ def _explain(error: str) -> str:
 def _layout(message: Message) -> Layout:
     return Layout(
         name=message.name,
-        identifier=message.frame_id,
+        identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
         size=message.length,
-        period_s=message.cycle_time / 1e3 if message.cycle_time else None,
-        signals={signal.name: _signal(signal, message.length) for signal in message.signals},
+        period_s=_period_s(message.cycle_time),
+        signals=_signals(message),
         obstacle=_obstacle(message),
     )
 
 
+def _period_s(cycle_time_ms: object) -> float | None:
+    """Return a cycle time; None where it is not a number, as nothing checks attributes."""
+    if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
+        return None
+    return cycle_time_ms / 1e3
+
+
 def _obstacle(message: Message) -> str:
-    if message.is_extended_frame:
-        return "has a 29-bit identifier; only 11-bit ones are supported"
     if message.length > 8:
         return f"has {message.length} bytes; classical CAN carries at most 8"
-    if message.is_multiplexed():
-        return "is multiplexed, which is not supported; use a message with a fixed layout"
+    selectors = {s.name: s for s in message.signals if s.is_multiplexer}
+    if len(selectors) > 1 or any(s.multiplexer_ids for s in selectors.values()):
+        return f"is multiplexed by more than one signal ({', '.join(selectors)}); one is supported"
     if odd := [s.name for s in message.signals if s.is_float and s.length not in (32, 64)]:
         return f"has floating-point signals that are not of 32 or 64 bits: {', '.join(odd)}"
     return ""
 
 
-def _signal(signal: FileSignal, size: int) -> Signal:
+def _signals(message: Message) -> dict[str, Signal]:
+    size = message.length
+    selector = next((_signal(s, size) for s in message.signals if s.is_multiplexer), None)
+    return {s.name: _signal(s, size, selector) for s in message.signals}
+
+
+def _signal(signal: FileSignal, size: int, selector: Signal | None = None) -> Signal:
+    pages = tuple(signal.multiplexer_ids or ())
     motorola = signal.byte_order == "big_endian"
     return Signal(
         name=signal.name,
@@ -114,4 +193,6 @@ def _signal(signal: FileSignal, size: int) -> Signal:
         factor=float(signal.scale),
         offset=float(signal.offset),
         labels={value: str(name) for value, name in (signal.choices or {}).items()},
+        selector=selector if pages else None,
+        pages=pages,
     )

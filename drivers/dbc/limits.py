@@ -9,10 +9,30 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
+
 from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, LimitSteps, ServoLimits
 
+FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "angle_min": ("angle_min_rad",),
+    "angle_max": ("angle_max_rad",),
+    "speed": ("speed_rad_s",),
+    "current": ("torque_N_m", "current_A"),
+    "following_error": ("following_error_rad",),
+}
+"""Limit in the map to the fields of :class:`~drivers.interfaces.ServoLimits` that it holds."""
+_HELD: Final = {
+    "angle_min_rad": "angle_min_deg",
+    "angle_max_rad": "angle_max_deg",
+    "speed_rad_s": "speed_deg_s",
+    "torque_N_m": "torque_N_m",
+    "current_A": "current_A",
+    "following_error_rad": "following_error_deg",
+    "quick_stop_option": "quick_stop_option",
+    "quick_stop_deceleration_rad_s2": "quick_stop_deceleration_deg_s2",
+}
 _LOWER: Final = frozenset({"angle_min"})
 _ROUNDING: Final = 1e-6
 
@@ -39,6 +59,23 @@ class DbcDrive:
     torque_constant_N_m_A: float
     offset_rad: float
     watchdog_s: float | None
+
+
+def taken(wiring: Wiring) -> frozenset[str]:
+    """Return the fields of the limits that the drive takes over the bus, and reports."""
+    return frozenset(field for name in wiring.reported for field in FIELDS[name])
+
+
+def places(wiring: Wiring) -> dict[str, str]:
+    """Return where each limit is: its signal, or its key under ``servo.held``."""
+    found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
+    for name, limit in wiring.limits.items():
+        quantity = limit.held or limit.set
+        signal = f"{quantity.message}.{quantity.signal.name}"
+        if limit.held is None:
+            signal += ", written and not reported"
+        found |= dict.fromkeys(FIELDS[name], signal)
+    return found
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
@@ -78,9 +115,9 @@ def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
 
     Zero for limits that the drive does not report, and for floating-point signals.
     """
-    held = {name: limit.held for name, limit in wiring.limits.items()}
     units = {
-        name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()
+        name: 0.0 if quantity.signal.real else abs(quantity.gain)
+        for name, quantity in wiring.reported.items()
     }
     gear = drive.gear_ratio
     current = units.get("current", 0.0)
@@ -116,10 +153,22 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
 
 def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     raw = (value - quantity.bias) / quantity.gain
+    upward = (name in _LOWER) is (quantity.gain > 0)
+    if quantity.signal.real:
+        return _tighter_real(raw, quantity.signal.width, upward)
     # The margin keeps a value that was a whole number of units unchanged.
-    if (name in _LOWER) is (quantity.gain > 0):
-        return math.ceil(raw - _ROUNDING)
-    return math.floor(raw + _ROUNDING)
+    return math.ceil(raw - _ROUNDING) if upward else math.floor(raw + _ROUNDING)
+
+
+def _tighter_real(raw: float, width: int, upward: bool) -> float:
+    """Return the nearest floating-point number of this width that is not beyond ``raw``."""
+    if width == 64 or not math.isfinite(raw):
+        return raw
+    nearest = np.float32(raw)
+    found = float(nearest)
+    if (found < raw) if upward else (found > raw):
+        found = float(np.nextafter(nearest, np.float32(math.inf if upward else -math.inf)))
+    return found
 
 
 def verify(

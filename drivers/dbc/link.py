@@ -7,6 +7,7 @@ from functools import partial
 from types import MappingProxyType
 from typing import Final
 
+from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG, hexadecimal
 from drivers.canopen.link import CanopenLink
 from drivers.clock import NS
 from drivers.dbc.channel import DbcChannel, Slot
@@ -17,6 +18,8 @@ from drivers.port_errors import close_all
 
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
+_ASK_S: Final = 0.02
+"""Time after which a remote frame is repeated."""
 
 
 class DbcLink(CanopenLink):
@@ -57,21 +60,22 @@ class DbcLink(CanopenLink):
         taken: set[int] = set()
         for channel in self._channels:
             wiring = channel.wiring
-            sent = (*wiring.sent.values(), *wiring.settings.values())
-            for identifier in dict.fromkeys(
-                (wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)
-            ):
+            sent = (
+                *(wiring.stop_message, *wiring.sent.values()),
+                *(*wiring.once.values(), *wiring.settings.values()),
+            )
+            for identifier in dict.fromkeys((*(m.identifier for m in sent), *channel.slots)):
                 if identifier in taken or (owner := self._canopen_owner(identifier)):
                     who = "another drive" if identifier in taken else owner
                     yield (
-                        f"identifier {identifier:03X}h of {channel.label} is also that of "
+                        f"identifier {hexadecimal(identifier)} of {channel.label} is also that of "
                         f"{who}: change one of them"
                     )
             taken.update(channel.slots)
 
     def _canopen_owner(self, identifier: int) -> str:
         node = identifier & 0x7F
-        if identifier > 0x080 and (node in self._nodes or node == self.master_id):
+        if 0x080 < identifier < EXTENDED_FLAG and (node in self._nodes or node == self.master_id):
             return f"CANopen node {node}"
         return _RESERVED.get(identifier, "")
 
@@ -85,7 +89,7 @@ class DbcLink(CanopenLink):
             if self._port is not None
             else []
         )
-        stops = [partial(self.send, *channel.wiring.stop_frame) for channel in commanded]
+        stops = [partial(self.stop, channel) for channel in commanded]
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
@@ -103,6 +107,8 @@ class DbcLink(CanopenLink):
             channel.begin(now)
             for identifier, data in channel.frames():
                 self.send(identifier, data)
+            for identifier in channel.requests():
+                self.send(identifier, b"")
         super().exchange()
         if not self._answered():
             self.pump(self._answered, (deadline - self.clock.now_ns()) / NS)
@@ -121,8 +127,8 @@ class DbcLink(CanopenLink):
         for identifier, data in channel.frames(all_now=True):
             self.send(identifier, data)
 
-    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
-        """Wait for a good frame that comes after this call; False after the time-out.
+    def drain(self, channel: DbcChannel) -> None:
+        """Receive what has come from a drive so far.
 
         Raises:
             LinkError: The bus failed.
@@ -132,8 +138,42 @@ class DbcLink(CanopenLink):
             self._receive(0.0)
             if channel.heard == heard:
                 break
+
+    def stop(self, channel: DbcChannel) -> None:
+        """Send a drive its stop frame at once.
+
+        Raises:
+            LinkError: The bus refuses it.
+        """
+        self.send(*channel.stop_frame())
+
+    def request(self, slot: Slot) -> None:
+        """Ask a drive for a message that it sends only in answer to a remote frame.
+
+        Raises:
+            LinkError: The bus refuses it.
+        """
+        if slot.message.remote:
+            self.send(slot.message.identifier | REMOTE_FLAG, b"")
+
+    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
+        """Wait for a good frame that comes after this call; False after the time-out.
+
+        A message that answers remote frames is asked for again and again.
+
+        Raises:
+            LinkError: The bus failed.
+        """
+        self.drain(channel)
         count = slot.count
-        return self.pump(lambda: slot.count != count, timeout_s)
+        if not slot.message.remote:
+            return self.pump(lambda: slot.count != count, timeout_s)
+        deadline = self.clock.now_ns() + round(timeout_s * NS)
+        while (left := deadline - self.clock.now_ns()) > 0:
+            self.request(slot)
+            if self.pump(lambda: slot.count != count, min(_ASK_S, left / NS)):
+                return True
+        return False
 
     def _handle(self, frame: RawFrame) -> None:
         route = self._routes.get(frame.identifier)

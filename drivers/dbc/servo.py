@@ -15,7 +15,7 @@ from drivers.dbc.channel import DbcChannel
 from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
-from drivers.dbc.wiring import Images
+from drivers.dbc.wiring import Order
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
 from drivers.interfaces import (
     Identity,
@@ -60,6 +60,8 @@ class DbcServo(Servo):
         self._status = channel.slot(wiring.status_message)
         self._command_period_s = wiring.sent[wiring.target.message].period_s
         self.watch_s = drive.watchdog_s
+        self.limits_taken = dbc_limits.taken(wiring)
+        self.limit_places = dbc_limits.places(wiring)
         link.has_watchdog = link.has_watchdog and drive.watchdog_s is not None
         self._cycle_ns = 0
         self._target = self._previous = 0.0
@@ -87,6 +89,7 @@ class DbcServo(Servo):
             LinkError: The drive is silent.
             StateError: The map does not name the status value.
         """
+        self._feedback.fault_code()
         self._feedback.await_frame(self._wiring.status_message)
         state = self._channel.state
         if state is None:
@@ -95,6 +98,11 @@ class DbcServo(Servo):
                 f"{self._channel.label} reports status {raw:g}, which the map does not name: add it"
             )
         return state
+
+    def _told(self) -> ServoState:
+        """Return the state after the next fault code, which may come later than the state."""
+        self._feedback.fault_code(again=True)
+        return self.state()
 
     def read_limits(self) -> ServoLimits:
         """Return the limits that the drive holds: as reported, else as stated in the bench file.
@@ -182,7 +190,7 @@ class DbcServo(Servo):
         self._link.set_cycle(cycle_s, channel.label)
         channel.set_cycle(cycle_s)
         channel.order(self._wiring.disable)
-        for name in self._wiring.received:
+        for name in (*self._wiring.received, *self._wiring.pages):
             self._feedback.hear(name)
         self._cycle_ns = round(cycle_s * NS)
         self._feedback.restart_time()
@@ -218,7 +226,7 @@ class DbcServo(Servo):
             LinkError: The drive cannot be reached; it stops by itself when its watchdog runs out.
         """
         self._command(self._wiring.disable)
-        self._link.send(*self._wiring.stop_frame)
+        self._link.stop(self._channel)
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
     def quick_stop(self) -> None:
@@ -230,7 +238,7 @@ class DbcServo(Servo):
         """
         # The cyclic order is changed first, so that no later exchange can undo the stop.
         self._channel.order(self._wiring.stop)
-        self._link.send(*self._wiring.stop_frame)
+        self._link.stop(self._channel)
         self._command(self._wiring.stop)
         self._await(
             lambda state: state in cia402.STOPPED,
@@ -250,8 +258,13 @@ class DbcServo(Servo):
         # Drives act on the edge of a reset, so each reset is sent between two orders to stay off.
         orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
         self._command(*orders)
-        self._await(
-            lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled", *orders
+        await_state(
+            self._told,
+            lambda state: state is ServoState.SWITCH_ON_DISABLED,
+            "switch on disabled",
+            self._clock,
+            self._timeout_s,
+            lambda: self._command(*orders),
         )
 
     def set_target(self, angle_rad: float) -> None:
@@ -261,6 +274,28 @@ class DbcServo(Servo):
             ConfigurationError: The angle is beyond what its signal can hold.
         """
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
+
+    def set_torque_offset(self, torque_N_m: float) -> None:
+        """Stage a joint torque that the drive adds to its own, where the map has a signal for it.
+
+        Zero is staged instead while the drive is not ordered to run.
+
+        Raises:
+            ConfigurationError: There is no such signal, or the torque does not fit it.
+        """
+        quantity = self._wiring.torque_offset
+        if quantity is None:
+            raise ConfigurationError(
+                f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run "
+                f"without feed-forward, or name the signal under servo.torque_offset"
+            )
+        try:
+            bits = quantity.bits(torque_N_m / self._drive.gear_ratio)
+        except ValueError as error:
+            raise ConfigurationError(
+                f"torque offset {torque_N_m:g} N m at the joint: {error}; check the scales"
+            ) from error
+        self._channel.push(bits)
 
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange; ``statusword`` is what a CiA 402 drive would show
@@ -279,7 +314,7 @@ class DbcServo(Servo):
             position + drive.offset_rad * drive.gear_ratio,
             self._feedback.value("velocity") / drive.gear_ratio,
             self._feedback.value(self._effort) / self._effort_per_A,
-            self._feedback.value("voltage") if "voltage" in self._wiring.inputs else math.nan,
+            self._feedback.value("voltage"),
             self._feedback.value("supply_voltage"),
             self._feedback.value("temperature"),
             following,
@@ -313,12 +348,12 @@ class DbcServo(Servo):
                 f"target {motor_rad:g} rad at the motor: {error}; check the scales"
             ) from error
 
-    def _command(self, *orders: Images) -> None:
+    def _command(self, *orders: Order) -> None:
         for order in orders:
             self._channel.order(order)
             self._link.command(self._channel)
 
-    def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Images) -> None:
+    def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Order) -> None:
         # The orders are repeated, as a frame may have been lost.
         await_state(
             self.state,
@@ -332,6 +367,7 @@ class DbcServo(Servo):
     def _walk(self) -> None:
         channel, wiring = self._channel, self._wiring
         channel.order(wiring.disable)
+        step: ServoState | None = None
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             state = channel.state
             if state in _FAULTS:
@@ -347,5 +383,8 @@ class DbcServo(Servo):
                     "check its supply and its enable input"
                 )
             if channel.fresh and state is not None and state in wiring.enable:
-                channel.order(wiring.enable[state])
+                # Once a step: a message that goes only with an order is not to be repeated.
+                if state is not step:
+                    channel.order(wiring.enable[state])
+                    step = state
                 self._stage(self._feedback.value("position"))

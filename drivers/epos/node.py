@@ -23,7 +23,6 @@ in turn.
 
 _HOST_TIME: Final = (0x1013, 0)
 _POSITION: Final = (0x6064, 0)
-_CURRENT: Final = (0x6078, 0)
 _GUARD_FACTOR: Final = 2.0
 _GUARD_CYCLES: Final = 3
 _ANSWER_BYTES: Final = ERROR.size + VALUE_BYTES
@@ -100,6 +99,7 @@ class EposSerialNode(ObjectAccess):
         self._values: dict[ObjectAddress, _Input] = {}
         self._layouts: dict[int, tuple[ObjectAddress, ...]] = {}
         self._every: tuple[ObjectAddress, ...] = ()
+        self._mean: ObjectAddress | None = None
         self._turns: Iterator[ObjectAddress] = iter(())
         self._complete = False
         self._time_us = 0
@@ -109,6 +109,11 @@ class EposSerialNode(ObjectAccess):
     def fresh(self) -> bool:
         """Whether everything that was due at the last exchange was written and read."""
         return self._complete
+
+    @property
+    def sync_us(self) -> int:
+        """Host's time of the cycle's first request, microseconds modulo 2^32."""
+        return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
@@ -152,6 +157,7 @@ class EposSerialNode(ObjectAccess):
             if address != _HOST_TIME
         }
         self._every = inputs[0].objects if inputs else ()
+        self._mean = inputs[0].mean if inputs else None
         self._turns = endless(_turns(inputs[1:]))
         self._before = None
         self.heard_ns = 0
@@ -218,8 +224,8 @@ class EposSerialNode(ObjectAccess):
             if answer is None:
                 return
             good = slot.take(answer) and good
-        if good and _POSITION in self._every and _CURRENT in self._every:
-            self._bring_together(self._values[_POSITION], self._values[_CURRENT])
+        if good and self._mean is not None and _POSITION in self._every:
+            self._bring_together(self._values[_POSITION], self._values[self._mean])
         self._complete = good
 
     def _bring_together(self, position: _Input, current: _Input) -> None:

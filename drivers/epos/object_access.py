@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Final, Protocol
 
 from canopen.objectdictionary import ObjectDictionary
 from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.pdo import packing
-from drivers.canopen.sdo import variable
+from drivers.canopen.sdo import described, variable
 from drivers.clock import Clock
 from drivers.epos.frames import ERROR, LAST, OBJECT, SEGMENT_BYTES, TOGGLE, TOTAL, Opcode, segment
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
@@ -145,6 +146,17 @@ class ObjectAccess:
             LinkError: No answer.
         """
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        """Return whether the EDS has an object; each can be read in every cycle. Sends nothing."""
+        return described(self._dictionary, index, subindex, mappable=False)
+
+    def fit_together(self, addresses: Sequence[tuple[int, int]]) -> bool:
+        """Return True: objects are asked for one by one."""
+        return True
+
+    def require_watchable(self) -> None:
+        """Check nothing: the protocol has no watchdog, and the link's guard stands in for it."""
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.

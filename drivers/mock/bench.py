@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -48,6 +49,7 @@ def simulated_bench(
     encoder_node: int = ENCODER_NODE,
     transmitter_node: int | None = None,
     rating: Rating | None = None,
+    shown: Container[tuple[int, int]] | None = None,
 ) -> SimulatedBench:
     """Build and boot a bench. The same seed gives the same bytes on the bus.
 
@@ -59,6 +61,7 @@ def simulated_bench(
         encoder_node: CANopen node identifier of the encoder.
         transmitter_node: Node identifier of the pressure transmitter; None for a bench without one.
         rating: Rated values of the drive; 15 A unless given.
+        shown: Index and subindex of the objects that the drive shows to its bus; None for all.
 
     Returns:
         The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up
@@ -69,7 +72,9 @@ def simulated_bench(
     bus = SimulatedBus(clock, bitrate)
     plant = SimulatedMachine(machine, noise)
     sampler = Sampler(plant)
-    drive = SimulatedDrive(bus, clock, drive_node, sampler, int(offsets.integers(1 << 32)), rating)
+    drive = SimulatedDrive(
+        bus, clock, drive_node, sampler, int(offsets.integers(1 << 32)), rating, shown
+    )
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -90,7 +90,8 @@ class SimulatedDrive(SimulatedNode):
     Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
     6078h is the mean current since the last SYNC, per mille of 6075h. 60B2h (per mille of 6076h)
     adds torque to the position loop's output while targets are followed, but not in ramps. The
-    power stage is on only in the states of :data:`POWERED`.
+    power stage is on only in the states of :data:`POWERED`. ``shown`` are the addresses of the
+    objects that it shows to its bus, as drives of most makers lack some; None for all.
 
     Attributes:
         power_state: State of the power drive system.
@@ -105,8 +106,11 @@ class SimulatedDrive(SimulatedNode):
         sampler: Sampler,
         clock_offset_us: int = 0,
         rating: Rating | None = None,
+        shown: Container[tuple[int, int]] | None = None,
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
+        if shown is not None:
+            self.objects.remove_except(shown)
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
         self._sampler = sampler

@@ -20,7 +20,7 @@ from drivers.epos.frames import (
     encode,
     segment,
 )
-from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError
+from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError, key
 from drivers.mock.drive import SimulatedDrive
 from drivers.mock.power_state import POWERED, State
 from drivers.mock.wires.bus import SimulatedBus
@@ -30,7 +30,8 @@ UNKNOWN_COMMAND: Final = 0x0F00FFBF
 WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
-_CURRENT: Final = 0x6078
+_MEANS: Final = (0x6077, 0x6078)
+"""Torque and current, means since they were read last."""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4
@@ -153,9 +154,10 @@ class SimulatedEposPort:
         return index, subindex
 
     def _read(self, index: int, subindex: int) -> bytes:
-        if index == _CURRENT:
+        if index in _MEANS:
             self._drive.latch()
-            self._voltage = self._objects.read(_VOLTAGE, 0)
+            if key(_VOLTAGE) in self._objects.entries:
+                self._voltage = self._objects.read(_VOLTAGE, 0)
         elif index == _VOLTAGE and subindex == 0:
             return self._voltage
         else:

@@ -29,12 +29,12 @@ def torque_ripple(
     return np.asarray(s["drive"] * fraction * np.sin(per_motor_turn * s["motor_angle"] + phase_rad))
 
 
-def torque_saturation(s: Any, m: Any, knee_A: float) -> Array:
-    """Saturation: I_k tanh(I / I_k) in place of I."""
-    return np.asarray(
-        m["ampere_torque"] * knee_A * np.tanh(s["drive"] / (m["ampere_torque"] * knee_A))
-        - s["drive"]
-    )
+def torque_saturation(s: Any, m: Any, knee_A: float, rational: float = 0.0) -> Array:
+    """Saturation: I_k tanh(I / I_k), or I / (1 + (I / I_k)^2), in place of I."""
+    knee = m["ampere_torque"] * knee_A
+    if rational:
+        return np.asarray(s["drive"] / (1.0 + (s["drive"] / knee) ** 2) - s["drive"])
+    return np.asarray(knee * np.tanh(s["drive"] / knee) - s["drive"])
 
 
 def current_loop_lag(s: Any, m: Any, time_s: float) -> Array:

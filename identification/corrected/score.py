@@ -52,7 +52,9 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
     has no constant.
     """
     s, m, recording = signals_of(view), model.numbers(view.recording), view.recording
-    found = [_one(view, "torque", model.drive(s, m), model.torque(s, m), ~view.moving)]
+    # What the known loads give or take, the drive need not.
+    asked = model.torque(s, m) - view.known
+    found = [_one(view, "torque", model.drive(s, m), asked, ~view.moving)]
     if view.lag is not None:
         lag, twist = view.low_pass(view.lag), view.low_pass(model.twist(s, m))
         zero = float(np.median(lag - twist))

@@ -46,8 +46,8 @@ def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0
 
 
 def play(angle: Array, gap: float) -> Array:
-    """Return the lead of a gap's driving side over its driven side, within +- gap/2, rad, shape
-    (n,).
+    """Return the play operator of an angle: the lead of the driving side of a gap over its driven
+    side, within +- gap/2, rad, shape (n,).
     """
     out = np.zeros(len(angle))
     for k in range(1, len(angle)):

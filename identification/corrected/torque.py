@@ -86,10 +86,14 @@ def stribeck_shape(s: Any, m: Any, alpha: float) -> Array:
     return np.asarray(s["sense"] * (dry_level(s, m, alpha) - dry_level(s, m, m["alpha"])))
 
 
-def friction_memory(s: Any, m: Any, time_s: float) -> Array:
-    """The dry level lags."""
+def friction_memory(s: Any, m: Any, time_s: float, of_speed: float = 0.0) -> Array:
+    """The dry level lags, or the speed that it follows."""
     level = dry_level(s, m, m["alpha"])
-    return np.asarray(s["sense"] * (lagged(level, s["time"], time_s) - level))
+    if of_speed:
+        late = dry_level({**s, "velocity": lagged(s["velocity"], s["time"], time_s)}, m, m["alpha"])
+    else:
+        late = lagged(level, s["time"], time_s)
+    return np.asarray(s["sense"] * (late - level))
 
 
 def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:

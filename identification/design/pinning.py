@@ -55,7 +55,7 @@ class Information:
     scatter: Array
 
     def times(self, factor: float) -> Information:
-        """Return the information of ``factor`` times the stage."""
+        """Return the information of ``factor`` times as long a stage."""
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def effective(self, weights: Array) -> Information:

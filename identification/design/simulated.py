@@ -83,8 +83,9 @@ class Nominal:
 
 
 def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
-    """Return copies of the model with its own, a softer and a stiffer drive; a proposal has to suit
-    all of them.
+    """Return copies of the model with its own, a softer and a stiffer drive.
+
+    A proposal must be identifiable with all three drives.
     """
     beside = ASSUMED if nominal.loop is None else SEEN
     return tuple(

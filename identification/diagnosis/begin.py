@@ -131,7 +131,7 @@ def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: floa
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
     loaded = [p for p in prepared if p.recording.stage == "loaded"]
     model = dataset.model
-    unknown = bears_load(model.friction) and all(r.pendulum is None for r in recordings)
+    unknown = bears_load(model.friction) and not any(r.known_load for r in recordings)
     if unknown:
         model = replace(model, friction=UNBURDENED[model.friction])
     values, _ = solve_stages(unloaded, loaded, model, lambda _stage, _share: None)

@@ -1,5 +1,5 @@
-"""What effects are weighed by: which of two fits the data prefer, how many numbers they took, what
-is plausible.
+"""Comparison of fits: which of two the data prefer, how many parameters each has, and which are
+plausible.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 
 REJECTED = 1.645
-"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
+"""Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
 SAME = 0.01
@@ -30,7 +30,6 @@ USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
 suit.
 """
-"""How the names of parameters begin that are angles on a linear bench too."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class Contender:
 
 @dataclass(frozen=True)
 class Round:
-    """One effect taken: the contenders it won against, best first, itself not among them."""
+    """An accepted effect, and the rivals that it was preferred to, best first."""
 
     name: str
     rivals: tuple[Contender, ...]
@@ -72,9 +71,9 @@ def probability(preferred: float) -> float:
 def implausible(joint: Joint) -> str:
     """Say what makes a fit no model of a bench, empty where nothing does.
 
-    A parameter of the last effect beyond its range in the catalogue, at the scale of this bench; or
-    constants that the fit cannot keep, as friction that would have to rise where it falls: what it
-    promises is then nobody's prediction.
+    The cause is a parameter of the last effect beyond its range in the catalogue, at the scale of
+    this bench; or an infeasible fit (:func:`broken`), such as friction that would have to rise with
+    speed where it falls.
     """
     if broken(joint):
         return "constants that no bench has"
@@ -98,11 +97,11 @@ def implausible(joint: Joint) -> str:
 
 
 def broken(joint: Joint) -> bool:
-    """Whether a fit's own constants do not keep what it promises; it then says nothing of its
-    effects either.
+    """Whether a fit is infeasible: with its constants within their limits it leaves far more than
+    the unlimited fit predicts. Its effects are then not accepted either.
 
-    Of the last effect only where it shows in the torque: what encoders alone see promises nothing
-    of friction, and what keeps the torque from its constants was missing before.
+    A fit whose last effect is not in the torque equation is never called infeasible: such an effect
+    changes no constant of friction.
     """
     if joint.effects and "torque" not in joint.effects[-1].term.columns:
         return False
@@ -133,8 +132,8 @@ def _travels(views: Sequence[View]) -> float:
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
-    """Return which of these fits, best first, has the fewest numbers among those hardly worse than
-    the best.
+    """Return the fit with the fewest parameters among those that are less than
+    :data:`SIMPLER_IF` standard errors worse than the best; ``joints`` are sorted, best first.
     """
     near = [
         k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF
@@ -143,13 +142,13 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
 
 
 def numbers(effect: Added) -> int:
-    """Return how many numbers of an effect the data choose."""
+    """Return the number of an effect's parameters that are fitted."""
     return effect.term.freedom + len(effect.coefficients)
 
 
 def again(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
-    """Whether a rival is the chosen effect over again, with more numbers: a special case is no
-    alias.
+    """Whether a rival contains the chosen effect as a special case: it has more parameters and the
+    same fit. Such a rival is no alias.
     """
     difference = its.residual - best.residual
     return numbers(rival) > numbers(chosen) and float(difference @ difference) < SAME * best.cost

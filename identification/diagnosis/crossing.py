@@ -2,10 +2,11 @@
 side moves and the other rests.
 
 If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
-equal within the encoders' resolution. But a gap is crossed without torque, T = J_r domega_m/dt, and
-a hysteresis loop with a rising torque, T = J_r domega_m/dt + w (s + u). Here J_r is the rotor's
-inertia, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in the
-loop.
+equal within the encoders' resolution. But a gap is crossed with the torque that the rotor takes,
+T = J_r domega_m/dt + M_r s, and a hysteresis loop with a torque that rises on the way,
+T = J_r domega_m/dt + M_r s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the
+motor's side, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in
+the loop. The rise w u tells the two apart; the constant part may be either's.
 """
 
 from __future__ import annotations
@@ -39,6 +40,8 @@ INNER = 0.6
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 LEAST_CROSSINGS = 10
+INERTIA, RISE = 0, 2
+"""Regressors of the rotor's inertia and of the torque that rises on the way."""
 CARRIED = 0.06
 """Ratio of the loop's closing torque to the torque of the motion, from which it is not a gap."""
 SLACK = 0.02
@@ -86,17 +89,16 @@ def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -
     bread = np.linalg.pinv(columns.T @ columns, hermitian=True)
     found = bread @ (columns.T @ torque)
     scores = np.stack([c.T @ (t - c @ found) for c, t in zip(parts, torques, strict=True)])
-    spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[1, 1]))
+    spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[RISE, RISE]))
     usual = float(np.median(np.concatenate(moving)))
-    return Crossing(
-        float(found[0]), float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK)
-    )
+    inertia, rise = float(found[INERTIA]), float(found[RISE])
+    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, SLACK))
 
 
 def _columns(
     view: View, nominal: Nominal, gap: float, rotor: float
 ) -> tuple[Array, list[tuple[int, int]]]:
-    """Return regressors of the drive's torque, shape (m, 2), and first sample and end of each
+    """Return regressors of the drive's torque, shape (m, 3), and first sample and end of each
     crossing.
     """
     gear = view.recording.bench.gear_ratio
@@ -106,7 +108,7 @@ def _columns(
     held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
     inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
     turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
-    columns = np.stack([_quick_acceleration(view), np.sign(speed) + way], axis=1)
+    columns = np.stack([_quick_acceleration(view), np.sign(speed), way], axis=1)
     return columns, [(int(a), int(b)) for a, b in turns.reshape(-1, 2) if b - a >= LEAST_SAMPLES]
 
 
@@ -220,8 +222,8 @@ def _empty(views: Sequence[View], torque: float) -> float:
     """Return by how many standard errors a loop with this closing ``torque`` (N m), fitted to the
     angles, is preferred to a gap.
 
-    The result is never above zero: a loop that closes without torque is a gap with one more
-    parameter; one that closes with torque has been judged by the angles already.
+    The result is at most zero. A loop that closes without torque equals a gap, which has one
+    parameter less; a loop that closes with torque was compared with a gap by the angles before.
     """
     usual = float(
         np.median(

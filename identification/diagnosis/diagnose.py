@@ -15,10 +15,12 @@ import numpy as np
 
 from identification.diagnosis.begin import begun, common_bandwidth, started
 from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.indistinct import opened
 from identification.diagnosis.intervals import pinned
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import effects_of, judged, too_little
 from identification.diagnosis.locate import curve
+from identification.diagnosis.observable import Observable, observable
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -90,7 +92,7 @@ def diagnose(
     here, found, gives = _searched(dataset, (here, first), terms, bandwidth, chance, tell)
     aside = _aside(dataset, bandwidth, gives)
     tell("what each name is worth on recordings that took no part", 0.92)
-    searched, found = found, paying(found, here, aside, unit)
+    searched, found = found, opened(paying(found, here, aside, unit), terms)
     tell("locating", 0.95)
     verdict, where, drawn = judged(found, chance, searched)
     effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
@@ -117,6 +119,21 @@ def diagnose(
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
+
+
+def observed(dataset: Dataset, bandwidth_Hz: float | None = None) -> tuple[Observable, ...]:
+    """Say which effects these recordings can show, at which size, and which they cannot
+    distinguish.
+
+    Args:
+        dataset: Recordings; those with role ``validate`` take no part.
+        bandwidth_Hz: Of every error; None chooses it as :func:`diagnose` does.
+
+    Raises:
+        RecordingError: The recordings do not determine the nominal model.
+    """
+    here, nominal = begun(dataset, _fitted(dataset, bandwidth_Hz)[1])
+    return observable(nominal, _sought(dataset, here)[0])
 
 
 def _places(

@@ -27,7 +27,8 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
     of time.
 
-    Intervals include the errors of approximate regressors, which do not show in the scatter.
+    Intervals include the errors of approximate regressors, which do not show in the scatter. A
+    parameter that the fit chooses from a list, as a number per turn, has no width.
 
     Units are left empty; the catalogue has them.
     """
@@ -56,6 +57,8 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
             name: math.hypot(
                 wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name])
             )
+            if np.any(s != 0.0)
+            else 0.0
             for name, s in slopes.items()
         }
         out.append(
@@ -66,8 +69,6 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 def _coarseness(name: str, value: float) -> float:
     """Return the error of a parameter due to its approximate regressor."""
-    if name.startswith("per_"):
-        return 0.0
     return (
         PLACE_RAD
         if name.split("_")[0] in ("phase", "center", "zero", "rest")

@@ -1,4 +1,4 @@
-"""What a search amounts to: the verdict, each name with its rivals, and how sure it is."""
+"""Verdict of a search: which effects are identified, with their rivals and confidence."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ from identification.prepare import drive_channel
 from identification.recording import Bench
 
 ADEQUATE = 0.70
-"""Share of the mismatch's power beyond the noise that names must explain between them to be a
-diagnosis.
+"""Share of the mismatch's power beyond the noise that the effects must explain together; with less
+the verdict is outside the catalogue.
 """
 MOST = 0.5
-"""The same of names that lessen the error on unseen recordings, where others did not and were
-dropped: more than half.
+"""The same share where some effects were dropped because they do not reduce the error on unused
+recordings.
 """
 WHOLE = 0.95
 """The same, below which what is left may not go by a coordinate that no name has.
@@ -88,10 +88,10 @@ def judged(
     """Return the verdict, where the mismatch is, and its maps.
 
     Args:
-        found: The search with its fits within their limits, less names that do not pay.
-        rng: Of the maps' bands.
-        searched: The search before; None where it is the same. Whether names explain enough is
-            asked of it, and of what is kept where less is.
+        found: The search with its fits within their limits and the effects that were kept.
+        rng: Random generator for the bands of the maps.
+        searched: The search before effects were dropped; None if it is the same. Both must explain
+            enough of the mismatch.
     """
     searched = searched or found
     stack = found.baseline.stack

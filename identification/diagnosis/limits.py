@@ -1,9 +1,8 @@
-"""A fit whose constants stay within their limits, and what these constants leave.
+"""Refinement of a fit within the limits of its constants, and the residual of these constants.
 
-The search weighs effects with everything that the torque is linear in free. A machine has no
-negative friction and no negative inertia: what is reported, and scored on recordings that took no
-part, is the fit within those limits (bounded least squares: Stark and Parker, Comput. Stat. 10
-(1995) 129).
+The search compares effects by fits without limits. A machine has no negative friction and no
+negative inertia. The fit within these limits is the one that is reported and that is scored on
+recordings set aside (bounded least squares: Stark and Parker, Comput. Stat. 10 (1995) 129).
 """
 
 from __future__ import annotations

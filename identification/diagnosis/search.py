@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.diagnosis.begin import or_kept, or_raised
 from identification.diagnosis.contest import (
+    REJECTED,
     Contender,
     Round,
     again,
@@ -36,7 +37,7 @@ from identification.diagnosis.significance import (
     screened,
 )
 from identification.diagnosis.stack import Candidate
-from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.terms.term import Context, Shape, Term
 
 MOST_EFFECTS = 3
 Progress = Callable[[str, float], None]
@@ -272,11 +273,30 @@ def _contest(
 
 
 def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
-    """Return the fit with a candidate and the selected effects."""
+    """Return the fit with a candidate and the selected effects.
+
+    An effect of several forms is fitted in each; another than the usual one must be preferred for
+    sure.
+    """
+    usual, *others = (_fitted_as(case, fits, candidate, shape) for shape in _forms(case, candidate))
+    sure = [f for f in others if preference(f, usual) >= REJECTED]
+    return min(sure, key=lambda f: f.cost, default=usual)
+
+
+def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
+    """Return a candidate's shape in each of its forms, the usual one first."""
+    shapes = [candidate.shape]
+    for index, values in case.terms[candidate.name].forms.items():
+        shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
+    return shapes
+
+
+def _fitted_as(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
+    """Return the fit with a candidate that starts from this shape, and the selected effects."""
     baseline, joint = fits
     added = Added(
         case.terms[candidate.name],
-        candidate.shape,
+        shape,
         tuple(float(c) for c in candidate.coefficients),
     )
     tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)

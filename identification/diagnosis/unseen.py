@@ -1,8 +1,8 @@
-"""What a name is worth on recordings that took no part in its fit.
+"""Tests whether an effect reduces the error on recordings that were not used in its fit.
 
-Where recordings are set aside they judge; where none is, each part of the recordings is predicted
-from the others (cross-validation: Stone, J. R. Stat. Soc. B 36 (1974) 111), shapes and speeds as
-they are.
+If recordings are set aside, they are predicted. If none is, each part of the recordings is
+predicted from the others (cross-validation: Stone, J. R. Stat. Soc. B 36 (1974) 111), with shapes
+and Stribeck speeds held.
 """
 
 from __future__ import annotations
@@ -75,11 +75,12 @@ def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]
 
 
 def paying(found: Search, here: Sequence[View], aside: Sequence[View], unit: str) -> Search:
-    """Return a search whose fits are within their limits, less the names that do not pay: with
-    which the error on recordings that took no part does not fall for sure.
+    """Return a search with fits within their limits, and without effects that do not reduce the
+    error on unused recordings significantly.
 
-    The name that pays least goes first, and the others are fitted anew without it; of the rivals
-    that the fit could not reject the first that pays takes its place.
+    The effect with the least reduction is dropped first, and the others are fitted again without
+    it. Of its rivals that the fit could not reject, the first that reduces the error significantly
+    takes its place.
 
     Args:
         found: The search.
@@ -118,7 +119,9 @@ def paying(found: Search, here: Sequence[View], aside: Sequence[View], unit: str
 
 
 def unpaid(found: Search) -> tuple[str, ...]:
-    """Say which effects are no names because they do not pay (:func:`paying`)."""
+    """Return a warning for each effect that was dropped because it does not reduce the error on
+    unused recordings significantly (:func:`paying`).
+    """
     kept = {e.term.name for e in found.final.effects}
     return tuple(
         f"{title(s.name)} explains part of the fitted recordings and is not identified: {s.note}; "
@@ -129,8 +132,8 @@ def unpaid(found: Search) -> tuple[str, ...]:
 
 
 class _Case(NamedTuple):
-    """What names are worth something on: recordings fitted, recordings that took no part, the unit
-    of the torque, and the nominal model within its limits.
+    """Inputs of the test: fitted recordings, recordings set aside, the unit of the torque, and the
+    fit of the nominal model within its limits.
     """
 
     here: Sequence[View]
@@ -168,8 +171,8 @@ def _without(case: _Case, joint: Joint, effect: Added) -> Joint:
 
 
 def _worth(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
-    """Return by how many standard errors, over blocks of time, an effect lessens the error where it
-    is judged.
+    """Return by how many standard errors, over blocks of time, an effect reduces the error in the
+    equations by which it is judged.
     """
     left = [rows_left(j, case.aside, case.unit) for j in (joint, without)] if case.aside else []
     parts = folds(joint)
@@ -191,10 +194,10 @@ def _worth(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
 
 
 def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return by how many standard errors, over blocks of time, the first rows are less than the
-    second in some equations.
+    """Return by how many standard errors, over blocks of time, the first residual is smaller than
+    the second in some equations.
 
-    Of blocks the error itself is compared, not its square, which a few blocks would decide.
+    The rms of each block is compared; with squares a few blocks would decide.
     """
     shown = np.zeros(len(left[0]), dtype=bool)
     for name in names:
@@ -209,11 +212,11 @@ def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
 
 
 def folds(joint: Joint) -> Array:
-    """Return for each row the number of the part that it is predicted in.
+    """Return the number of the cross-validation part of each row.
 
-    Parts are recordings, or every few blocks of time where something is told by one recording
-    alone, as friction under the only load. Rows that tell of something alone even so are in no part
-    (-1): nothing could predict them.
+    Parts are recordings. If one recording alone determines some constant, as the only loaded one
+    does, parts are made of blocks of time instead. If a part still determines a constant alone, its
+    rows are in no part (-1), since the others cannot predict them.
     """
     stack = joint.stack
     told = moves(joint) ** 2
@@ -225,6 +228,8 @@ def folds(joint: Joint) -> Array:
 
 
 def _alone(told: Array, parts: Array) -> Array:
-    """Return which parts tell of some constant alone, shape (parts,)."""
+    """Return which parts alone determine some constant, shape (parts,): nearly all squares of that
+    constant's derivative are in one part.
+    """
     energy = np.array([np.sum(told[parts == part], axis=0) for part in np.unique(parts)])
     return np.asarray(np.any(energy > MOST_OF_ONE * np.sum(energy, axis=0), axis=1))

@@ -21,12 +21,17 @@ from identification.estimate.equation_error.regression import (
 from identification.estimate.likelihood.bootstrap import bootstrap
 from identification.estimate.likelihood.profile import profiles
 from identification.estimate.likelihood.refinement import Found, noise_of, refine
+from identification.estimate.uncertainty.known_constants import (
+    shifts_of_constants,
+    with_constants,
+)
 from identification.estimate.uncertainty.parameter_table import (
     fit_of,
     parameter_table,
     trace_of,
     units_of,
 )
+from identification.estimate.uncertainty.priors import with_priors
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
@@ -102,24 +107,33 @@ def identification(
         prepared: Every recording with its pieces; traces show the first piece.
         found: The estimate, with all stages and warnings.
     """
-    model, values = dataset.model, found.values
+    model = dataset.model
     active = [p for r, parts in prepared if r.role == "fit" for p in parts]
     validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
     first = active[0].recording
+    constants = shifts_of_constants(
+        active, lambda moved: solve_stages(*by_load(moved), model, silent)[0]
+    )
+    known = with_constants(found.spread, constants)
+    values, spread, priors, doubts = with_priors(found.values, known, model.priors)
     return Identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        parameters=parameter_table(active, values, found.spread, model, found.floors),
+        # The floor is that of the recordings alone.
+        parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
         fit=fit_of(active, values, model.alpha, validate),
         stages=found.stages,
         fitted=dict(values),
         friction=model.friction,
         starts=found.starts,
-        tradeoffs=tradeoffs(found.spread, values, units_of(active)),
-        least_pinned=least_pinned(found.spread, values),
+        # These are of the recordings, not of what else is known.
+        tradeoffs=tradeoffs(found.spread, found.values, units_of(active)),
+        least_pinned=least_pinned(found.spread, found.values),
         noise=None if found.taken is None else noise_of(found.taken, torque_unit(first)),
-        warnings=found.warnings,
+        warnings=(*found.warnings, *doubts),
+        known_constants=constants,
+        priors=priors,
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
         evaluations=sum(s.evaluations for s in found.stages),

@@ -89,7 +89,7 @@ def climb(
     fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
     simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]
-    hanging = any(r.pendulum is not None for r in to_fit)
+    hanging = any(r.known_load for r in to_fit)
     names = [name for name in LADDER if hanging or not bears_load(name)]
     results: list[Identification] = []
     found: list[list[Score]] = []

@@ -26,6 +26,7 @@ from identification.estimate.likelihood.refinement import (
     Found,
     floors_of,
     joint_convergence,
+    partly_used,
     spread_of,
 )
 from identification.estimate.uncertainty.parameter_table import (
@@ -137,7 +138,8 @@ def identify_long(
         found = Found(values, block_sandwich(fit, values, names, model.alpha), warnings=(kept,))
     else:
         floors = floors_of(refined.names, refined.floor)
-        found = Found(dict(refined.values), spread_of(refined), floors, refined)
+        partly = partly_used(refined.left_out)
+        found = Found(dict(refined.values), spread_of(refined), floors, refined, warnings=partly)
     if refined is not None:
         stages = [*stages, joint_convergence(refined)]
         found = replace(found, starts=refined.starts)

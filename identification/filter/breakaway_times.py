@@ -50,16 +50,17 @@ def optimise_breakaway_times(
     residual = held.residuals(x)
     cost = np.bincount(owners, huber(residual, threshold), m)
     length = np.ones(m)
+    near = held.near_breakaways(x, residual)
     for _ in range(rounds):
         there = x.copy()
         there[count:] += 1e-3
-        along = (held.residuals(there) - residual) / 1e-3
+        along = (near.residuals(there) - residual) / 1e-3
         weight = huber_weight(residual, threshold)
         own = np.bincount(owners, weight * along * along, m)
         step = -np.bincount(owners, weight * along * residual, m) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
         trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
-        tried = held.residuals(trial)
+        tried = near.residuals(trial)
         tried_cost = np.bincount(owners, huber(tried, threshold), m)
         better = tried_cost < cost
         x[count:] = np.where(better, trial[count:], x[count:])

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from identification.filter.kalman import innovations
 from identification.filter.noise import Noise
-from identification.filter.segment_table import LAST, TORQUE_RATE
+from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
 from identification.filter.segments import Motion
 from identification.model.parameters import COULOMB_OF, INDEX
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Model
 
 _FORGOTTEN = math.pi**2 / 3.0
@@ -32,6 +32,21 @@ _LEAST_SHARED = 30000.0
 
 _Part = list[tuple[int, slice]]
 """A subset of the segments: pairs of recording number and rows of its table."""
+
+
+@dataclass(frozen=True, eq=False)
+class Heads:
+    """The first samples of every segment, which alone feel where its breakaway time is.
+
+    Attributes:
+        tables: Tables of segments that end there, one per recording, shape (m, 4).
+        inside: Whether a sample is among them, one array per recording.
+        rows: Whether an innovation is among them, shape (r - m,).
+    """
+
+    tables: tuple[Array, ...]
+    inside: tuple[BoolArray, ...]
+    rows: BoolArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +93,28 @@ class Experiment:
         return np.bincount(inside, minlength=self.breakaways)
 
     @cached_property
+    def samples(self) -> NDArray[np.int64]:
+        """Number of each innovation's sample in its segment, from zero, shape (r - m,)."""
+        starts = np.cumsum(self.lengths) - self.lengths
+        inside = self.owners[: len(self.owners) - self.breakaways]
+        return np.asarray(np.arange(len(inside)) - starts[inside])
+
+    def heads(self, samples: int) -> Heads:
+        """Return the first ``samples`` of every segment that starts from rest."""
+        tables, inside = [], []
+        for m in self.motions:
+            table, mask = m.table.copy(), np.zeros(len(m.time), dtype=bool)
+            from_rest = table[:, TORQUE_RATE] > 0.0
+            longest = np.where(from_rest, samples, 0)
+            table[:, LAST] = np.minimum(table[:, LAST], table[:, FIRST] + longest)
+            for first, last in table[:, [FIRST, LAST]].astype(np.int64):
+                mask[first:last] = True
+            tables.append(table)
+            inside.append(mask)
+        rows = [mask[m.inside] for m, mask in zip(self.motions, inside, strict=True)]
+        return Heads(tuple(tables), tuple(inside), np.concatenate(rows))
+
+    @cached_property
     def matching_count(self) -> Array:
         """Number of matching half cycles of every residual's segment, itself included, shape
         (r,).
@@ -110,7 +147,9 @@ class Filter:
         )
         self._halves = _halves(motions)
 
-    def run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
+    def run(
+        self, p: Array, times: Sequence[Array], noise: Noise, heads: Heads | None = None
+    ) -> tuple[Array, Array]:
         """Filter every recording; return the innovations inside segments and their standard
         deviations, rad.
 
@@ -118,17 +157,22 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle.
+            heads: First samples of the segments; only these are filtered and returned. None for
+                whole segments.
         """
-        self.evaluations += 1
-        one, other = self._halves
+        motions = self.experiment.motions
+        tables = [m.table for m in motions] if heads is None else heads.tables
+        self.evaluations += 1 if heads is None else 0
+        one, other = self._halves if heads is None else (_whole(tables), [])
+        case = (tables, p, times, noise)
         if other:
             with ThreadPoolExecutor(1) as beside:
-                half = beside.submit(self._filter, other, p, times, noise)
-                self._filter(one, p, times, noise)
+                half = beside.submit(self._filter, other, *case)
+                self._filter(one, *case)
             half.result()
         else:
-            self._filter(one, p, times, noise)
-        inside = [m.inside for m in self.experiment.motions]
+            self._filter(one, *case)
+        inside = [m.inside for m in motions] if heads is None else heads.inside
         return _joined(self._errors, inside), _joined(self._deviations, inside)
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
@@ -138,7 +182,14 @@ class Filter:
         self.run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
 
-    def _filter(self, part: _Part, p: Array, times: Sequence[Array], noise: Noise) -> None:
+    def _filter(
+        self,
+        part: _Part,
+        tables: Sequence[Array],
+        p: Array,
+        times: Sequence[Array],
+        noise: Noise,
+    ) -> None:
         """Filter a subset of the segments; another thread may filter the others at the same
         time.
         """
@@ -150,7 +201,7 @@ class Filter:
                 [noise.torque, variance, noise.correlated, noise.correlation_s, staying]
             )
             innovations(
-                m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
+                tables[j][rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
                 m.extra_inertia, level, m.steps, m.unsure, p,
                 self._errors[j], self._deviations[j], self._speeds[j], self._correlated[j],
             )  # fmt: skip
@@ -158,6 +209,11 @@ class Filter:
 
 def _joined(values: Sequence[Array], inside: Sequence[NDArray[np.bool_]]) -> Array:
     return np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
+
+
+def _whole(tables: Sequence[Array]) -> _Part:
+    """Return all segments of all recordings in one set."""
+    return [(j, slice(0, len(table))) for j, table in enumerate(tables)]
 
 
 def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.filter.experiment import Experiment, Filter
+from identification.filter.experiment import Experiment, Filter, Heads
 from identification.filter.noise import Noise
 from identification.filter.segment_table import DIRECTION
 from identification.filter.segments import Motion
@@ -37,6 +37,13 @@ _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
+_LONGEST_SHIFT_S = _SHIFTS_S[-1]
+_UNFELT = 1e-6
+"""Change of a residual, in standard deviations, below which its sample does not feel a shift of the
+breakaway time.
+"""
+_LEAST_SAMPLES = 40
+"""Least number of samples of a segment that are filtered at other breakaway times."""
 _LEAST_GAIN = 0.5
 """Least gain in a segment's Huber cost for its breakaway time to move."""
 
@@ -168,11 +175,15 @@ class Point:
         p = self.parameters(x)
         times = self.times(x)
         errors, deviations = self.filter.run(p, times, self.noise)
+        return np.concatenate([errors, self.ties(p, times)]), self._inflated(deviations)
+
+    def ties(self, p: Array, times: Sequence[Array]) -> Array:
+        """Return the torque at each breakaway time less the static limit, N m (M22), shape (m,)."""
         ends = [
             m.table[:, DIRECTION] * (m.torque_at(t) - p[OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)
         ]
-        return np.concatenate([errors, *ends]), self._inflated(deviations)
+        return np.concatenate(ends)
 
     def _inflated(self, deviations: Array) -> Array:
         """Return the deviations of innovations and ties with variance inflation (M13)."""
@@ -255,6 +266,24 @@ class Weighted:
         )
         return BlockArrow(parameters[0], times[0], self.point.owners, self.point.breakaways)
 
+    def near_breakaways(self, x: Array, here: Array) -> NearBreakaways:
+        """Return the residuals of other breakaway times than those of ``x``, at the same
+        parameters, and of the samples that feel them only.
+
+        Args:
+            x: Free vector.
+            here: Residuals there, shape (r,).
+        """
+        experiment = self.point.experiment
+        there = x.copy()
+        there[len(self.point.free) :] += _LONGEST_SHIFT_S / _TIME_SCALE_S
+        after = self.residuals(there)
+        inside = slice(0, len(experiment.samples))
+        # Written so that residuals that are not finite count as felt.
+        felt = ~(np.abs(after[inside] - here[inside]) <= _UNFELT)
+        samples = int(np.max(experiment.samples[felt], initial=_LEAST_SAMPLES - 1)) + 1
+        return NearBreakaways(self, here, experiment.heads(samples))
+
     def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
         """Return the point with each breakaway time at the best point of a grid around it, and
         whether any moved.
@@ -265,17 +294,47 @@ class Weighted:
         """
         origin, count = self.point.origin(), len(self.point.free)
         owners = self.point.owners
-        best = np.bincount(owners, huber(self.residuals(origin), threshold))
+        here = self.residuals(origin)
+        near = self.near_breakaways(origin, here)
+        best = np.bincount(owners, huber(here, threshold))
         shift = np.zeros(self.point.breakaways)
         least = best - _LEAST_GAIN
         for step in _SHIFTS_S:
             there = origin.copy()
             there[count:] += step / _TIME_SCALE_S
-            cost = np.bincount(owners, huber(self.residuals(there), threshold))
+            cost = np.bincount(owners, huber(near.residuals(there), threshold))
             better = cost < least
             least, shift = np.where(better, cost, least), np.where(better, step, shift)
         origin[count:] += shift / _TIME_SCALE_S
         return self.point.moved(origin), bool(np.any(shift != 0.0))
+
+
+@dataclass(frozen=True, eq=False)
+class NearBreakaways:
+    """Residuals at other breakaway times and the same parameters, of the samples that feel them.
+
+    The filter forgets where a segment started after some hundred samples, of thousands.
+
+    Attributes:
+        held: Residuals around a point.
+        here: Residuals at the breakaway times from which the others are near, shape (r,).
+        heads: Samples that feel the breakaway times.
+    """
+
+    held: Weighted
+    here: Array
+    heads: Heads
+
+    def residuals(self, x: Array) -> Array:
+        """Return the residuals at a free vector with the same parameters, shape (r,)."""
+        point, count = self.held.point, len(self.heads.rows)
+        p, times = point.parameters(x), point.times(x)
+        errors, _ = point.filter.run(p, times, point.noise, self.heads)
+        out = self.here.copy()
+        deviations = self.held.deviations
+        out[:count][self.heads.rows] = errors / deviations[:count][self.heads.rows]
+        out[count:] = point.ties(p, times) / deviations[count:]
+        return out
 
 
 class Searched(NamedTuple):

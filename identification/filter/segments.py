@@ -178,10 +178,9 @@ def motion(recording: Recording) -> Motion | None:
     torque = drive_torque(recording, at - 0.5 * recording.period if measured else at, velocity)
     if not measured:
         torque = 0.5 * (torque + np.concatenate((torque[:1], torque[:-1])))
-    extra = 0.0
-    if recording.pendulum is not None:
-        extra = recording.pendulum.inertia
-        torque = torque + recording.pendulum.torque(angle, recording.bench.gravity)
+    extra = recording.known_inertia
+    if recording.known_load:
+        torque = torque + recording.known_torque(angle)
     table, seen = _table(angle, step, holes)
     if len(table) < 2:
         return None

@@ -53,11 +53,11 @@ UNITS_LINEAR: Mapping[str, str] = {
 
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
 MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
-MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, GEAR_DRIVE, SIZE = range(10, 17)
+MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, STEADY, GEAR_DRIVE, SIZE = range(10, 18)
 """Indices in the vector.
 
-``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) belong to a declared pendulum, ``ALPHA`` is the Stribeck
-exponent.
+``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) belong to a declared pendulum, ``STEADY`` is a known
+constant torque on the joint, N m, ``ALPHA`` is the Stribeck exponent.
 """
 INDEX: Mapping[str, int] = {
     "Mc": MC,

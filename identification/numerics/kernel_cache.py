@@ -1,14 +1,13 @@
-"""Where the machine code of compiled kernels is kept between processes, and when it is compiled
-anew.
+"""Cache on disk for the machine code of kernels compiled by numba.
 
-numba's own cache has three gaps that this module closes. It refuses to compile where no folder can
-be written, and a disk that fills up ends the call. It renews machine code when the module of a
-kernel changes, but not when a kernel or a constant of another module changes that was compiled into
-it. Here whatever fails in the cache costs a compilation and nothing else, and the file name carries
-a digest of everything that is compiled in.
+This cache corrects three faults of numba's own cache. Numba's cache refuses to compile a kernel if
+no cache folder is writable. It raises an error if the disk is full. It does not recompile a kernel
+when a kernel or constant of another module changes that was compiled into it. With the cache of
+this module, an error of the cache only costs a compilation, and the name of a cache file contains
+a digest of everything that is compiled into the kernel.
 
-The same file stands in `identification` and in `drivers.mock.plant`, which never import each other;
-a test compares the two.
+`identification` and `drivers.mock.plant` never import each other. Each has a copy of this file, and
+a test verifies that the two copies are equal.
 """
 
 from __future__ import annotations
@@ -34,9 +33,10 @@ _SAID = Event()
 
 
 class KernelCache:
-    """Keeps the machine code of one kernel; takes the place of numba's cache in a dispatcher.
+    """Cache of one kernel's machine code; replaces numba's cache in a dispatcher.
 
-    Nothing is looked up before the first call, when every kernel that this one calls is defined.
+    The cache computes the digest at the first call of the kernel, when all kernels that the kernel
+    calls are defined.
 
     Args:
         function: The kernel's Python function.
@@ -48,13 +48,11 @@ class KernelCache:
 
     @property
     def cache_path(self) -> str | None:
-        """The folder, or None where there is none yet."""
+        """The cache folder, or None before the first use of the cache."""
         return None if self._files is None else str(self._files.cache_path)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return what was compiled for a signature, or None where that is not there or cannot be
-        used.
-        """
+        """Return the compiled code of a signature; None if it is missing or damaged."""
         try:
             return self._opened().load_overload(signature, target)
         except Exception as error:  # noqa: BLE001 - unpickling a damaged file raises anything; compiling is the remedy
@@ -64,7 +62,7 @@ class KernelCache:
             return None
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
-        """Keep what was compiled for a signature, if that is possible."""
+        """Write the compiled code of a signature to the cache; warn on failure."""
         try:
             files = self._opened()
             files.save_overload(signature, compiled)
@@ -72,17 +70,17 @@ class KernelCache:
         except OSError as error:
             _say_not_kept(f"{self.cache_path}: {error.strerror}")
         except RuntimeError:
-            # numba's word for it names a kernel, which tells an operator nothing.
-            _say_not_kept("no folder for them can be written")
+            # numba's message names a kernel, which is of no use to an operator.
+            _say_not_kept("no cache folder is writable")
 
     def enable(self) -> None:
-        """Stay as it is: it is always on."""
+        """Do nothing: the cache is always enabled."""
 
     def disable(self) -> None:
-        """Stay as it is; numba calls this nowhere."""
+        """Do nothing: numba never calls this method."""
 
     def flush(self) -> None:
-        """Forget what is kept for this kernel."""
+        """Remove the kernel from the cache index."""
         self._opened().flush()
 
     def _opened(self) -> Any:
@@ -92,8 +90,8 @@ class KernelCache:
 
 
 def digest(kernel: Callable[..., Any]) -> str:
-    """Return a digest of everything that is compiled into a kernel: its own code, constants, and
-    the kernels it calls.
+    """Return a digest of everything that is compiled into a kernel: its code, the constants that it
+    uses, and the kernels that it calls.
 
     Args:
         kernel: A Python function, or numba's dispatcher of one.
@@ -129,9 +127,7 @@ def _parts(code: CodeType) -> Iterator[bytes]:
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the globals that a function names, and what it may take from modules and classes among
-    them.
-    """
+    """Yield the globals that a function uses, with attributes of modules and classes."""
     names = function.__code__.co_names
     for name in names:
         value = function.__globals__.get(name)
@@ -142,8 +138,9 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _home(value: ModuleType | type) -> str:
-    """Return the package that a module or a class belongs to; what others change comes with another
-    version of them.
+    """Return the top-level package of a module or a class.
+
+    Other packages are not part of the digest, as they change only with their version.
     """
     return (value.__module__ if isinstance(value, type) else value.__name__).partition(".")[0]
 
@@ -152,16 +149,16 @@ def _content(value: Any) -> bytes:
     if isinstance(value, np.ndarray):
         return repr((value.dtype.str, value.shape)).encode() + value.tobytes()
     if isinstance(value, set | frozenset):
-        # Its order differs by process.
+        # The order of a set differs by process.
         return repr(sorted(map(repr, value))).encode()
     return repr(value).encode()
 
 
 class _TemporaryFolder:
-    """Keeps machine code among the temporary files, in a folder that nobody else can write: it is
-    executed.
+    """Cache locator of numba for a private folder among the temporary files.
 
-    One of numba's cache locators, asked after all of its own.
+    No other user may write the folder, since its machine code is executed. numba tries its own
+    locators first.
     """
 
     def __init__(self, function: FunctionType, file: str) -> None:
@@ -171,7 +168,7 @@ class _TemporaryFolder:
 
     @classmethod
     def from_function(cls, function: FunctionType, file: str) -> _TemporaryFolder | None:
-        """Return the locator, or None where there is no such folder."""
+        """Return the locator, or None if the folder cannot be made private and writable."""
         try:
             locator = cls(function, file)
             locator.ensure_cache_path()
@@ -180,10 +177,10 @@ class _TemporaryFolder:
         return locator
 
     def ensure_cache_path(self) -> None:
-        """Make the folder.
+        """Create the folder.
 
         Raises:
-            OSError: It cannot be made, or belongs to somebody else.
+            OSError: The folder cannot be created, or is not private to this user.
         """
         self._path.mkdir(mode=0o700, exist_ok=True)
         found = self._path.lstat()
@@ -201,7 +198,7 @@ class _TemporaryFolder:
         return hashlib.sha256(self._source.read_bytes()).hexdigest()
 
     def get_disambiguator(self) -> str:
-        """Return what tells functions of one name in modules of one name apart."""
+        """Return a string that differs for equal function names in equally named modules."""
         folder = hashlib.sha256(os.fsencode(self._source.resolve().parent)).hexdigest()[
             :_DIGEST_DIGITS
         ]
@@ -209,7 +206,7 @@ class _TemporaryFolder:
 
 
 class _Naming(CompileResultCacheImpl):
-    """Names the files of a kernel after its digest."""
+    """File names of a kernel's cache, which end in its digest."""
 
     _locator_classes: Any = [*CompileResultCacheImpl._locator_classes, _TemporaryFolder]  # noqa: RUF012 - numba's
 
@@ -218,17 +215,17 @@ class _Naming(CompileResultCacheImpl):
         super().__init__(function)
 
     def get_filename_base(self, fullname: str, abiflags: str) -> str:
-        """Return how the names of a kernel's files begin."""
+        """Return the common first part of the file names of a kernel."""
         return f"{super().get_filename_base(fullname, abiflags)}-{self.digest}"
 
 
 class _Files(FunctionCache):
-    """numba's files of one kernel."""
+    """Cache files of one kernel, in numba's format."""
 
     _impl_class = _Naming
 
     def remove(self, *, outdated: bool = False) -> None:
-        """Remove this kernel's files, or only what an earlier version of it left behind."""
+        """Remove the kernel's cache files; with ``outdated`` only those of other digests."""
         current: str = self._impl.filename_base
         names = current.removesuffix(self._impl.digest) if outdated else current
         for file in Path(self.cache_path).glob(f"{names}*.nb[ci]"):
@@ -242,7 +239,7 @@ def _user() -> int:
 
 
 def _say_not_kept(reason: str) -> None:
-    """Say why machine code is not kept: once, as there are many kernels."""
+    """Log once, for all kernels, why machine code cannot be cached."""
     if not _SAID.is_set():
         _SAID.set()
         _LOG.warning(

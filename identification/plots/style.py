@@ -66,7 +66,7 @@ def _dress(axes: list[Axes]) -> list[Axes]:
 
 
 def thinned(samples: int, limit: int = MAX_POINTS) -> slice:
-    """Return the slice that keeps every k-th sample, at most ``limit`` of ``samples``."""
+    """Return the slice of every k-th sample that keeps at most ``limit`` of ``samples``."""
     return slice(None, None, max(1, -(-samples // limit)))
 
 

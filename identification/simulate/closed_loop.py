@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.model.parameters import INERTIA, WEIGHT, ZERO, pack
+from identification.model.parameters import INERTIA, STEADY, WEIGHT, ZERO, pack
 from identification.numerics.arrays import Array
 from identification.prepare import joint_angle
 from identification.recording import Controller, Recording, RecordingError
@@ -62,15 +62,16 @@ class Inputs:
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
     """Return the parameter vector (:mod:`identification.model.parameters`) of the joint with the
-    recording's pendulum.
+    recording's known loads.
 
     Raises:
         RecordingError: The inertia is zero.
     """
     body = pack(values, alpha)
+    body[INERTIA] += recording.known_inertia
+    body[STEADY] = recording.steady_torque
     if recording.pendulum is not None:
         pendulum = recording.pendulum
-        body[INERTIA] += pendulum.inertia
         body[WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
         body[ZERO] = pendulum.zero
     if not body[INERTIA] > 0.0:

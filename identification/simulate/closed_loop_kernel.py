@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from identification.model.friction import friction
-from identification.model.parameters import GEAR_DRIVE, INERTIA, OFFSET, WEIGHT, ZERO
+from identification.model.parameters import GEAR_DRIVE, INERTIA, OFFSET, STEADY, WEIGHT, ZERO
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
@@ -79,7 +79,7 @@ def closed_loop(
             samples.
         added: Signal added to the scaled output, shape (n,); held.
         moment: F_P L1, N m, shape (n,); held.
-        body: Vector of :mod:`identification.model.parameters`; its inertia includes the pendulum's.
+        body: Vector of :mod:`identification.model.parameters`; its inertia includes the loads'.
         loop: Parameters of controller and drive, shape (5,).
         step: Greatest integration step, s.
         angle: rad, shape (n,).
@@ -104,7 +104,7 @@ def closed_loop(
                 torque[k] = drive - loop[DAMPING] * w
                 if k + 1 == len(time):
                     return
-            hanging = -body[WEIGHT] * math.sin(middle - body[ZERO])
+            hanging = body[STEADY] - body[WEIGHT] * math.sin(middle - body[ZERO])
             gear = abs(hanging - body[GEAR_DRIVE] * (drive - loop[DAMPING] * w))
             w_next = next_speed(
                 w, drive + hanging - body[OFFSET], moment[k], gear, loop[DAMPING], h, body

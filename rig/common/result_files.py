@@ -41,6 +41,7 @@ class Provenance:
         recordings: Sequence[Recording],
         seconds: float,
         described_by: Path | None = None,
+        tables: Mapping[str, str] | None = None,
     ) -> Provenance:
         """Return the provenance of a result made just now from these recordings.
 
@@ -49,11 +50,13 @@ class Provenance:
             recordings: The recordings used.
             seconds: Wall-clock time spent.
             described_by: The campaign file or a run's ``run.json`` that describes the recordings.
+            tables: Tables that list them: file to SHA-256.
 
         Raises:
             OSError: ``described_by`` cannot be read.
         """
         inputs = {str(described_by): sha256_file(described_by)} if described_by else {}
+        inputs |= dict(tables or {})
         inputs |= {r.source: r.sha256 for r in recordings if r.source}
         return cls(seed, inputs, seconds, utc_now().isoformat(timespec="seconds"), versions())
 

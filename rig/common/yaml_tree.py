@@ -28,10 +28,17 @@ _CORE = "tag:yaml.org,2002:"
 
 @dataclass(frozen=True)
 class Mark:
-    """A place in a file, counted from 1."""
+    """A place in a file, counted from 1.
+
+    Attributes:
+        line: Line.
+        column: Column.
+        file: The file, where it is another than the one that the tree was read from.
+    """
 
     line: int
     column: int
+    file: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -97,6 +104,12 @@ _SCALARS = (
 for _name, _pattern, _first in _SCALARS:
     # Order matters: the first pattern that matches names the type, so integers come before floats.
     _Loader.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
+
+
+def scalar(text: str) -> Scalar:
+    """Return the value of plain text, such as a cell of a table, as it would have in YAML."""
+    kinds = (name for name, pattern, _ in _SCALARS if re.fullmatch(pattern, text))
+    return _scalar(yaml.ScalarNode(_CORE + next(kinds, "str"), text), Mark(1, 1))
 
 
 def read_text(path: Path) -> str:

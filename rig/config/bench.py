@@ -17,15 +17,22 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
 from drivers.canopen import cia402_objects, cia404, cia406
+from drivers.canopen.eds_file import read_eds
+from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
-from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
+from rig.config.configuration import Document, Loc, NonNegative, Positive, Schema, load_located
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
 from rig.config.gas_section import GasGeneratorSection, PressureSection
 from rig.config.limits_section import LimitsSection
 from rig.config.packaged import resolve
 from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
 from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
+
+NOT_REPORTED = (
+    "the drive reports no such value (servo.inputs), so that this limit would never be checked; "
+    "remove it, or map the signal"
+)
 
 
 class Constants(Schema):
@@ -255,12 +262,20 @@ class Bench(Schema):
         """Whether the drive stops by itself if the control loop stops."""
         if isinstance(self.servo, DbcServoSection):
             return self.servo.watchdog_ms is not None
+        if self.servo.stops_alone is False:
+            return False
         return not isinstance(self.bus, SerialBus)
 
     @property
     def cycle_ns(self) -> int:
         """Control cycle, ns."""
         return round(1e3 / self.cycle_Hz) * 1_000_000
+
+    @property
+    def unreported(self) -> frozenset[str]:
+        """Limits that are never checked, because the drive does not report the value."""
+        servo = self.servo
+        return servo.unreported if isinstance(servo, DbcServoSection) else frozenset()
 
     @property
     def cycle_s(self) -> float:
@@ -281,6 +296,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
+        document.require(_unreported(bench))
         frames = cycle_frames(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s
         )
@@ -290,7 +306,41 @@ def load_bench(name: str | Path) -> Document[Bench]:
         document.require(
             (("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench)
         )
-    return in_force(document)
+    return in_force(_with_watch(document))
+
+
+def _with_watch(document: Document[Bench]) -> Document[Bench]:
+    """Take from the EDS file whether the drive stops by itself, where the bench leaves it open.
+
+    A file that cannot be read, or is not a drive's, is refused later with all its faults.
+    """
+    bench = document.value
+    servo = bench.servo
+    if not isinstance(servo, ServoSection) or servo.stops_alone is not None or servo.eds is None:
+        return document
+    try:
+        described = read_eds(document.path.parent / servo.eds, servo.node)
+    except ConfigurationError:
+        return document
+    is_drive = all(index in described for index, _ in cia402_objects.NEEDED)
+    if cia402_objects.ON_ABORT[0] in described or not is_drive:
+        return document
+    return without_watch(document)
+
+
+def without_watch(document: Document[Bench]) -> Document[Bench]:
+    """Return a bench whose drive does not stop by itself."""
+    bench = document.value
+    if not isinstance(bench.servo, ServoSection):
+        return document
+    servo = bench.servo.model_copy(update={"stops_alone": False})
+    return dataclasses.replace(document, value=bench.model_copy(update={"servo": servo}))
+
+
+def _unreported(bench: Bench) -> Iterator[tuple[Loc, str]]:
+    """Yield the limits that the file states for values which the drive does not report."""
+    for name in sorted(bench.unreported & bench.limits.model_fields_set):
+        yield ("limits", name), NOT_REPORTED
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:

@@ -1,4 +1,7 @@
-"""The campaign file: recordings made elsewhere, and how to read them."""
+"""The campaign file: recordings made elsewhere, and how to read them.
+
+`recordings` is a list; an entry with `table` stands for as many recordings as the table has rows.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +13,10 @@ from pydantic import Field
 
 from identification.model.ladder import bears_load, rises
 from identification.model.parameters import LOAD_PARAMETERS
-from rig.common.yaml_tree import Node
+from rig.common.errors import InputError
+from rig.common.table_tree import csv_rows, row
+from rig.common.text import stored_path
+from rig.common.yaml_tree import DocumentError, Node, read_text
 from rig.config.campaign_sections import (
     ANGLE_TIME,
     BenchSection,
@@ -29,7 +35,10 @@ class Campaign(Schema):
         bench: Constants of the machine.
         model: Declared physics.
         defaults: Keys of `recordings` that hold for every recording unless it gives its own.
-        recordings: What was recorded.
+        recordings: What was recorded. An entry with the key `table` stands for one recording a row
+            of a CSV file, or of a list of lists, whose header names keys such as `file` or
+            `gravity.mass`; its other keys hold for every row. `{table: files.csv}` alone may stand
+            in place of the list.
     """
 
     campaign: Literal[1]
@@ -45,9 +54,67 @@ def load_campaign(path: Path) -> Document[Campaign]:
     Raises:
         InputError: Lists every error with its place in the file.
     """
-    document = load_located(path, Campaign, _merge_defaults)
+    document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
     return document
+
+
+def _rows(root: Node, path: Path) -> Node:
+    """Put the rows of tables in the place of the entries that name them.
+
+    Raises:
+        InputError: A table cannot be read.
+    """
+    top = root.value
+    if not isinstance(top, dict) or "recordings" not in top:
+        return root
+    given = top["recordings"]
+    entries = given.value if isinstance(given.value, list) else [given]
+    if not any(isinstance(e.value, dict) and "table" in e.value for e in entries):
+        return root
+    found: list[Node] = []
+    for entry in entries:
+        if not isinstance(entry.value, dict) or "table" not in entry.value:
+            found.append(entry)
+            continue
+        others = {key: node for key, node in entry.value.items() if key != "table"}
+        under = Node(others, entry.mark, entry.keys)
+        table = entry.value["table"]
+        try:
+            rows = _table(table, path.parent)
+        except DocumentError as error:
+            # Without a file of its own the mark is the campaign's, or that of an unread table.
+            mark = error.mark if error.mark.file else table.mark
+            place = f"{mark.file or path}:{mark.line}:{mark.column}"
+            raise InputError(f"{place}: recordings.table: {error.message}") from error
+        found.extend(_overlay(under, one) for one in rows)
+    recordings = Node(found, given.mark, {})
+    return Node({**top, "recordings": recordings}, root.mark, root.keys)
+
+
+def _table(table: Node, folder: Path) -> list[Node]:
+    """Return one mapping a row, from a CSV file or an inline list of lists.
+
+    Raises:
+        DocumentError: It is neither, or broken.
+    """
+    if isinstance(table.value, str):
+        file = folder / stored_path(table.value)
+        try:
+            return csv_rows(read_text(file), file)
+        except DocumentError as error:
+            raise (
+                error if error.mark.file else DocumentError(f"{file}: {error.message}")
+            ) from error
+    lines = table.value if isinstance(table.value, list) else []
+    rows = [line.value for line in lines if isinstance(line.value, list)]
+    if len(rows) < 2 or len(rows) != len(lines):
+        raise DocumentError(
+            "a table is the name of a CSV file, or a list of lists of which the first names the "
+            "columns"
+        )
+    header, *_ = rows
+    return [row(header, rows[n], lines[n].mark) for n in range(1, len(lines))]
 
 
 def _merge_defaults(root: Node) -> Node:
@@ -89,16 +156,17 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             )
     # A term may be declared without a declared load, since a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
-        r.gravity and r.role == "fit" for r in campaign.recordings
+        r.known_load and r.role == "fit" for r in campaign.recordings
     ):
         yield (
             ("model",),
             f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording "
-            f"to fit has `gravity`",
+            f"to fit has `gravity` or another known load",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):
             yield ("recordings", index, *loc), message
+    yield from _check_clock(campaign)
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
@@ -111,10 +179,50 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         )
 
 
+def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
+    """Yield recordings whose place in the session does not fit that of the others."""
+    ways = [_way(recording) for recording in campaign.recordings]
+    for index, (recording, way) in enumerate(zip(campaign.recordings, ways, strict=True)):
+        if recording.start is not None and recording.order is not None:
+            yield (
+                ("recordings", index, "order"),
+                "`start` says the order already; remove `order`",
+            )
+        elif way != ways[0]:
+            yield (
+                ("recordings", index, way or "start"),
+                f"{_WAYS[way]}, but the first recording has {_WAYS[ways[0]]}; recordings share a "
+                f"clock only if all have `start`, as ISO times or as seconds, or all have `order`",
+            )
+    orders = [recording.order for recording in campaign.recordings]
+    for index, order in enumerate(orders):
+        if order is not None and order in orders[:index]:
+            yield (
+                ("recordings", index, "order"),
+                f"{order} is the order of recordings[{orders.index(order)}] as well; give each "
+                f"its own",
+            )
+
+
+_WAYS: Mapping[str, str] = {
+    "": "neither `start` nor `order`",
+    "order": "`order`",
+    "start": "`start` in seconds",
+    "start.": "`start` as an ISO time",
+}
+
+
+def _way(recording: RecordingSection) -> str:
+    """Return how a recording says when it was made."""
+    if recording.start is not None:
+        return "start." if isinstance(recording.start, str) else "start"
+    return "" if recording.order is None else "order"
+
+
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings that would be scored by a model without working load."""
     fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
-    if fitted or campaign.model.fixed.keys() >= set(LOAD_PARAMETERS):
+    if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
         if recording.role == "validate" and recording.stage == "loaded":
@@ -164,7 +272,44 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             ("gravity",),
             "a turning weight on a linear bench; remove `gravity`, or set bench.motion: rotary",
         )
+    yield from _check_known_load(recording, bench)
     yield from _check_load(recording, bench)
+    for name, channel in channels.items():
+        if channel.unsigned:
+            yield ("channels", name, "unsigned"), _UNSIGNED.get(name, _UNSIGNED_OTHER)
+
+
+_UNSIGNED_OTHER = "only a channel with its sign can be used; leave it out"
+_UNSIGNED: Mapping[str, str] = {
+    "current": (
+        "a magnitude of the current has no sign, so that nobody can tell drive from brake; leave "
+        "`current` out and map `voltage` with bench.resistance and bench.back_emf_constant, from "
+        "which I = (U - Ke omega_motor)/R follows with its sign, or map a signed `torque`"
+    ),
+}
+
+
+def _check_known_load(
+    recording: RecordingSection, bench: BenchSection
+) -> Iterator[tuple[Loc, str]]:
+    """Yield what is wrong with a hoisted mass or a constant torque."""
+    linear = bench.motion == "linear"
+    if (hoisted := recording.hoisted) is not None:
+        if linear and hoisted.radius is not None:
+            yield (
+                ("hoisted", "radius"),
+                "on a linear bench the force of a hanging mass is -m g; remove `radius`",
+            )
+        if not linear and hoisted.radius is None:
+            yield ("hoisted",), "no `radius` of the drum or pulley, m; give it"
+    amperes = _torque_unit(recording, bench) == "amperes"
+    for name in ("hoisted", "constant_torque"):
+        if amperes and getattr(recording, name):
+            yield (
+                (name,),
+                "a known torque enters a balance of torques, and this one is in amperes; add "
+                "bench.torque_constant",
+            )
 
 
 def _check_burn(
@@ -203,7 +348,7 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
             "them, or for a hot"
             " firing `pressure` and bench.gas_generator",
         )
-    if loaded and bench.moment_arm is None:
+    if loaded and bench.moment_arm is None and recording.moment_arm is None:
         yield (
             ("stage",),
             "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque",

@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Annotated, ClassVar, TypeGuard
 
-from pydantic import AfterValidator, Field, PositiveFloat, model_validator
+from pydantic import (
+    AfterValidator,
+    Discriminator,
+    Field,
+    PositiveFloat,
+    Tag,
+    model_validator,
+)
 
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import PAPER, ValveGeometry
@@ -19,6 +27,105 @@ def _buildable(value: float) -> float:
 
 Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 """A constant of a machine, SI."""
+
+
+class Measured(float):
+    """A number with its standard deviation; in arithmetic a plain number.
+
+    Attributes:
+        uncertainty: Standard deviation, in the number's unit.
+    """
+
+    uncertainty: float
+
+    def __new__(cls, value: float, uncertainty: float) -> Measured:
+        """Make one of its value and standard deviation."""
+        made = super().__new__(cls, value)
+        made.uncertainty = uncertainty
+        return made
+
+
+class UncertainConstant(Schema):
+    """A constant known with an uncertainty; a number alone counts as exact.
+
+    Attributes:
+        value: The constant, in the unit of its key.
+        std: Its standard deviation, in the same unit.
+    """
+
+    heading: ClassVar[str] = "uncertain constant"
+    value: Constant
+    std: Constant
+
+    @model_validator(mode="after")
+    def _above_nothing(self) -> UncertainConstant:
+        if self.std >= self.value:
+            raise ValueError(
+                f"a standard deviation of {self.std:g} reaches to nothing from {self.value:g}; "
+                f"give one below the value"
+            )
+        return self
+
+
+class UncertainNumber(Schema):
+    """A number of either sign known with an uncertainty; a number alone counts as exact.
+
+    Attributes:
+        value: The number, in the unit of its key.
+        std: Its standard deviation, in the same unit.
+    """
+
+    heading: ClassVar[str] = "uncertain number"
+    value: float
+    std: Constant
+
+
+def measured(value: object) -> TypeGuard[Measured]:
+    """Whether a number was given with an uncertainty."""
+    return isinstance(value, Measured)
+
+
+def _form(value: object) -> str:
+    return "uncertain" if isinstance(value, dict | Schema) else "exact"
+
+
+def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
+    if isinstance(value, float | int):
+        return value
+    return Measured(value.value, value.std)
+
+
+def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:
+    """Return key to standard deviation of the constants that were given with one."""
+    values = {} if section is None else {key: getattr(section, key) for key in keys}
+    return {
+        place + key: value.uncertainty
+        for key, value in values.items()
+        if isinstance(value, Measured)
+    }
+
+
+if TYPE_CHECKING:
+    Known = float
+    KnownMass = float
+    KnownNumber = float
+else:
+    _Uncertain = Annotated[UncertainConstant, Tag("uncertain")]
+    Known = Annotated[
+        Annotated[Constant, Tag("exact")] | _Uncertain,
+        Discriminator(_form),
+        AfterValidator(_measured),
+    ]
+    KnownMass = Annotated[
+        Annotated[float, Field(ge=0.0, lt=1e9), Tag("exact")] | _Uncertain,
+        Discriminator(_form),
+        AfterValidator(_measured),
+    ]
+    KnownNumber = Annotated[
+        Annotated[float, Tag("exact")] | Annotated[UncertainNumber, Tag("uncertain")],
+        Discriminator(_form),
+        AfterValidator(_measured),
+    ]
 
 
 class ValveSection(Schema):

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
 from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
-from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
-from rig.config.campaign_gas import Constant, GasGeneratorSection
+from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
+from rig.common.instants import iso_time
+from rig.config.campaign_gas import (
+    Constant,
+    GasGeneratorSection,
+    Known,
+    KnownMass,
+    KnownNumber,
+    measured,
+    uncertain,
+)
 from rig.config.catalogue import EFFECTS
 from rig.config.configuration import Schema, nearest
 
@@ -64,22 +73,10 @@ def _not_zero(value: float) -> float:
     return value
 
 
-class MotorConstantSection(Schema):
-    """A constant of the motor, SI; a number alone is short for `{value: ...}`.
-
-    Attributes:
-        value: Declared value.
-        std: Standard deviation of the declared value. `identify --ladder` fits the simulated angle
-            with the constant held, and with the constant free within this; 30 % unless given.
-    """
-
-    value: Constant
-    std: PositiveFloat | None = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _short_form(cls, data: object) -> object:
-        return {"value": data} if isinstance(data, str | int | float) else data
+def _not_nothing(value: float) -> float:
+    if not 1e-9 < abs(value) < 1e9:
+        raise ValueError("outside of 1e-9 to 1e9 m in size; check exponent and unit")
+    return value
 
 
 class BenchSection(Schema):
@@ -103,23 +100,31 @@ class BenchSection(Schema):
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
-    torque_constant: MotorConstantSection | None = None
-    back_emf_constant: Constant | None = None
-    resistance: MotorConstantSection | None = None
-    inductance: Constant | None = None
-    gear_ratio: Constant = 1.0
-    moment_arm: Constant | None = None
-    lever_ratio: Constant | None = None
-    gravity: Constant = 9.80665
+    torque_constant: Known | None = None
+    back_emf_constant: Known | None = None
+    resistance: Known | None = None
+    inductance: Known | None = None
+    gear_ratio: Known = 1.0
+    moment_arm: Known | None = None
+    lever_ratio: Known | None = None
+    gravity: Known = 9.80665
     gas_generator: GasGeneratorSection | None = None
+
+    def uncertainties(self) -> dict[str, float]:
+        """Return the standard deviations of the constants, by their place in a recording."""
+        return uncertain(self, "bench.", type(self).model_fields)
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        motor = {"torque_constant": self.torque_constant, "resistance": self.resistance}
-        constants = self.model_dump(exclude={"gas_generator", *motor}, exclude_none=True)
-        for name, given in motor.items():
-            if given is not None:
-                constants |= {name: given.value, f"{name}_std": given.std}
+        keys = self.model_fields_set - {"gas_generator"}
+        constants: dict[str, Any] = {
+            key: value if key == "motion" else float(value)
+            for key in keys
+            if (value := getattr(self, key)) is not None
+        }
+        for key in ("torque_constant", "resistance"):
+            if measured(value := getattr(self, key)):
+                constants[f"{key}_std"] = value.uncertainty
         if self.gas_generator is None:
             return Bench(**constants)
         return Bench(
@@ -134,12 +139,13 @@ class ModelSection(Schema):
         friction: Friction model, from the ladder of friction models.
         terms: Further physics that is fitted: `offset` (a constant torque) or
             `load_dependent_friction` (friction grows with the torque of a pendulum).
-        fixed: Parameter to value, not fitted.
+        fixed: Parameter to value, not fitted; with an uncertainty the value is a prior, joined
+            with what the recordings say.
     """
 
     friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
-    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(
+    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], KnownNumber] = Field(
         default_factory=dict
     )
 
@@ -163,7 +169,13 @@ class ModelSection(Schema):
 
     def model(self) -> Model:
         """Return the record the numerics use."""
-        return Model(terms=self.terms, fixed=dict(self.fixed), friction=self.rung)
+        priors = {n: (float(v), v.uncertainty) for n, v in self.fixed.items() if measured(v)}
+        return Model(terms=self.terms, fixed=self.held, friction=self.rung, priors=priors)
+
+    @property
+    def held(self) -> dict[str, float]:
+        """Parameters that are known exactly and not fitted."""
+        return {name: value for name, value in self.fixed.items() if not measured(value)}
 
     @property
     def rung(self) -> str:
@@ -182,13 +194,70 @@ class GravitySection(Schema):
         zero: Angle at which it hangs straight down, rad.
     """
 
-    mass: Constant
-    length: Constant
-    zero: float = 0.0
+    mass: Known
+    length: Known
+    zero: KnownNumber = 0.0
 
     def pendulum(self) -> Pendulum:
         """Return the record the numerics use."""
-        return Pendulum(self.mass, self.length, self.zero)
+        return Pendulum(float(self.mass), float(self.length), float(self.zero))
+
+
+class HoistSection(Schema):
+    """A known mass that hangs on the joint by a rope: torque -m g r at every angle, inertia m r^2.
+
+    Attributes:
+        mass: Mass m, kg.
+        radius: Radius r of drum or pulley, m; negative where forward motion lowers the mass. Not
+            on a linear bench, where the force is -m g.
+    """
+
+    mass: Known
+    radius: KnownNumber | None = None
+
+    @field_validator("radius")
+    @classmethod
+    def _turns(cls, radius: float | None) -> float | None:
+        return None if radius is None else _not_nothing(radius)
+
+    def hoist(self) -> Hoist:
+        """Return the record the numerics use."""
+        return Hoist(float(self.mass), 1.0 if self.radius is None else float(self.radius))
+
+
+class WindowSection(Schema):
+    """The part of a file that is used, in the file's own time; `[from, to]` for short.
+
+    Attributes:
+        from: First time used, s.
+        to: Time at which the part ends, s; a sample at it is left out.
+    """
+
+    begin: float | None = Field(default=None, alias="from")
+    to: float | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        if not isinstance(data, list | tuple):
+            return data
+        if len(data) != 2:
+            raise ValueError("a short window is [from, to]; null leaves an end open")
+        return {"from": data[0], "to": data[1]}
+
+    @model_validator(mode="after")
+    def _in_order(self) -> WindowSection:
+        if self.begin is not None and self.to is not None and not self.begin < self.to:
+            raise ValueError(
+                f"the window is empty, from {self.begin:g} to {self.to:g} s; `from` must be below "
+                f"`to`"
+            )
+        return self
+
+    def words(self) -> str:
+        """Return the window as text."""
+        begin = "the beginning" if self.begin is None else f"{self.begin:g} s"
+        return f"{begin} to {'the end' if self.to is None else f'{self.to:g} s'}"
 
 
 class ControllerSection(Schema):
@@ -242,12 +311,14 @@ class ChannelSection(Schema):
         scale: SI units per unit of the column; a negative scale turns the sign.
         offset: Added after the scale, SI.
         average: Whether each sample is the mean over the period that ends at its time.
+        unsigned: Whether the column holds magnitudes; refused, since the torque's sign is needed.
     """
 
     column: str | Annotated[int, Field(ge=0)]
     scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
     offset: float = 0.0
     average: bool = False
+    unsigned: bool = False
 
     @model_validator(mode="before")
     @classmethod
@@ -262,10 +333,19 @@ class RecordingSection(Schema):
 
     Attributes:
         file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
-            mcap or parquet; text files may be gzipped.
+            npy, mcap, jsonl or parquet; text files may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
+        moment_arm: Radius L1 at which this contact force acts, m; the bench's where not given.
         gravity: A known weight that turns with the joint.
+        hoisted: A known mass that hangs on the joint by a rope.
+        constant_torque: Known torque on the joint that is the same at every angle, N m; positive
+            drives it forward.
+        start: When the file began: an ISO time, or seconds since the machine was switched on
+            cold. All recordings have one, or none.
+        order: Place of the file in the session, instead of `start`, where only that is known; the
+            pauses between files count as nothing.
+        window: The part of the file that is used.
         controller: The position loop that the recording was made in, for simulations.
         role: `validate` sets the recording aside: it takes no part in any fit; at the end it
             decides which names a diagnosis keeps, and is scored.
@@ -276,13 +356,33 @@ class RecordingSection(Schema):
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
     stage: Literal["unloaded", "loaded"] = "unloaded"
-    weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
+    weight_mass: KnownMass = 0.0
+    moment_arm: Known | None = None
     gravity: GravitySection | None = None
+    hoisted: HoistSection | None = None
+    constant_torque: KnownNumber = 0.0
+    start: float | Annotated[str, AfterValidator(iso_time)] | None = None
+    order: int | None = None
+    window: WindowSection | None = None
     controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
     channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+
+    @property
+    def known_load(self) -> bool:
+        """Whether a known torque other than the drive's acts on the joint."""
+        return self.gravity is not None or self.hoisted is not None or self.constant_torque != 0.0
+
+    def uncertainties(self) -> dict[str, float]:
+        """Return the standard deviations of known loads, by their place in a recording."""
+        return {
+            **uncertain(self, "", ("weight_mass", "constant_torque")),
+            **uncertain(self, "bench.", ("moment_arm",)),
+            **uncertain(self.gravity, "pendulum.", ("mass", "length", "zero")),
+            **uncertain(self.hoisted, "hoist.", ("mass", "radius")),
+        }
 
     @property
     def patterns(self) -> tuple[str, ...]:

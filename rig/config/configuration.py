@@ -66,6 +66,20 @@ class Document(Generic[M]):
             value = node.plain()
         return _format(self.path, mark, _dotted(loc), message, value)
 
+    def other_files(self) -> list[Path]:
+        """Return the files, other than this one, that values of the tree came from."""
+        found: dict[Path, None] = {}
+        waiting = [self._root]
+        while waiting:
+            node = waiting.pop()
+            if node.mark.file is not None:
+                found[node.mark.file] = None
+            if isinstance(node.value, dict):
+                waiting.extend(node.value.values())
+            elif isinstance(node.value, list):
+                waiting.extend(node.value)
+        return list(found)
+
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
         """Raise if there are problems, each a location and a message.
 
@@ -232,7 +246,11 @@ def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
 
 def _required(record: type[Any]) -> Iterator[str]:
     if issubclass(record, BaseModel):
-        yield from (name for name, field in record.model_fields.items() if field.is_required())
+        yield from (
+            field.alias or name
+            for name, field in record.model_fields.items()
+            if field.is_required()
+        )
         return
     for item in dataclasses.fields(record):
         if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
@@ -272,7 +290,8 @@ def _keys(annotation: Any) -> Mapping[str, Any]:
     if not isinstance(annotation, type):
         return {}
     if issubclass(annotation, BaseModel):
-        return {name: field.annotation for name, field in annotation.model_fields.items()}
+        fields = annotation.model_fields.items()
+        return {field.alias or name: field.annotation for name, field in fields}
     return typing.get_type_hints(annotation) if dataclasses.is_dataclass(annotation) else {}
 
 
@@ -351,7 +370,7 @@ def _format(file: Path, mark: Mark, path: str, message: str, value: object = _AB
         if value is _ABSENT or (isinstance(value, dict | list) and len(value) > 8)
         else f" (got {_short(value)})"
     )
-    return f"{file}:{mark.line}:{mark.column}: {path}: {message}{got}"
+    return f"{mark.file or file}:{mark.line}:{mark.column}: {path}: {message}{got}"
 
 
 def _short(value: object) -> str:

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from drivers.dbc.bind import DbcMapError, bind
+from drivers.can.port import EXTENDED_FLAG
+from drivers.dbc.bind import bind
 from drivers.dbc.file import read_dbc
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.map import (
@@ -24,14 +25,18 @@ from drivers.dbc.map import (
     Status,
     StopFrame,
 )
+from drivers.dbc.problems import DbcMapError
 from drivers.dbc.wiring import Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
+from drivers.mock.can_drives.bench import CAN_DRIVE_FILES, CanDriveKind
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.common.errors import InputError
 from rig.config.configuration import Loc, Positive, Schema
 
 _Natural = Annotated[int, Field(ge=0)]
+_EXTENDED_BYTES = 3
+"""The 20 bits more of an extended frame, with stuffing, in bytes of data."""
 Problem = Callable[[Loc, str], str]
 """Formats a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
 
@@ -65,6 +70,8 @@ class DbcServoSection(Schema):
     Attributes:
         kind: The protocol of the drive.
         file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
+        simulated_drive: The drive on the simulated bus: one with the frames of ODrive's CAN
+            protocol, or a motor with MIT-style packed frames; left out, that of `practical_dbc`.
         name: Name of the drive in reports.
         vendor_id: Number of the maker, kept with the recording.
         product_code: Number of the product, kept with the recording.
@@ -81,10 +88,13 @@ class DbcServoSection(Schema):
         stop_frame: A frame that stops the drive whatever else is sent.
         limits: Limits that the drive takes over the bus.
         messages: Message to its protection: counter, checksum, period.
+        torque_offset: The signal of a torque at the motor that the drive adds to its own, N m after
+            the scale; needed for feed-forward.
     """
 
     kind: Literal["dbc"]
     file: str | None = None
+    simulated_drive: CanDriveKind | None = None
     name: str
     vendor_id: Annotated[int, Field(ge=1)]
     product_code: _Natural = 0
@@ -100,6 +110,17 @@ class DbcServoSection(Schema):
     stop_frame: StopFrame
     limits: LimitMap = LimitMap()
     messages: Mapping[str, Protection] = Field(default_factory=dict)
+    torque_offset: Quantity | None = None
+
+    @property
+    def unreported(self) -> frozenset[str]:
+        """Limits that nothing can be compared with, because the drive does not report the value."""
+        unknown: set[str] = set()
+        if self.inputs.temperature is None:
+            unknown |= {"temperature_C"}
+        if self.inputs.supply_voltage is None:
+            unknown |= {"supply_min_V", "supply_max_V"}
+        return frozenset(unknown)
 
     @property
     def quick_stop_option(self) -> int:
@@ -122,6 +143,7 @@ class DbcServoSection(Schema):
             self.stop_frame,
             self.limits,
             dict(self.messages),
+            self.torque_offset,
         )
 
     def drive(self, gear_ratio: float, torque_constant_N_m_A: float) -> DbcDrive:
@@ -154,7 +176,10 @@ def dbc_path(section: DbcServoSection, path: Path) -> Path:
 
     The simulated drive has its own.
     """
-    return DRIVE_DBC if section.file is None else path.parent / section.file
+    if section.file is not None:
+        return path.parent / section.file
+    kind = section.simulated_drive
+    return DRIVE_DBC if kind is None else CAN_DRIVE_FILES[kind]
 
 
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
@@ -186,6 +211,17 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return data bytes and period in cycles of each message."""
-    messages = (*wiring.sent.values(), *wiring.received.values())
-    return [(message.size, max(1, round(message.period_s / cycle_s))) for message in messages]
+    """Return data bytes and period in cycles of each message; 29 bits of identifier count as three
+    more bytes, and a remote frame as one without data.
+    """
+    frames = [
+        (
+            message.size + (_EXTENDED_BYTES if message.identifier & EXTENDED_FLAG else 0),
+            max(1, round(message.period_s / cycle_s)),
+            message.remote,
+        )
+        for message in (*wiring.sent.values(), *wiring.received.values())
+    ]
+    return [(size, every) for size, every, _ in frames] + [
+        (0, every) for _, every, remote in frames if remote
+    ]

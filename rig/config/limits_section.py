@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Self
 
 from pydantic import Field, model_validator
@@ -48,6 +49,11 @@ class LimitsSection(Schema):
     supply_max_V: Positive = 1000.0
     sample_age_ms: Positive = 5.0
     lateness_ms: Annotated[float, Field(gt=0, le=50)] = 25.0
+
+    @property
+    def middle_rad(self) -> float:
+        """Middle of the joint's travel, rad."""
+        return math.radians(0.5 * (self.angle_min_deg + self.angle_max_deg))
 
     @model_validator(mode="after")
     def _range_is_open(self) -> Self:

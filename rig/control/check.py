@@ -26,6 +26,8 @@ from rig.wiring.devices import Devices
 from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
+STATED = "*"
+"""Mark of a limit that is stated in the bench file and not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
 """A drive in which nothing was set holds the ends of its range: more than this is no limit."""
 
@@ -70,7 +72,7 @@ def examine(
         *device_findings(devices, wanted, bench.cycle_s),
         *reading_findings(readings, limits),
     ]
-    watching = watcher(devices)
+    watching, lacks = watcher(devices), devices.servo.lacks(bench.cycle_s)
     return {
         "schema": SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -93,8 +95,10 @@ def examine(
         "has_watchdog": devices.link.has_watchdog,
         "watched_by": watching.kind,
         "watch_s": watching.after_s,
+        "not_held": sorted(lacks.limits),
         "calibrations": calibration_records(bench, utc_now().date()),
         **described,
+        "limits_stated": sorted(set(described["limits"]) - devices.servo.limits_taken),
         "bench_limits": dataclasses.asdict(wanted),
     }, readings
 
@@ -145,17 +149,28 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return the limits of drive and bench file side by side."""
+    """Return the limits of drive and bench file side by side; those of the drive that it does not
+    report are as the bench file states them.
+    """
     held = found["limits"]
-    return table(
+    note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])
+    rows = table(
         ["limit", "drive holds now", "bench file", "unit"],
         [
-            [_title(name), _show(name, held[name]), _show(name, allowed), _unit(name)]
+            [
+                _title(name),
+                "has none"
+                if name in found["not_held"]
+                else _show(name, held[name]) + STATED * (name in found["limits_stated"]),
+                _show(name, allowed),
+                _unit(name),
+            ]
             for name, allowed in found["bench_limits"].items()
             if name != "quick_stop_option"
         ],
         right=[1, 2],
     )
+    return "\n".join([rows, *note])
 
 
 def _angular(name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -13,6 +14,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
 from rig.control.safety import Latch, Trip, check_stage_time
+from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
 from rig.wiring.devices import Devices
@@ -84,8 +86,11 @@ class Cycle:
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
-        self._limits = limits
         self._period_ns = cycle_ns
+        lacks = devices.servo.lacks(cycle_ns / NS)
+        self._reports_temperature, self._reports_supply = not lacks.temperature, not lacks.supply
+        self._limits = self._checkable(limits)
+        self._witness: SpeedWitness | None = SpeedWitness(devices.servo, limits.gear_ratio)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
@@ -123,8 +128,10 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Use these limits for all further samples."""
-        self._limits = limits
+        """Use these limits for all further samples, except those on what the drive does not
+        report.
+        """
+        self._limits = self._checkable(limits)
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
         """Restart the cycle after a pause, holding ``target``; the first sample resets the safety
@@ -194,6 +201,8 @@ class Cycle:
             trip = judge(sample, self._age_s, self._late_s, limits)
             if trip is not None:
                 raise TripError(trip)
+            if self._witness is not None and self._witness.decided(sample):
+                self._witness = None
             if keep is not None:
                 keep(sample)
             since += 1
@@ -216,6 +225,14 @@ class Cycle:
         # A recording that cannot be written is no reason to leave the drive alone while it brakes.
         with suppress(StorageError):
             self._exchange(self._target, 0)
+
+    def _checkable(self, limits: Limits) -> Limits:
+        """Return limits of which those on what the drive does not report are not checked."""
+        return dataclasses.replace(
+            limits,
+            reports_temperature=self._reports_temperature,
+            reports_supply=self._reports_supply,
+        )
 
     def _start_grid(self, now_ns: int) -> None:
         """Have the next cycle start now, by the real clock as well."""

@@ -20,7 +20,7 @@ from rig.planning.plan import bench_limits, servo_limits
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
-from rig.wiring.drive_limits import require_held, require_within_own
+from rig.wiring.drive_limits import only_here, require_within_own, require_written
 from rig.wiring.teardown import attempt_all, give_back, make_safe, words_of
 
 SPEED_MARGIN = 2.0
@@ -76,6 +76,16 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
         current=TORQUE_SHARE * limits.current,
     )
     return Jog(tuple(math.radians(angle) for angle in angles_deg), speed, low)
+
+
+def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
+    """Return which limits of the jog the drive neither takes nor is set to; None if there are none.
+
+    Raises:
+        DeviceError: The drive does not answer.
+    """
+    servo = devices.servo
+    return only_here(servo, servo_limits(jog.limits, bench), servo.read_limits())
 
 
 class _Discard:
@@ -146,11 +156,11 @@ def _moves(
         if reset_fault and servo.state() is ServoState.FAULT:
             servo.reset_fault()
         devices.prepare(bench.cycle_s)
-        held = servo.read_limits()
-        require_within_own(wanted, held, servo.limit_steps())
+        held, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
+        require_within_own(wanted, held, servo.limit_steps(), servo.limit_places, unheld)
         own.append(held)
         servo.write_limits(wanted)
-        require_held(servo.read_limits(), wanted, servo.limit_steps())
+        require_written(servo, wanted, bench.cycle_s)
         here = _enable(cycle, devices, bench)
         for angle in jog.angles:
             _go(cycle, here, angle, jog.speed, bench.cycle_s)

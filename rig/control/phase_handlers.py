@@ -22,7 +22,7 @@ from rig.runs.run_record import Verdict
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.weighing.scale import Scale, measured_level
 from rig.wiring.devices import Devices
-from rig.wiring.drive_limits import require_held, require_within_own
+from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.preflight import energised, require_ready
 
 
@@ -185,13 +185,14 @@ class PhaseHandlers:
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.prepare(plan.cycle_s)
-        steps = devices.servo.limit_steps()
+        servo = devices.servo
         if self.own_limits is None:
-            own = devices.servo.read_limits()
-            require_within_own(plan.servo_limits, own, steps)
+            own, unheld = servo.read_limits(), servo.lacks(plan.cycle_s).limits
+            steps, places = servo.limit_steps(), servo.limit_places
+            require_within_own(plan.servo_limits, own, steps, places, unheld)
             self.own_limits = own
-        devices.servo.write_limits(plan.servo_limits)
-        require_held(devices.servo.read_limits(), plan.servo_limits, steps)
+        servo.write_limits(plan.servo_limits)
+        require_written(servo, plan.servo_limits, plan.cycle_s)
         self._recorder.event(self.cycle.now_ns, "stage start", stage=self.stage.name)
         return Event.DONE
 

@@ -99,7 +99,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
     their limits. Values that are not available are not checked.
     """
     gear, angle, pressure = limits.gear_ratio, readings.joint_encoder_rad, readings.pressure_Pa
-    calm = _calm(limits)
+    calm = at_rest(limits)
     shown: list[tuple[float, Sample]] = [
         (angle, calm._replace(angle=angle, motor_angle=angle * gear)),
         (readings.speed_rad_s, calm._replace(velocity=readings.speed_rad_s)),
@@ -120,7 +120,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
             yield Finding(Cause.READINGS, trip.now)
 
 
-def _calm(limits: Limits) -> Sample:
+def at_rest(limits: Limits) -> Sample:
     """Return a sample at rest, well inside every limit."""
     middle = 0.5 * (limits.angle_min + limits.angle_max)
     return Sample(

@@ -147,10 +147,12 @@ def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | Non
     disagreement = abs(sample.motor_angle / limits.gear_ratio - angle)
     if not disagreement <= limits.encoder_disagreement:
         return Trip(Check.DISAGREEMENT, disagreement, limits.encoder_disagreement, "rad", time)
-    if not sample.temperature <= limits.temperature:
+    watched = limits.reports_temperature and limits.temperature != math.inf
+    if watched and not sample.temperature <= limits.temperature:
         return Trip(Check.TEMPERATURE, sample.temperature, limits.temperature, "deg C", time)
     supply = sample.supply_voltage
-    if not limits.supply_min <= supply <= limits.supply_max:
+    watched = limits.reports_supply and limits.supply_min != -math.inf
+    if watched and not limits.supply_min <= supply <= limits.supply_max:
         bound = limits.supply_min if supply < limits.supply_min else limits.supply_max
         return Trip(Check.SUPPLY, supply, bound, "V", time)
     return None if limits.gas is None else _check_gas(sample, limits.gas)

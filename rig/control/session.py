@@ -44,6 +44,7 @@ from rig.terminal.stop_button import StopButton
 from rig.weighing.scale import Scale
 from rig.wiring.connect import device_files
 from rig.wiring.devices import Devices
+from rig.wiring.drive_limits import only_here
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
@@ -154,8 +155,7 @@ def execute(
     record = inputs.resumed or new_record(inputs, plan)
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
-    if not devices.link.has_watchdog:
-        _warn_unwatched(record, devices, operator)
+    _warn(plan, record, devices, operator)
     folder = RunFolder(path, record)
     folder.save()
     if devices.guard is not None:
@@ -183,12 +183,21 @@ def execute(
     return folder, outcome
 
 
-def _warn_unwatched(record: RunRecord, devices: Devices, operator: Operator) -> None:
-    """Tell the operator that the drive has no watchdog, and note it in the record once."""
-    words = NO_WATCHDOG if devices.guard is None else GUARDED
-    operator.tell(words)
-    if words not in record.warnings:
-        record.warnings.append(words)
+def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
+    """Say before the first prompt what this program alone watches, and note it in the record once.
+
+    Raises:
+        DeviceError: The drive does not answer.
+    """
+    servo, told = devices.servo, []
+    if not devices.link.has_watchdog:
+        told.append(NO_WATCHDOG if devices.guard is None else GUARDED)
+    if (words := only_here(servo, plan.servo_limits, servo.read_limits())) is not None:
+        told.append(words)
+    for words in told:
+        operator.tell(words)
+        if words not in record.warnings:
+            record.warnings.append(words)
 
 
 def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
@@ -259,11 +268,27 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
     told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
-        "limits": dataclasses.asdict(devices.servo.read_limits()),
+        "limits": held_limits(devices),
     }
     if devices.pressure is not None:
         told["pressure"] = dataclasses.asdict(devices.pressure.identity())
     return told
+
+
+def held_limits(devices: Devices) -> dict[str, float | None]:
+    """Read the limits that the drive holds; None for those that it has no object for, and for a
+    following error window that is off.
+
+    Raises:
+        DeviceError: The drive does not answer.
+    """
+    limits = dataclasses.asdict(devices.servo.read_limits())
+    if not limits["quick_stop_option"] >= 0:
+        limits["quick_stop_option"] = None
+    return {
+        name: None if value is None or math.isnan(value) else value
+        for name, value in limits.items()
+    }
 
 
 def _head(

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.canopen.cia402_objects import FRAMES_WITH_OFFSET
-from identification.model import compensation, feedback
+from identification.model import feedback, friction_feedforward
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError
@@ -175,11 +175,13 @@ def require_torque_offset(bench: Document[Bench]) -> None:
     """
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
+        if value.servo.torque_offset is not None:
+            return
         text = (
-            "feed-forward needs the torque offset 60B2h, which this drive's own frames lack; "
-            "run without it"
+            "missing; feed-forward needs the signal of a torque that the drive adds to its own; "
+            "name it, or run without feed-forward"
         )
-        raise InputError(bench.problem(("servo", "kind"), text))
+        raise InputError(bench.problem(("servo", "torque_offset"), text))
     if not isinstance(value.bus, Bus):
         text = (
             "feed-forward needs the torque offset in the instant of the target; a serial line "
@@ -219,10 +221,10 @@ def stage_offsets(
     moment = model.moment_per_kg * weight_kg
     if missing := model.missing(loaded=moment > 0.0):
         raise InputError([_open(Path(model.source), name) for name in missing])
-    torque = compensation.feedforward(targets, cycle_s, model.values, model.alpha, moment)
-    speed = compensation.commanded_speed(targets, cycle_s)
+    torque = friction_feedforward.feedforward(targets, cycle_s, model.values, model.alpha, moment)
+    speed = friction_feedforward.commanded_speed(targets, cycle_s)
     gains = feedback.gains(model.values["J"], cycle_s)
-    share = np.abs(compensation.motion(targets, cycle_s))
+    share = np.abs(friction_feedforward.motion(targets, cycle_s))
     # When cycle k is sent, the last sample is of cycle k - 1, in which the joint should reach
     # target k - 2.
     return Offsets(

@@ -25,7 +25,8 @@ class Limits:
     """Limits in SI units at the joint, with the two constants that the checks need.
 
     ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without
-    pressure transmitter.
+    pressure transmitter. ``reports_temperature`` and ``reports_supply`` are False for a drive that
+    has no object for them; these limits, and infinite ones, are not checked.
     """
 
     angle_min: float
@@ -43,3 +44,5 @@ class Limits:
     torque_per_ampere: float
     gear_ratio: float
     gas: GasLimits | None = None
+    reports_temperature: bool = True
+    reports_supply: bool = True

@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers.interfaces import ServoLimits
 from rig.common.errors import InputError
-from rig.config.bench import Bench
+from rig.config.bench import NOT_REPORTED, Bench
 from rig.config.configuration import Document
 from rig.config.sequence import Array, FirstPass, Sequence, StageSection, excitation
 from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
@@ -340,6 +340,8 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
         if asked is not None and (asked < allowed if name in _LOWER_BOUNDS else asked > allowed):
             text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
             problems.append(sequence.problem(("limits", name), text, asked))
+        elif asked is not None and name in bench.unreported:
+            problems.append(sequence.problem(("limits", name), NOT_REPORTED, asked))
     if values["angle_min_deg"] >= values["angle_max_deg"]:
         text = (
             f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
@@ -356,6 +358,7 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
 
 
 def _limits(values: dict[str, float], bench: Bench) -> Limits:
+    unreported = bench.unreported
     return Limits(
         angle_min=math.radians(values["angle_min_deg"]),
         angle_max=math.radians(values["angle_max_deg"]),
@@ -364,9 +367,9 @@ def _limits(values: dict[str, float], bench: Bench) -> Limits:
         current=values["current_A"],
         following_error=math.radians(values["following_error_deg"]),
         encoder_disagreement=math.radians(values["encoder_disagreement_deg"]),
-        temperature=values["temperature_C"],
-        supply_min=values["supply_min_V"],
-        supply_max=values["supply_max_V"],
+        temperature=math.inf if "temperature_C" in unreported else values["temperature_C"],
+        supply_min=-math.inf if "supply_min_V" in unreported else values["supply_min_V"],
+        supply_max=math.inf if "supply_max_V" in unreported else values["supply_max_V"],
         sample_age=values["sample_age_ms"] * 1e-3,
         lateness=values["lateness_ms"] * 1e-3,
         torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,

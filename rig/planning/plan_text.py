@@ -51,8 +51,8 @@ def describe(plan: Plan) -> str:
             ["motor current", f"{limits.current:g}", "A"],
             ["following error", f"{math.degrees(limits.following_error):g}", "deg"],
             ["encoder against drive", f"{math.degrees(limits.encoder_disagreement):g}", "deg"],
-            ["motor temperature", f"{limits.temperature:g}", "deg C"],
-            ["DC link", f"{limits.supply_min:g} to {limits.supply_max:g}", "V"],
+            ["motor temperature", _stated(f"{limits.temperature:g}"), "deg C"],
+            ["DC link", _stated(f"{limits.supply_min:g} to {limits.supply_max:g}"), "V"],
             *(_gas_rows(limits.gas) if limits.gas else []),
             ["sample age", f"{limits.sample_age * 1e3:g}", "ms"],
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
@@ -65,6 +65,10 @@ def describe(plan: Plan) -> str:
         line for stage in plan.stages for line in (_first_pass(stage), *_feedforward(stage))
     )
     return f"{head}\n\n{stages}\n\n{passes}\n\n{held}"
+
+
+def _stated(value: str) -> str:
+    return "not reported" if "inf" in value else value
 
 
 def _gas_rows(limits: GasLimits) -> list[list[str]]:

@@ -98,7 +98,7 @@ class Picture:
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks under a title; without a title they continue the section above.
+    """Blocks under a title; blocks without a title belong to the section above.
 
     Attributes:
         title: Heading.

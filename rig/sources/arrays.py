@@ -1,4 +1,4 @@
-"""Named arrays: MATLAB .mat files (up to v7) and numpy .npz archives."""
+"""Named arrays: MATLAB .mat files (up to v7), numpy .npz archives and .npy arrays."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import struct
 import zipfile
 import zlib
 from abc import abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
@@ -85,14 +85,18 @@ class ArrayTable(Table):
 class MatTable(ArrayTable):
     """A MATLAB file of version 4 to 7.
 
+    Arrays inside structs are named with dots: ``data.t``, ``out.signals.values[0]``,
+    ``recordings[1].angle``.
+
     Raises:
-        InputError: It is of version 7.3 (HDF5), or not a MATLAB file.
+        InputError: It is of version 7.3 (HDF5), holds no arrays of numbers, or is not a MATLAB
+            file.
     """
 
     def __init__(self, path: Path) -> None:
         try:
             with open_binary(path) as stream:
-                check_elements(stream)
+                unread = check_elements(stream)
                 stream.seek(0)
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
@@ -101,20 +105,60 @@ class MatTable(ArrayTable):
             ) from error
         except _DAMAGED as error:
             raise damaged(path, error, "save it again with save(..., '-v7')") from error
+        self._structs: dict[str, np.ndarray] = {}
         numeric = {
             "double",
             "single",
             "logical",
             *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
         }
-        super().__init__(path, {name: shape for name, shape, kind in contents if kind in numeric})
+        self.path = path
+        shapes = {name: shape for name, shape, kind in contents if kind in numeric}
+        structs = [name for name, _, kind in contents if kind in ("struct", "cell")]
+        structs = [name for name in structs if name not in unread]
+        if structs:
+            try:
+                inside = self._load(structs)
+            except _DAMAGED as error:
+                raise damaged(path, error, "save it again with save(..., '-v7')") from error
+            for name in structs:
+                self._structs |= dict(_members(name, inside[name]))
+        shapes |= {name: array.shape for name, array in self._structs.items()}
+        super().__init__(path, shapes)
+        if not self.names:
+            held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
+            raise InputError(
+                f"{path}: holds no arrays of numbers, but {held}; of a timeseries or Dataset "
+                f"object save .Time and .Data as variables of their own"
+            )
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
-        with open_binary(self.path) as stream:
-            loaded: dict[str, np.ndarray] = scipy.io.loadmat(
-                cast(Any, stream), variable_names=list(variables)
-            )
+        wanted = [name for name in variables if name not in self._structs]
+        loaded = {name: self._structs[name] for name in variables if name in self._structs}
+        if wanted:
+            with open_binary(self.path) as stream:
+                loaded |= scipy.io.loadmat(cast(Any, stream), variable_names=wanted)
         return loaded
+
+
+def _members(name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield dotted name and array of every array of real numbers inside a struct or a cell.
+
+    An element of a struct array is ``name[0]``, unless it is the only one.
+    """
+    if value.dtype.names is not None or value.dtype == object:
+        for index, element in enumerate(value.ravel(order="F")):
+            place = name if value.size == 1 else f"{name}[{index}]"
+            if value.dtype.names is None:
+                if isinstance(element, np.ndarray):
+                    yield from _members(place, element)
+                continue
+            for field in value.dtype.names:
+                member = element[field]
+                if isinstance(member, np.ndarray):
+                    yield from _members(f"{place}.{field}", member)
+    elif value.dtype.kind in "biuf":
+        yield name, value
 
 
 class NpzTable(ArrayTable):
@@ -141,6 +185,34 @@ class NpzTable(ArrayTable):
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
         with open_binary(self.path) as stream, np.load(stream, allow_pickle=False) as archive:
             return {name: archive[name] for name in variables}
+
+
+class NpyTable(ArrayTable):
+    """One numpy array; never unpickles. A matrix gives ``array[0]``, ...; a structured array its
+    fields.
+
+    Raises:
+        InputError: It is damaged, or no numpy array.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            with open_binary(path) as stream:
+                array = np.load(stream, allow_pickle=False)
+        except _DAMAGED as error:
+            raise damaged(path, error, "save it again with numpy.save") from error
+        if not isinstance(array, np.ndarray):
+            raise InputError(f"{path}: holds several arrays; name it .npz")
+        self._arrays = (
+            {"array": array}
+            if array.dtype.names is None
+            else {name: array[name] for name in array.dtype.names}
+        )
+        super().__init__(path, {name: value.shape for name, value in self._arrays.items()})
+
+    def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
+        return {name: self._arrays[name] for name in variables}
 
 
 def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, ...]]:

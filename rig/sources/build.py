@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
@@ -14,10 +15,28 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.runs.alignment import aligned
+from rig.sources.contradictions import doubts, unit_row_doubts
 from rig.sources.formats import open_table
-from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
-from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
+from rig.sources.plausible import (
+    gear_finding,
+    sign_errors,
+    unit_hints,
+    value_errors,
+)
+from rig.sources.repair import (
+    MIN_SAMPLES,
+    MISSING_SHARE,
+    Mask,
+    Timing,
+    UnusableError,
+    examine_time,
+    fill_missing,
+)
+from rig.sources.session import Read
 from rig.sources.table import Table
+from rig.sources.wraps import unwrapped
+
+Rows = NDArray[np.intp]
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 """Channels often logged at a lower rate: their missing samples are interpolated without limit."""
@@ -25,7 +44,7 @@ SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 
 def build(
     file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
-) -> list[Recording]:
+) -> Read:
     """Read one file, convert it to SI, and make the allowed corrections.
 
     Args:
@@ -36,24 +55,65 @@ def build(
         index: Position of the entry in ``recordings``.
 
     Returns:
-        One recording per piece without gaps; every correction is in its notes.
+        One recording per piece without gaps, every correction in its notes; and the span of the
+        file's time, with what the window leaves out.
 
     Raises:
-        InputError: A column is missing, or the data cannot be used; names file and row.
+        InputError: A column is missing, the window holds no sample, or the data cannot be used;
+            names file and row.
     """
+    unsure = document.value.bench.uncertainties()
+    if section.moment_arm is not None:
+        bench = replace(bench, moment_arm=float(section.moment_arm))
+        unsure.pop("bench.moment_arm", None)
     try:
         table = open_table(file, section.read)
-        channels = _read_channels(table, section, document, index)
+        channels, found = _read_channels(table, section, document, index)
         digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
-    channels, timing, mended = _mend(table, channels)
+    finite = channels["time"][np.isfinite(channels["time"])]
+    first, last = (float(finite[0]), float(finite.max())) if finite.size else (0.0, 0.0)
+    channels, skipped, cut = _windowed(file, channels, section)
+    channels, timing, mended = _mend(table, channels, skipped, stamped=section.rate is None)
     stamps = channels.pop(ANGLE_TIME, None)
-    notes = [*table.notes, *mended]
+    found += [*cut, *mended, *unit_row_doubts(table, section)]
+    doubted = _doubts(file, channels, section, bench)
+    notes = [*table.notes, *found, *doubted, *_load_notes(section, bench)]
+    whole = Recording(
+        name=_stem(file),
+        channels=channels,
+        bench=bench,
+        stage=section.stage,
+        weight_mass=float(section.weight_mass),
+        pendulum=section.gravity.pendulum() if section.gravity else None,
+        hoist=section.hoisted.hoist() if section.hoisted else None,
+        constant_torque=float(section.constant_torque),
+        uncertainties={**unsure, **section.uncertainties()},
+        controller=section.controller.controller() if section.controller else None,
+        role=section.role,
+        averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
+        source=str(file),
+        sha256=digest,
+        notes=tuple(notes),
+    )
+    return Read(tuple(_cut(whole, timing, stamps)), first, last, section, index)
+
+
+def _doubts(
+    file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
+) -> list[str]:
+    """Return notes on channels whose values look odd.
+
+    Raises:
+        InputError: Values are impossible, or signs contradict each other.
+    """
+    notes: list[str] = []
     problems = list(value_errors(channels))
     if not problems:
-        problems += sign_errors(channels, driven_by_weight=section.gravity is not None)
+        problems += sign_errors(channels, driven_by_weight=section.known_load)
         notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
+        notes += doubts(channels, bench.gear_ratio, driven_by_weight=section.known_load)
     if "motor_angle" in channels and "angle" in channels:
         finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
         if finding is not None:
@@ -63,34 +123,22 @@ def build(
     constant = [
         name for name, values in channels.items() if name != "enabled" and _is_constant(values)
     ]
-    notes.extend(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)
-    whole = Recording(
-        name=_stem(file),
-        channels=channels,
-        bench=bench,
-        stage=section.stage,
-        weight_mass=section.weight_mass,
-        pendulum=section.gravity.pendulum() if section.gravity else None,
-        controller=section.controller.controller() if section.controller else None,
-        role=section.role,
-        averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
-        source=str(file),
-        sha256=digest,
-        notes=tuple(notes),
-    )
-    return _cut(whole, timing, stamps)
+    return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
 
 def _read_channels(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
-) -> dict[str, Array]:
-    """Return canonical channels in SI units, all of shape (n,), time among them."""
+) -> tuple[dict[str, Array], list[str]]:
+    """Return canonical channels in SI units, all of shape (n,), time among them, and notes."""
     columns: dict[str, int] = {}
     problems = []
+    notes: list[str] = []
     for name, channel in section.channels.items():
         found = _find(table, channel.column)
         if isinstance(found, int):
             columns[name] = found
+            if isinstance(channel.column, str) and table.names[found] != channel.column:
+                notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
         else:
             problems.append(document.problem(_column_loc(index, name), found, channel.column))
     if problems:
@@ -104,12 +152,63 @@ def _read_channels(
         raise InputError(
             f"{table.path}: channels differ in length: {listed}; they must share their rows"
         )
-    channels = {
-        name: _to_si(data[column], section.channels[name]) for name, column in columns.items()
-    }
+    channels = {}
+    for name, column in columns.items():
+        values, note = unwrapped(name, data[column])
+        notes += [f"`{name}`: {note}"] if note else []
+        channels[name] = _to_si(values, section.channels[name])
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
-    return channels
+    return channels, notes
+
+
+def _windowed(
+    file: Path, channels: dict[str, Array], section: RecordingSection
+) -> tuple[dict[str, Array], int, list[str]]:
+    """Return the channels within the section's window, the rows left out before it, and notes.
+
+    What stands between the first and the last sample of the window is used, so that time which is
+    missing or runs backwards is still found.
+
+    Raises:
+        InputError: The window holds no sample.
+    """
+    window, time = section.window, channels["time"]
+    if window is None:
+        return channels, 0, []
+    low = -np.inf if window.begin is None else window.begin
+    high = np.inf if window.to is None else window.to
+    rows = np.flatnonzero((time >= low) & (time < high))
+    if not rows.size:
+        finite = time[np.isfinite(time)]
+        there = f"{finite.min():.6g} to {finite.max():.6g} s" if finite.size else "nowhere"
+        raise InputError(
+            f"{file}: the window {window.words()} holds no sample: the file's time runs from "
+            f"{there}, after scale and offset; move the window"
+        )
+    # Where an end is open the rows beyond it without time are checked as well.
+    first = 0 if window.begin is None else int(rows[0])
+    stop = len(time) if window.to is None else int(rows[-1]) + 1
+    note = f"window {window.words()}: {stop - first} of {len(time)} samples used"
+    return {name: values[first:stop] for name, values in channels.items()}, first, [note]
+
+
+def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
+    """Return notes on the known loads of one recording that act at every angle."""
+    unit = "N" if bench.motion == "linear" else "N m"
+    notes = []
+    if section.constant_torque:
+        notes.append(
+            f"known constant torque {section.constant_torque:+.4g} {unit} on the joint (positive "
+            f"drives it forward)"
+        )
+    if section.hoisted is not None:
+        hoist = section.hoisted.hoist()
+        notes.append(
+            f"hoisted {hoist.mass:.4g} kg: {hoist.torque(bench.gravity):+.4g} {unit} on the joint "
+            f"(positive drives it forward) and its inertia"
+        )
+    return notes
 
 
 def _find(table: Table, column: str | int) -> int | str:
@@ -124,6 +223,10 @@ def _find(table: Table, column: str | int) -> int | str:
     matches = [k for k, name in enumerate(table.names) if name == column]
     if len(matches) == 1:
         return matches[0]
+    if not matches:
+        matches = [k for k, name in enumerate(table.names) if name.endswith(f".{column}")]
+        if len(matches) == 1:
+            return matches[0]
     if matches:
         return (
             f"{table.path} has {len(matches)} columns of this name; give the index, one of "
@@ -154,22 +257,33 @@ def _to_si(values: Array, channel: ChannelSection) -> Array:
     return scaled
 
 
-def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], Timing, list[str]]:
-    """Check time, fill isolated missing samples, drop repeated time stamps."""
+def _mend(
+    table: Table, channels: dict[str, Array], skipped: int, *, stamped: bool
+) -> tuple[dict[str, Array], Timing, list[str]]:
+    """Check time, fill isolated missing samples, drop repeated time stamps.
+
+    Rows of other topics are dropped only where rows have stamps (``stamped``): with a rate, each
+    row is a sample. ``skipped`` rows of the table stand before these channels.
+    """
+    dropped: list[str] = []
+    rows: Rows = skipped + np.arange(len(channels["time"]))
+    if stamped:
+        channels, dropped, kept = _without_other_topics(channels)
+        rows = rows[kept]
     time = channels["time"]
     try:
         timing = examine_time(time)
     except UnusableError as error:
-        raise InputError(_at(table, error, "")) from None
-    notes = list(timing.notes)
+        raise InputError(_at(table, error, "", rows)) from None
+    notes = [*dropped, *timing.notes]
     problems = []
-    off = _power_off(table, channels)
+    off = _power_off(table, channels, rows)
     mended: dict[str, Array] = {}
     for name, values in channels.items():
         try:
             mended[name], note = _fill(name, values, time, off)
         except UnusableError as error:
-            problems.append(_at(table, error, f"`{name}`: "))
+            problems.append(_at(table, error, f"`{name}`: ", rows) + _apart(name, channels))
             continue
         notes.extend(note)
     if problems:
@@ -179,16 +293,14 @@ def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], T
     return mended, timing, notes
 
 
-def _power_off(table: Table, channels: dict[str, Array]) -> Mask | None:
+def _power_off(table: Table, channels: dict[str, Array], rows: Rows) -> Mask | None:
     """Return where the power stage is off, making ``enabled`` 0 or 1 on the way."""
     if "enabled" not in channels:
         return None
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
     if unknown.size:
-        raise InputError(
-            f"{table.place(int(unknown[0]))}: `enabled` is missing in {unknown.size} rows; it "
-            f"must be known"
-        )
+        place = table.place(int(rows[unknown[0]]))
+        raise InputError(f"{place}: `enabled` is missing in {unknown.size} rows; it must be known")
     on = channels["enabled"] > 0.5
     channels["enabled"] = on.astype(np.float64)
     return ~on
@@ -207,8 +319,38 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
 
-def _at(table: Table, error: UnusableError, channel: str) -> str:
-    place = str(table.path) if error.row is None else table.place(error.row)
+def _without_other_topics(
+    channels: dict[str, Array],
+) -> tuple[dict[str, Array], list[str], Rows]:
+    """Drop rows that hold a time and none of the channels: rows of another topic in a sparse log.
+
+    A few rows without values are missing samples, which are interpolated instead.
+    """
+    others = [values for name, values in channels.items() if name != "time"]
+    empty = np.logical_and.reduce([np.isnan(values) for values in others])
+    count = int(empty.sum())
+    if count <= MISSING_SHARE * len(empty) or len(empty) - count < MIN_SAMPLES:
+        return channels, [], np.arange(len(empty))
+    kept = {name: values[~empty] for name, values in channels.items()}
+    note = f"{count} rows with a time only, as of another topic, dropped"
+    return kept, [note], np.flatnonzero(~empty)
+
+
+def _apart(name: str, channels: dict[str, Array]) -> str:
+    """Return a remedy where a channel shares no row with another one."""
+    known = np.isfinite(channels[name])
+    for other, values in channels.items():
+        if other != name and not np.any(known & np.isfinite(values)):
+            return (
+                f"; it shares no row with `{other}`: they are of different topics, so bring them "
+                f"to one time base first"
+            )
+    return ""
+
+
+def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
+    row = None if error.row is None else int(rows[error.row])
+    place = str(table.path) if row is None else table.place(row)
     hint = ""
     if channel == "`voltage`: ":
         hint = "; where the power stage was off, say so with an `enabled` channel"

@@ -1,29 +1,46 @@
 """Reader of delimited text (CSV and similar), plain or gzipped.
 
-The fast path is numpy's compiled reader on the needed columns. If that refuses a line, the file is
-read again with tolerance for empty cells, rows quoted as a whole and trailing commas.
+The fast path is numpy's compiled reader on the needed columns, for files in which every row has as
+many cells as the header. Others are read row by row with tolerance for empty cells, quotes, row
+names, dates and times, and trailing commas.
 """
 
 from __future__ import annotations
 
-import gzip
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import TextIO, cast
+from typing import TextIO
 
 import numpy as np
 
-from drivers.plain_file import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
 from rig.sources.table import Table, damaged
+from rig.sources.text_layout import (
+    BLANKS,
+    DAY_NS,
+    END_MARKS,
+    are_units,
+    counts_columns,
+    encoding_of,
+    guess_delimiter,
+    is_empty,
+    is_number,
+    nanoseconds,
+    open_text,
+    pointed,
+    split,
+    utf8,
+    without_comment,
+)
 
-_DELIMITERS = (";", "\t", "|", ",")
-_EMPTY = frozenset({"", "nan", "na", "n/a", "null", "none", "-"})
 _READ_ERRORS = (OSError, EOFError, zlib.error)
+_HEAD_LINES = 6
+"""Lines with content, from the first, that show how the file is laid out."""
 
 
 class DelimitedTable(Table):
@@ -40,36 +57,102 @@ class DelimitedTable(Table):
     def __init__(self, path: Path, options: ReadSection) -> None:
         self.path = path
         try:
-            with _open_text(path) as stream:
+            self._encoding = encoding_of(path)
+            with open_text(path, self._encoding) as stream:
                 skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
-                line, text = _first_line(stream, options.skip_rows)
+                head = _head(stream, options.skip_rows)
         except _READ_ERRORS as error:
             raise damaged(path, error, "check that it was copied whole") from error
-        if text is None:
+        if not head:
             where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
             raise InputError(f"{path}: the file is empty{where}")
-        text = text.lstrip("\ufeff")
+        line, text = head[0]
         if "\0" in text:
             raise InputError(
                 f"{path}: line {line} holds zero bytes, so it is not text; name the file by its "
                 f"format"
             )
         self._decimal = options.decimal
-        self._delimiter = options.delimiter or _guess_delimiter(text, options.decimal)
-        cells = _split(text, self._delimiter)
-        has_header = not all(_is_number(self._pointed(cell)) for cell in cells)
-        self._skip = line if has_header else line - 1
-        last = _split(skipped[-1], self._delimiter) if skipped else []
-        if len(last) == len(cells) > 1 and all(_is_number(self._pointed(cell)) for cell in last):
-            self.notes = ("the last skipped line already holds numbers: check read.skip_rows",)
+        self._delimiter = options.delimiter or guess_delimiter(
+            [text for _, text in head], options.decimal
+        )
+        self._lay_out(head)
+        if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
+            self._note("the last skipped line already holds numbers: check read.skip_rows")
+
+    def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
+        """Find header, units, row names and columns of dates in the first lines."""
+        line, text = head[0]
+        cells = split(text, self._delimiter)
+        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if without_comment(row)]
+        counted = bool(rows) and counts_columns(cells, rows[0][1])
+        has_header = counted or not all(is_number(self._pointed(cell)) for cell in cells)
+        if has_header and any(nanoseconds(cell) is not None for cell in cells):
+            # A row of dates and numbers is data: no name is a date.
+            has_header = not all(
+                is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
+            )
+        if not has_header:
+            rows.insert(0, (line, cells))
         self.names = tuple(cell.strip().lstrip("#").strip() if has_header else "" for cell in cells)
+        self._skip = line if has_header else line - 1
+        self._first_row = 0
+        if self._encoding != "latin-1":
+            self._note(f"text in {self._encoding.upper()}")
+        if self._delimiter == BLANKS:
+            self._note("columns separated by blanks")
+        if counted:
+            self._note(
+                f"line {line} counts the columns from 0 to {len(cells) - 1}: taken as the header"
+            )
+        while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
+            at, words = rows.pop(0)
+            self.units = tuple(word.strip(' "\t') for word in words)
+            self._skip = at
+            self._note(f"line {at} below the names taken as units: {', '.join(self.units)[:80]}")
+        self._has_header = has_header
+        self._find_row_names(head, rows)
+        self._find_dates(rows)
+
+    def _find_row_names(
+        self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
+    ) -> None:
+        """Recognise quoted or worded row names: one cell more than names, in every row."""
+        width = len(self.names)
+        if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
+            return
+        lines = dict(head)
+        if all(_names_its_row(lines[at], row[0]) for at, row in rows):
+            self._first_row = 1
+            self._note("the first cell of each row is a row name, which the header does not count")
+
+    def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
+        self._zero: dict[int, int] = {}
+        for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
+            when = nanoseconds(cell)
+            if when is not None and column < len(self.names):
+                dated = when >= DAY_NS
+                self._zero[column] = when if dated else 0
+                what, since = (
+                    ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
+                )
+                self._note(
+                    f"column {self._name(column)} holds {what}: read as seconds since {since}"
+                )
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes = (*self.notes, text)
+
+    def _row_of_numbers(self, text: str, width: int) -> bool:
+        cells = split(text, self._delimiter)
+        return len(cells) == width > 1 and all(is_number(self._pointed(cell)) for cell in cells)
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
         try:
-            table = (
-                self._read_fast(columns) if self._decimal == "." else self._read_tolerant(columns)
-            )
+            fast = self._decimal == "." and not self._zero and self._even()
+            table = self._read_fast(columns) if fast else self._read_tolerant(columns)
         except ValueError:
             table = self._read_tolerant(columns)
         except _READ_ERRORS as error:
@@ -80,55 +163,126 @@ class DelimitedTable(Table):
 
     def place(self, row: int) -> str:
         """Name the line of a row, blank and comment lines counted."""
-        with _open_text(self.path) as stream:
+        with open_text(self.path, self._encoding) as stream:
             for index, (line, _) in enumerate(self._rows(stream)):
                 if index == row:
                     return f"{self.path}:{line}"
         return super().place(row)
 
+    def _even(self) -> bool:
+        """Whether each row has as many cells as the header, without quotes and comments."""
+        if self._first_row:
+            return False
+        delimiter, others = self._delimiter, 0
+        counts: Counter[int] = Counter()
+        with open_text(self.path, self._encoding) as stream:
+            for text in islice(stream, self._skip, None):
+                if text == "\n":
+                    continue
+                others += '"' in text or "#" in text
+                counts[len(text.split()) - 1 if delimiter == BLANKS else text.count(delimiter)] += 1
+        return not others and set(counts) <= {len(self.names) - 1}
+
     def _read_fast(self, columns: Sequence[int]) -> Array:
-        with _open_text(self.path) as stream:
+        with open_text(self.path, self._encoding) as stream:
             if next(self._rows(stream), None) is None:
                 return np.empty((0, len(columns)))
         return np.loadtxt(
             str(self.path.resolve()),
-            delimiter=self._delimiter,
+            delimiter=None if self._delimiter == BLANKS else self._delimiter,
+            comments=None,
             skiprows=self._skip,
             usecols=list(columns),
             ndmin=2,
-            encoding="latin-1",
+            encoding=self._encoding,
         )
 
     def _read_tolerant(self, columns: Sequence[int]) -> Array:
         width = len(columns)
-        with _open_text(self.path) as stream:
+        with open_text(self.path, self._encoding) as stream:
             values = np.fromiter(self._cells(stream, columns), np.float64)
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row.
+        """Yield the required cells row by row; rows without a cell end the file, or are missing.
 
         Raises:
-            InputError: A cell is not a number, or a row is too short.
+            InputError: A cell is not a number, or a row is too short or too long.
         """
+        empty: list[int] = []
+        short = 0
         for line, text in self._rows(stream):
-            cells = _split(text, self._delimiter)
+            cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
+            if cells[0].lower() in END_MARKS and not any(cells[1:]):
+                self._end(stream, line, cells[0])
+                break
+            if not any(cells):
+                empty.append(line)
+                continue
+            for _ in empty:
+                yield from (float("nan") for _ in columns)
+            empty = []
+            short += self._check_width(cells, line)
             for column in columns:
-                if column >= len(cells):
+                if column + self._first_row >= len(cells):
                     raise InputError(
                         f"{self.path}:{line}: {len(cells)} columns, but column "
                         f"{self._name(column)} is needed"
                         f" (got {text[:60]!r}); repair or remove the line"
                     )
-                yield self._number(cells[column], line, column)
+                yield self._number(cells[column + self._first_row], line, column)
+        if empty:
+            self._note(f"{len(empty)} rows without values at the end dropped")
+        if short:
+            self._note(f"{short} rows have fewer cells than the first line: read from the left")
 
-    def _number(self, cell: str, line: int, column: int) -> float:
-        text = self._pointed(cell.strip(' "\t'))
-        if text.lower() in _EMPTY:
+    def _end(self, stream: TextIO, line: int, mark: str) -> None:
+        """Note the line that says where the file ends.
+
+        Raises:
+            InputError: Something follows it.
+        """
+        if any(text.strip() for text in stream):
+            raise InputError(
+                f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
+                f"the line"
+            )
+        self._note(f"line {line} ({mark}) taken as the end of the file")
+
+    def _check_width(self, cells: Sequence[str], line: int) -> bool:
+        """Refuse cells beyond the header; return whether the row is shorter than it.
+
+        Raises:
+            InputError: The row holds more values than there are names, so that no name is sure.
+        """
+        width = len(self.names) + self._first_row
+        if not any(cells[width:]):
+            return len(cells) < width
+        what = "names in the header" if self._has_header else "cells in the first row"
+        remedy = (
+            "name every column in the header (row names too: write.table(..., col.names = NA) in "
+            "R), or skip the header with read.skip_rows and give columns by index"
+            if len(cells) == width + 1
+            else "repair the line, or check read.delimiter and read.skip_rows"
+        )
+        raise InputError(
+            f"{self.path}:{line}: {len(cells)} cells, but {width} {what}, so that columns cannot "
+            f"be told for sure; {remedy}"
+        )
+
+    def _number(self, text: str, line: int, column: int) -> float:
+        if column in self._zero:
+            when = nanoseconds(text)
+            if when is not None:
+                return (when - self._zero[column]) * 1e-9
+        text = self._pointed(text)
+        if is_empty(text):
+            if "#" in text or "(" in text:
+                self._note(f"cells such as {text[:20]} taken as missing")
             return float("nan")
-        if _is_number(text):
+        if is_number(text) and column not in self._zero:
             return float(text)
-        if _is_number(text.replace(",", ".", 1)):
+        if is_number(text.replace(",", ".", 1)):
             hint = '; if that is a decimal comma, set read.decimal: ","'
         else:
             hint = (
@@ -142,8 +296,7 @@ class DelimitedTable(Table):
         )
 
     def _pointed(self, cell: str) -> str:
-        """Return a cell with a decimal point."""
-        return cell if self._decimal == "." else cell.replace(",", ".", 1)
+        return pointed(cell, self._decimal)
 
     def _name(self, column: int) -> str:
         name = self.names[column] if column < len(self.names) else ""
@@ -153,74 +306,25 @@ class DelimitedTable(Table):
         """Yield line number and text of each row of numbers."""
         for line, text in enumerate(stream, start=1):
             if line > self._skip:
-                content = text.split("#", 1)[0].strip(" \r\n")
+                content = without_comment(text)
                 if content:
                     yield line, content
 
 
-def _open_text(path: Path) -> TextIO:
-    require_plain(path)
-    # Latin-1 decodes any byte, so that a degree sign in a vendor's header cannot stop the reading
-    # of numbers.
-    if path.suffix.lower() == ".gz":
-        return cast(TextIO, gzip.open(path, "rt", encoding="latin-1"))
-    return path.open(encoding="latin-1")
+def _names_its_row(line: str, cell: str) -> bool:
+    """Whether the first cell is quoted where the next is not, or is a word."""
+    rest = line.lstrip()
+    return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
 
 
-def _first_line(stream: TextIO, skip: int) -> tuple[int, str | None]:
-    """Return number (from 1) and text of the first line with content; ``skip`` lines were read
+def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
+    """Return number (from 1) and text of the first lines with content; ``skip`` lines were read
     before.
     """
+    found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
-        if text.strip():
-            return line, _utf8(text)
-    return 0, None
-
-
-def _utf8(text: str) -> str:
-    try:
-        return text.encode("latin-1").decode("utf-8")
-    except UnicodeDecodeError:
-        return text
-
-
-def _guess_delimiter(text: str, decimal: str) -> str:
-    counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS if delimiter != decimal}
-    best = max(counts, key=lambda delimiter: counts[delimiter])
-    return best if counts[best] else _DELIMITERS[-1] if decimal == "." else _DELIMITERS[0]
-
-
-def _split(text: str, delimiter: str) -> list[str]:
-    """Split one line into cells, undoing what spreadsheet programs add to it."""
-    text = text.strip(" \r\n")
-    if delimiter != ",":
-        text = text.rstrip(",")
-    if (
-        len(text) > 1
-        and text[0] == text[-1] == '"'
-        and text.count('"') % 2 == 0
-        and f'"{delimiter}"' not in text
-    ):
-        text = text[1:-1].replace('""', '"')
-    if '"' not in text:
-        return text.split(delimiter)
-    cells, quoted = [""], False
-    for character in text:
-        if character == '"':
-            quoted = not quoted
-        elif character == delimiter and not quoted:
-            cells.append("")
-        else:
-            cells[-1] += character
-    return cells
-
-
-def _is_number(cell: str) -> bool:
-    text = cell.strip(' "\t')
-    if text.lower() in _EMPTY:
-        return text != ""
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text
+        if text.strip().lstrip("\ufeff"):
+            found.append((line, utf8(text)))
+            if len(found) == _HEAD_LINES:
+                break
+    return found

@@ -6,8 +6,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rig.config.campaign_sections import ReadSection
-from rig.sources.arrays import MatTable, NpzTable
+from rig.sources.arrays import MatTable, NpyTable, NpzTable
 from rig.sources.delimited import DelimitedTable
+from rig.sources.json_lines import JsonLinesTable
 from rig.sources.logs import McapTable
 from rig.sources.parquet import ParquetTable
 from rig.sources.table import Table, format_of
@@ -20,6 +21,9 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "mcap": lambda path, _: McapTable(path),
     "parquet": lambda path, _: ParquetTable(path),
     "npz": lambda path, _: NpzTable(path),
+    "npy": lambda path, _: NpyTable(path),
+    "jsonl": lambda path, _: JsonLinesTable(path),
+    "ndjson": lambda path, _: JsonLinesTable(path),
 }
 """File extension, without dot and without ``.gz``, to reader."""
 

@@ -7,17 +7,21 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from glob import glob, has_magic
+from itertools import islice
+from math import inf
 from pathlib import Path
 
 from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.input_files import is_file, is_folder
+from rig.common.provenance import sha256_file
 from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
-from rig.config.campaign_sections import RecordingSection
+from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
 from rig.sources.formats import FORMATS
+from rig.sources.session import Read, on_session_clock
 from rig.sources.table import format_of
 
 
@@ -75,15 +79,19 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     campaign = document.value
     bench = campaign.bench.bench()
     problems: list[str] = []
-    recordings: list[Recording] = []
+    read: list[Read] = []
     for file, index, section in _expand(document, problems):
         try:
-            recordings.extend(build(file, section, bench, document, index))
+            read.append(build(file, section, bench, document, index))
         except InputError as error:
             problems.extend(error.problems)
     if problems:
         raise InputError(dict.fromkeys(problems))
-    return Dataset(tuple(_distinct_names(recordings)), campaign.model.model())
+    named = iter(_distinct_names([r for one in read for r in one.recordings]))
+    files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
+    recordings = tuple(on_session_clock(files, document))
+    tables = {str(file): sha256_file(file) for file in document.other_files()}
+    return Dataset(recordings, campaign.model.model(), tables)
 
 
 def _expand(
@@ -91,7 +99,7 @@ def _expand(
 ) -> list[tuple[Path, int, RecordingSection]]:
     """Expand file names and globs, and report missing files, unknown formats and duplicates."""
     files: list[tuple[Path, int, RecordingSection]] = []
-    fitted: dict[tuple[str, str], str] = {}
+    fitted: dict[tuple[str, str], list[RecordingSection]] = {}
     for index, section in enumerate(document.value.recordings):
         seen: set[Path] = set()
         for loc, file in _files(document, index, section, problems):
@@ -99,14 +107,30 @@ def _expand(
                 continue
             seen.add(file)
             key = (os.path.realpath(file), repr(sorted(section.channels.items())))
-            if key in fitted:
-                again = "twice" if fitted[key] == section.role else "both to fit and to validate"
-                problems.append(
-                    document.problem(loc, f"{file} is used {again}; keep one entry for it")
-                )
-            fitted[key] = section.role
+            for other in fitted.setdefault(key, []):
+                if not _apart(section.window, other.window):
+                    again = "twice" if other.role == section.role else "both to fit and to validate"
+                    problems.append(
+                        document.problem(
+                            loc,
+                            f"{file} is used {again}; keep one entry for it, or give each a "
+                            f"`window` of its own",
+                        )
+                    )
+                    break
+            fitted[key].append(section)
             files.append((file, index, section))
     return files
+
+
+def _apart(one: WindowSection | None, other: WindowSection | None) -> bool:
+    """Whether two windows of a file have no sample in common."""
+    if one is None or other is None:
+        return False
+    (a, b), (c, d) = (
+        (-inf if w.begin is None else w.begin, inf if w.to is None else w.to) for w in (one, other)
+    )
+    return b <= c or d <= a
 
 
 def _files(

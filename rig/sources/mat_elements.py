@@ -18,10 +18,10 @@ INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes per number of each numeric data type, miINT8 to miUINT64."""
 NUMERIC_CLASSES = range(6, 16)
-"""Array classes mxDOUBLE to mxUINT64; of cells, structs, text and sparse arrays nothing but the
-header is read.
-"""
+"""Array classes mxDOUBLE to mxUINT64; of text and sparse arrays nothing but the header is read."""
 CLASSES = range(1, 19)
+CELL_CLASS, STRUCT_CLASS, CHAR_CLASS = 1, 2, 4
+_MEMBERS = frozenset({CELL_CLASS, STRUCT_CLASS, CHAR_CLASS, *NUMERIC_CLASSES})
 OPAQUE_CLASS = 17
 """A MATLAB object; it has no dimensions."""
 COMPLEX_FLAG = 0x0800
@@ -39,11 +39,18 @@ class _Element(NamedTuple):
     end: int
 
 
-def check_elements(stream: IO[bytes]) -> None:
+class UnreadMemberError(ValueError):
+    """A struct or cell holds a member that is not read: an object, a function or a sparse array."""
+
+
+def check_elements(stream: IO[bytes]) -> frozenset[str]:
     """Check every variable of a level 5 file; files of another level are left to their reader.
 
     Args:
         stream: Seekable, at its start; left anywhere.
+
+    Returns:
+        Names of the structs and cells that must not be read, for a member of theirs.
 
     Raises:
         DamagedElementError: An element's type or length is impossible.
@@ -51,15 +58,20 @@ def check_elements(stream: IO[bytes]) -> None:
     header = stream.read(HEADER_BYTES)
     order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
     if order is None or struct.unpack(f"{order}H", header[124:126])[0] != LEVEL_5:
-        return
+        return frozenset()
     size = stream.seek(0, 2)
+    unread: set[str] = set()
     for element in _elements(stream, order, HEADER_BYTES, size):
         if element.kind == MATRIX:
-            _check_matrix(stream, order, element)
+            try:
+                _check_matrix(stream, order, element)
+            except UnreadMemberError as error:
+                unread.add(str(error))
         elif element.kind != COMPRESSED:
             raise DamagedElementError(
                 f"no variable where one should start, at byte {element.start}"
             )
+    return frozenset(unread)
 
 
 def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[_Element]:
@@ -109,7 +121,17 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
         )
     stream.seek(dimensions.start)
     shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))
-    _part(parts, matrix, "name", INT8, UTF8)
+    title = _part(parts, matrix, "name", INT8, UTF8)
+    if word & 0xFF in (CELL_CLASS, STRUCT_CLASS):
+        try:
+            _check_members(stream, order, matrix, parts, shape, word & 0xFF)
+        except UnreadMemberError:
+            stream.seek(title.start)
+            raise UnreadMemberError(stream.read(title.length).decode("latin-1")) from None
+        return
+    if word & 0xFF == CHAR_CLASS:
+        _part(parts, matrix, "text", *SIZES, UTF8, 17, 18)
+        return
     if word & 0xFF not in NUMERIC_CLASSES:
         return
     for name in ("values", "imaginary values")[: 2 if word & COMPLEX_FLAG else 1]:
@@ -119,6 +141,45 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
                 f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at "
                 f"byte {values.start}"
             )
+
+
+def _check_members(
+    stream: IO[bytes],
+    order: str,
+    matrix: _Element,
+    parts: Iterator[_Element],
+    shape: tuple[int, ...],
+    kind: int,
+) -> None:
+    """Check the matrices inside a cell or a struct array."""
+    fields = 1
+    if kind == STRUCT_CLASS:
+        length = _part(parts, matrix, "field name length", INT32)
+        names = _part(parts, matrix, "field names", INT8)
+        stream.seek(length.start)
+        size = struct.unpack(f"{order}i", stream.read(4))[0] if length.length == 4 else 0
+        if size <= 0 or names.length % size:
+            raise DamagedElementError(
+                f"field names of {names.length} bytes with {size} bytes each, at byte {names.start}"
+            )
+        fields = names.length // size
+    members = list(parts)
+    if min(shape) < 0 or len(members) != prod(shape) * fields:
+        raise DamagedElementError(
+            f"{len(members)} members for {' x '.join(map(str, shape))} elements of {fields} "
+            f"fields, at byte {matrix.start}"
+        )
+    for member in members:
+        if member.kind != MATRIX:
+            raise DamagedElementError(f"no matrix where one should start, at byte {member.start}")
+        if not member.length:
+            continue
+        flags = next(_elements(stream, order, member.start, member.start + member.length))
+        stream.seek(flags.start)
+        word = struct.unpack(f"{order}I", stream.read(4).ljust(4, b"\0"))[0] & 0xFF
+        if word in CLASSES and word not in _MEMBERS:
+            raise UnreadMemberError
+        _check_matrix(stream, order, member)
 
 
 def _part(parts: Iterator[_Element], matrix: _Element, name: str, *kinds: int) -> _Element:

@@ -49,14 +49,51 @@ class ParquetTable(Table):
         return [self._numbers(name, table.column(name)) for name in names]
 
     def _numbers(self, name: str, column: Any) -> Array:
-        arrow = self._arrow
+        arrow, types = self._arrow, self._arrow.types
         try:
-            if arrow.types.is_timestamp(column.type):
-                ticks = column.cast(arrow.timestamp("ns")).cast(arrow.int64()).to_numpy()
-                return cast(Array, (ticks - ticks[0]) * 1e-9)
+            if types.is_timestamp(column.type):
+                ticks = column.cast(arrow.timestamp("ns")).cast(arrow.int64())
+                return _differences(ticks) * 1e-9
+            if types.is_duration(column.type):
+                return _differences(column.cast(arrow.duration("ns")).cast(arrow.int64())) * 1e-9
+            if types.is_integer(column.type) and _exceeds_doubles(column):
+                self.notes = (
+                    *self.notes,
+                    f"column {name!r} holds 64-bit integers beyond 2^53: read as the difference to "
+                    f"the first, {_first(column)}",
+                )
+                return _differences(column)
+            if types.is_boolean(column.type):
+                column = column.cast(arrow.int8())
             values = column.cast(arrow.float64()).to_numpy()
         except arrow.ArrowException as error:
             raise InputError(
                 f"{self.path}: column {name!r} is not numbers (type {column.type})"
             ) from error
         return np.asarray(values, dtype=np.float64)
+
+
+EXACT = 2**53
+"""Integers up to this size are doubles without rounding."""
+
+
+def _first(column: Any) -> int:
+    """Return the first value that is not missing, or 0."""
+    known = column.drop_null()
+    return int(known[0].as_py()) if len(known) else 0
+
+
+def _exceeds_doubles(column: Any) -> bool:
+    known = column.drop_null().to_numpy()
+    return bool(known.size) and (int(known.max()) > EXACT or int(known.min()) < -EXACT)
+
+
+def _differences(column: Any) -> Array:
+    """Return integers minus the first one, exact where the difference fits a double."""
+    first = _first(column)
+    missing = column.is_null().to_numpy()
+    whole = column.fill_null(first).to_numpy()
+    differences = whole - whole.dtype.type(first)
+    if whole.dtype.kind == "u":
+        differences = differences.view(np.int64)
+    return cast(Array, np.where(missing, np.nan, differences.astype(np.float64)))

@@ -20,11 +20,13 @@ class Table(ABC):
         path: The file.
         names: Column names in file order; an empty string for a column without a name.
         notes: Messages to the user about the reading.
+        units: Units as the file states them, in column order; empty where it states none.
     """
 
     path: Path
     names: tuple[str, ...]
     notes: tuple[str, ...] = ()
+    units: tuple[str, ...] = ()
 
     @abstractmethod
     def read(self, columns: Sequence[int]) -> list[Array]:

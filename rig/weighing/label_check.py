@@ -42,7 +42,7 @@ def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
         if (
             angle is None
             or torque is None
-            or recording.pendulum is not None
+            or recording.known_load
             or recording.hot_fire
             or not rotary
         ):

@@ -55,7 +55,7 @@ def watcher_of(bench: Bench) -> Watcher:
     if isinstance(bench.servo, DbcServoSection):
         watchdog_ms = bench.servo.watchdog_ms
         return Watcher("nobody") if watchdog_ms is None else Watcher("drive", watchdog_ms * 1e-3)
-    return Watcher("drive", WATCH_S)
+    return Watcher("drive", WATCH_S) if bench.watched else Watcher("nobody")
 
 
 def watcher(devices: Devices) -> Watcher:

@@ -13,6 +13,7 @@ import drivers.mock
 from drivers.amt21.link import EncoderLink
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.eds_file import addresses, read_eds
 from drivers.canopen.link import CanopenLink
 from drivers.clock import Clock, RealClock
 from drivers.dbc.link import DbcLink
@@ -20,15 +21,18 @@ from drivers.dbc.servo import DbcServo
 from drivers.epos.link import EposSerialLink
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.drive import Rating
+from drivers.mock.plant.parts import constants
 from drivers.units import EncoderScales, ServoScales
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
-from rig.config.bench import Bench
+from rig.config.bench import Bench, Constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
+from rig.config.limits_section import LimitsSection
 from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.devices import Devices
 from rig.wiring.guard import Guard
@@ -154,11 +158,17 @@ def _wire(
     elif isinstance(bench.servo, DbcServoSection):
         link, servo, hang = _dbc_servo(document, bench.servo, bus, seed, attach)
     else:
-        link, simulated = _link(bench, bench.servo, bus, seed, attach)
+        link, simulated = _link(document, bench.servo, bus, seed, attach)
         hang = None if simulated is None else simulated.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
-        scales = servo_scales(bench.servo, bench.machine.gear_ratio)
-        servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
+        scales = servo_scales(bench.servo, bench.machine)
+        servo = Cia402Servo(
+            drive,
+            link,
+            scales,
+            torque_offset=torque_offset,
+            stops_alone=bench.servo.stops_alone,
+        )
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
         pressure = bench.pressure.transmitter(
@@ -166,11 +176,13 @@ def _wire(
         )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
-        encoder = amt21 = amt21_encoder(bench.encoder, simulated, link.clock)
+        encoder = amt21 = amt21_encoder(
+            bench.encoder, bench.limits.middle_rad, simulated, link.clock
+        )
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
-        encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
+        encoder = Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     ignite = None if simulated is None or pressure is None else simulated.machine.ignite
     return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
@@ -181,18 +193,22 @@ def _epos(
     """Return link and drive on a serial line, the simulated bench if simulated, else the guard."""
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
-    simulated, clock = _simulated_bench(bench, bench.servo, 1_000_000, seed, attach)
+    simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
     eds, node = eds_path(document, "servo"), bench.servo.node
-    scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+    scales = servo_scales(bench.servo, bench.machine)
     guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
     link = epos_link(bus, simulated, clock, guard)
     return link, Cia402Servo(link.add_node(node, eds), link, scales), simulated, guard
 
 
 def _simulated_bench(
-    bench: Bench, servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
+    document: Document[Bench], servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
 ) -> tuple[SimulatedBench | None, Clock]:
-    """Return the simulated bench, if there is one, and the host's clock."""
+    """Return the simulated bench, if there is one, and the host's clock.
+
+    A simulated drive with an EDS file of its own shows only the objects of that file.
+    """
+    bench = document.value
     if bench.mock is None or not bench.simulated:
         return None, RealClock()
     encoder_node = (
@@ -202,17 +218,20 @@ def _simulated_bench(
     )
     transmitter_node = None if bench.pressure is None else bench.pressure.node
     rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
+    shown = (
+        None if servo.eds is None else addresses(read_eds(eds_path(document, "servo"), servo.node))
+    )
     simulated = simulated_bench(
-        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating
+        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, shown
     )
     return simulated, simulated.clock if attach is None else attach(simulated)
 
 
 def _link(
-    bench: Bench, servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
+    document: Document[Bench], servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[CanopenLink, SimulatedBench | None]:
     """Return the link, and the simulated bench behind it if there is one."""
-    simulated, clock = _simulated_bench(bench, servo, bus.bitrate, seed, attach)
+    simulated, clock = _simulated_bench(document, servo, bus.bitrate, seed, attach)
     if simulated is not None:
         return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
     return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
@@ -226,14 +245,38 @@ def _dbc_servo(
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
     if bench.mock is not None and bench.simulated:
-        assert isinstance(bench.encoder, EncoderSection)
-        mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
-        clock = mock.clock if attach is None else attach(mock)
+        mock, clock = _simulated_dbc(document, bench.mock, servo, bus.bitrate, seed, attach)
         link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
     else:
         link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
     return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
+
+
+def _simulated_dbc(
+    document: Document[Bench],
+    machine: constants.Machine,
+    servo: DbcServoSection,
+    bitrate: int,
+    seed: int,
+    attach: Attach | None,
+) -> tuple[SimulatedDbcBench | SimulatedCanBench, Clock]:
+    """Return the simulated bench of a DBC drive, and the host's clock.
+
+    Raises:
+        InputError: Faults are to be injected into a drive that brings none about.
+    """
+    encoder = document.value.encoder
+    assert isinstance(encoder, EncoderSection)
+    kind = servo.simulated_drive
+    if kind is None:
+        house = simulated_dbc_bench(machine, seed, bitrate, encoder.node)
+        return house, house.clock if attach is None else attach(house)
+    if attach is not None:
+        text = "fault schedules work with the drive of `practical_dbc` only; leave this key out"
+        raise InputError(document.problem(("servo", "simulated_drive"), text))
+    bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
+    return bench, bench.clock
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
@@ -271,27 +314,37 @@ def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pr
     return _TWIN_EDS[section]
 
 
-def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:
+def servo_scales(servo: ServoSection, machine: Constants) -> ServoScales:
     """Return the drive's scales in SI units."""
     return ServoScales(
         counts_per_turn=servo.counts_per_motor_turn,
-        gear_ratio=gear_ratio,
+        gear_ratio=machine.gear_ratio,
         rated_current_A=servo.rated_current_A,
         rated_torque_N_m=servo.rated_torque_N_m,
         sign=servo.sign,
         offset_rad=math.radians(servo.offset_deg),
-        velocity_unit_rad_s=servo.velocity_unit_rad_s,
+        velocity_unit_rad_s=servo.motor_speed_unit_rad_s,
         voltage_object=servo.voltage_object,
         voltage_unit_V=servo.voltage_unit_V,
         temperature_object=servo.temperature_object,
         temperature_unit_C=servo.temperature_unit_C,
+        supply_object=servo.supply_object,
+        supply_unit_V=servo.supply_unit_V,
+        current_object=servo.current_object,
+        named_current_unit_A=servo.current_unit_A,
+        torque_constant_N_m_A=machine.torque_constant_N_m_A,
+        rated_current_object=servo.rated_current_object,
+        rated_current_object_unit_A=servo.rated_current_object_unit_A,
+        rated_torque_object=servo.rated_torque_object,
+        rated_torque_object_unit_N_m=servo.rated_torque_object_unit_N_m,
     )
 
 
-def encoder_scales(encoder: EncoderSection) -> EncoderScales:
+def encoder_scales(encoder: EncoderSection, limits: LimitsSection) -> EncoderScales:
     """Return the joint encoder's scales in SI units."""
     return EncoderScales(
         counts_per_turn=encoder.counts_per_turn,
         sign=encoder.sign,
         offset_rad=math.radians(encoder.offset_deg),
+        middle_rad=limits.middle_rad,
     )

@@ -92,12 +92,15 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
             yield from (Finding(Cause.FILES, text, connectable=False) for text in missing.problems)
             continue
         refused: list[DeviceError]
+        told: tuple[str, ...] = ()
         try:
-            refused = list(
-                _profile(bench, role, link, link.add_node(number, eds)).description_refusals()
-            )
+            profile = _profile(bench, role, link, link.add_node(number, eds))
+            refused = list(profile.description_refusals())
+            if not refused and isinstance(profile, Cia402Servo):
+                told = profile.lacks(bench.cycle_s).words
         except ConfigurationError as error:
             refused = [error]
+        yield from (Finding(Cause.FILES, f"servo: {text}", refused=False) for text in told)
         for lacking in refused:
             yield Finding(
                 Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False
@@ -110,10 +113,10 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
 def _profile(bench: Bench, role: Role, link: Link, node: ProcessChannel) -> _Described:
     if role == "servo":
         assert isinstance(bench.servo, ServoSection)
-        return Cia402Servo(node, link, servo_scales(bench.servo, bench.machine.gear_ratio))
+        return Cia402Servo(node, link, servo_scales(bench.servo, bench.machine))
     if role == "encoder":
         assert isinstance(bench.encoder, EncoderSection)
-        return Cia406Encoder(node, encoder_scales(bench.encoder))
+        return Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))
     assert bench.pressure is not None
     return bench.pressure.transmitter(node)
 

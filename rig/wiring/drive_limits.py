@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 from drivers.errors import ConfigurationError
-from drivers.interfaces import LimitSteps, ServoLimits
+from drivers.interfaces import LimitSteps, Servo, ServoLimits
 
 ROUNDING = 1e-3
 """Relative difference below which two limits are equal: bench files state three or four digits."""
@@ -63,7 +64,12 @@ its resolution.
 _REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
 
 
-def compare(first: ServoLimits, second: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
+def compare(
+    first: ServoLimits,
+    second: ServoLimits,
+    steps: LimitSteps | None = None,
+    places: Mapping[str, str] | None = None,
+) -> list[Row]:
     """Compare every limit of ``first`` with the same limit of ``second``.
 
     Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them,
@@ -73,9 +79,19 @@ def compare(first: ServoLimits, second: ServoLimits, steps: LimitSteps | None = 
         first: The limits under test.
         second: The limit that ``first`` must not exceed.
         steps: Resolution of the drive that holds one of them; None where it is not known.
+        places: Where the drive holds each; None for the objects of CiA 402.
     """
+    names = places or {}
     return [
-        Row(name, objects, field, unit, a, b, _looser(field, a, b, _step(steps, resolution)))
+        Row(
+            name,
+            names.get(field, objects),
+            field,
+            unit,
+            a,
+            b,
+            _looser(field, a, b, _step(steps, resolution)),
+        )
         for name, objects, field, unit, resolution in _ROWS
         for a, b in [(getattr(first, field), getattr(second, field))]
     ]
@@ -85,21 +101,34 @@ def _step(steps: LimitSteps | None, resolution: str) -> float:
     return float(getattr(steps, resolution)) if steps is not None and resolution else 0.0
 
 
-def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
+def loosened(
+    wanted: ServoLimits,
+    own: ServoLimits,
+    steps: LimitSteps | None = None,
+    places: Mapping[str, str] | None = None,
+    unheld: Set[str] = frozenset(),
+) -> list[Row]:
     """Return the drive's own limits that ``wanted`` would loosen; see
     :func:`require_within_own`.
     """
     keeps_power = wanted.quick_stop_option in _STAYING and own.quick_stop_option not in _STAYING
     return [
         row
-        for row in compare(wanted, own, steps)
-        if (row.looser and row.field not in _REACTIONS)
-        or (keeps_power and row.field == "quick_stop_option")
+        for row in compare(wanted, own, steps, places)
+        if row.field not in unheld
+        and (
+            (row.looser and row.field not in _REACTIONS)
+            or (keeps_power and row.field == "quick_stop_option")
+        )
     ]
 
 
 def require_within_own(
-    wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None
+    wanted: ServoLimits,
+    own: ServoLimits,
+    steps: LimitSteps | None = None,
+    places: Mapping[str, str] | None = None,
+    unheld: Set[str] = frozenset(),
 ) -> None:
     """Refuse to loosen the limits that the drive was commissioned with.
 
@@ -109,11 +138,13 @@ def require_within_own(
             refused only if the drive takes the power off after the ramp and would be ordered to
             keep it on; the quick stop deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
+        places: As there.
+        unheld: Limits that the drive has no object for, see :class:`drivers.lacks.Lacks`.
 
     Raises:
         ConfigurationError: Lists every limit that would be looser.
     """
-    rows = loosened(wanted, own, steps)
+    rows = loosened(wanted, own, steps, places, unheld)
     if rows:
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
@@ -124,24 +155,78 @@ def require_within_own(
         )
 
 
-def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | None = None) -> None:
+def require_held(
+    held: ServoLimits,
+    wanted: ServoLimits,
+    steps: LimitSteps | None = None,
+    places: Mapping[str, str] | None = None,
+    taken: Set[str] | None = None,
+) -> None:
     """Refuse a drive that holds a looser limit than the one written into it.
 
     Args:
         held: The limits read back from the drive.
         wanted: The limits that were written.
         steps: As for :func:`compare`.
+        places: As there.
+        taken: Limits that the drive takes; the others are not written, see :func:`only_here`, or
+            the drive has no object for them. None for all.
 
     Raises:
         ConfigurationError: Lists every limit that is looser.
     """
-    rows = [row for row in compare(held, wanted, steps) if row.looser]
+    rows = [
+        row
+        for row in compare(held, wanted, steps, places)
+        if row.looser and (taken is None or row.field in taken)
+    ]
     if rows:
         raise ConfigurationError(
             f"the drive does not hold the limits written into it: "
             f"{_list(rows, 'drive', 'wanted')}; it is not "
             "enabled; check in its manual the range of these objects and whether they are locked"
         )
+
+
+def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
+    """Read the limits back, and refuse a drive that does not hold those it takes.
+
+    Args:
+        servo: The drive.
+        wanted: The limits that were written.
+        cycle_s: Period of the cycle, s.
+
+    Raises:
+        ConfigurationError: As :func:`require_held`.
+        DeviceError: The drive does not answer.
+    """
+    taken = servo.limits_taken - servo.lacks(cycle_s).limits
+    require_held(servo.read_limits(), wanted, servo.limit_steps(), servo.limit_places, taken)
+
+
+def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | None:
+    """Return which limits this program alone holds, as the drive takes them not over its bus.
+
+    Args:
+        servo: The drive.
+        wanted: The limits that the program checks.
+        held: The limits of the drive, read from it or stated in the bench file.
+
+    Returns:
+        Words for the operator; None where the drive holds, or is set to, every limit.
+    """
+    rows = [
+        row
+        for row in compare(held, wanted, servo.limit_steps(), servo.limit_places)
+        if row.looser and row.field not in servo.limits_taken and row.field not in _REACTIONS
+    ]
+    if not rows:
+        return None
+    return (
+        f"this drive takes no such limits over its bus: {_list(rows, 'drive', 'this program')}. "
+        f"The tighter ones are checked by this program alone, in every cycle; map them under "
+        f"servo.limits if the drive has signals for them"
+    )
 
 
 def _list(rows: list[Row], first: str, second: str) -> str:

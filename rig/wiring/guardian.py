@@ -201,8 +201,9 @@ def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
     link = EposSerialLink(clock, lambda: InheritedPort(port), told["name"])
     node = link.add_node(told["node"], Path(told["eds"]))
     scales = dict(told["scales"])
-    for name in ("voltage_object", "temperature_object"):
-        scales[name] = tuple(scales[name])
+    for name, value in scales.items():
+        if isinstance(value, list):
+            scales[name] = tuple(value)
     link.open()
     return Cia402Servo(node, link, ServoScales(**scales)), clock
 

@@ -97,7 +97,9 @@ def device_findings(
     if settings:
         return  # limits in other units than the drive's cannot be compared
     try:
-        require_within_own(wanted, servo.read_limits(), servo.limit_steps())
+        unheld = servo.lacks(cycle_s).limits
+        steps, places = servo.limit_steps(), servo.limit_places
+        require_within_own(wanted, servo.read_limits(), steps, places, unheld)
     except ConfigurationError as refused:
         yield Finding(Cause.LIMITS, str(refused))
     yield from _refused(Cause.LIMITS, servo.limit_refusals(wanted))

@@ -35,9 +35,16 @@ def epos_link(
 
 
 def amt21_encoder(
-    section: Amt21Section, simulated: SimulatedBench | None, clock: Clock
+    section: Amt21Section, middle_rad: float, simulated: SimulatedBench | None, clock: Clock
 ) -> Amt21Encoder:
-    """Return an encoder on its line, real or simulated."""
+    """Return an encoder on its line, real or simulated.
+
+    Args:
+        section: The encoder in the bench file.
+        middle_rad: Middle of the joint's travel, rad.
+        simulated: The simulated bench, if there is one.
+        clock: The host's clock.
+    """
     connect: Callable[[], BytePort]
     if simulated is None:
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
@@ -45,7 +52,9 @@ def amt21_encoder(
         station = SimulatedAmt21(simulated.clock, simulated.sampler, section.address)
         connect, name = _simulated(simulated, "encoder", section.baud, station), "simulated AMT21"
     line = Amt21Line(clock, connect, name, section.address)
-    scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
+    scales = EncoderScales(
+        COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg), middle_rad
+    )
     gate = Gate(
         math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2)
     )

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import can
 
 from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.eds_file import addresses, read_eds
 from drivers.canopen.link import CanopenLink
 from drivers.canopen.node import CanopenNode
 from drivers.clock import NS
@@ -60,14 +62,16 @@ def make_host(
     cycle_s: float = CYCLE_S,
     python_can: bool = False,
     torque_offset: bool = False,
+    eds: Path | None = None,
 ) -> Host:
     """Return an open link to a booted bench, natively or through python-can; nothing is
-    prepared.
+    prepared. A drive with an EDS of its own shows only the objects of that file.
     """
-    bench = simulated_bench(machine or Machine(), seed, bitrate)
+    shown = None if eds is None else addresses(read_eds(eds, DRIVE_NODE))
+    bench = simulated_bench(machine or Machine(), seed, bitrate, shown=shown)
     port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
     link = CanopenLink(bench.clock, lambda: port, "simulated bus")
-    drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    drive = link.add_node(DRIVE_NODE, eds or DRIVE_EDS)
     servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))

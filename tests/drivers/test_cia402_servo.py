@@ -17,6 +17,7 @@ from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAcce
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
 from drivers.mock.power_state import FAULT_RESET, TRANSITIONS, State, command
 from drivers.objects import PdoLayout
+from drivers.servo_limits import OBJECTS
 from drivers.units import ServoScales
 
 SCALES = ServoScales(
@@ -27,6 +28,7 @@ UNITY = ServoScales(
 )
 """One count is one radian, one per mille of the torque one N m."""
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = (0x6040, 0), (0x6041, 0), (0x6060, 0), (0x6061, 0)
+LIMITS_AND_SETTINGS = (*OBJECTS, (0x60C2, 1), (0x60C2, 2), (0x6007, 0))
 READ_NS = 1_000_000
 CYCLE_S = 0.004
 CYCLE_NS = 4_000_000
@@ -60,10 +62,13 @@ class Drive:
             (0x603F, 0): 0x8611,
             TORQUE_OFFSET: 0,
         }
+        self.objects |= dict.fromkeys(LIMITS_AND_SETTINGS, 0)
         self.objects |= {MODE: 0, MODE_DISPLAY: 0, (0x608F, 1): 4096, (0x608F, 2): 1}
         self.inputs: dict[int, tuple[int, ...]] = {}
         self.loses: dict[int, Callable[[], None]] = {}
         self.refuses: dict[tuple[int, int], Exception] = {}
+        self.lacks: set[tuple[int, int]] = {(0x6502, 0), (0x60A9, 0)}
+        self.sync_us = 0
 
     def _become(self, word: int) -> None:
         if self.follows:
@@ -81,7 +86,20 @@ class Drive:
         self.clock.sleep_until_ns(self.clock.now_ns() + READ_NS)
         if (index, subindex) in self.refuses:
             raise self.refuses[index, subindex]
-        return self.statusword if (index, subindex) == STATUSWORD else self.objects[index, subindex]
+        if (index, subindex) == STATUSWORD:
+            return self.statusword
+        if (index, subindex) not in self.objects:
+            raise ObjectAccessError(index, subindex, 0x06020000, "no such object")
+        return self.objects[index, subindex]
+
+    def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
+        return (index, subindex) not in self.lacks
+
+    def fit_together(self, addresses: Any) -> bool:
+        return len(addresses) <= 3
+
+    def require_watchable(self) -> None:
+        pass
 
     def read_text(self, index: int, subindex: int = 0) -> str:
         return f"{index:04X}"
@@ -177,7 +195,7 @@ def test_preparing(offset: bool) -> None:
             "map",
             [PdoLayout(1, outputs)],
             [
-                PdoLayout(1, ((0x6041, 0), (0x6064, 0), (0x6078, 0))),
+                PdoLayout(1, ((0x6041, 0), (0x6064, 0), (0x6078, 0)), mean=(0x6078, 0)),
                 PdoLayout(2, ((0x606C, 0), (0x1013, 0))),
                 PdoLayout(3, ((0x2100, 0),)),
                 PdoLayout(4, ((0x6079, 0), (0x2101, 0)), 10),
@@ -431,20 +449,59 @@ def test_the_time_to_come_up_can_be_set() -> None:
     assert drive.cycle == 26
 
 
-def test_a_drive_that_does_not_offer_the_mode_is_not_enabled() -> None:
+def test_a_drive_whose_mode_does_not_come_is_switched_on_and_not_enabled() -> None:
     drive = Drive()
     servo = prepared(drive)
     drive.take()
     drive.loses = {
         exchange: lambda: drive.objects.update({MODE_DISPLAY: 3}) for exchange in range(1, 1000)
     }
-    began = drive.clock.now_ns()
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        "mode of operation is 3 (6061h), wanted 8: the drive does not offer CSP (6502h)"
+        "mode of operation 6061h still reads 3 in state 'switched on', 1 s after 8 (cyclic "
+        "synchronous position) was written to 6060h: check in the drive's manual how this mode is "
+        "selected"
     )
-    assert drive.take("exchange")[-1][1] - began == NS + 2 * READ_NS
+    words = {entry[2][0] for entry in drive.take("stage")}
+    assert 0x07 in words
+    assert 0x0F not in words
+    assert drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_mode_that_is_taken_over_when_the_drive_is_switched_on() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+
+    def follow() -> None:
+        drive.objects[MODE_DISPLAY] = 8 if drive.state is State.SWITCHED_ON else 0
+
+    drive.loses = dict.fromkeys(range(1, 1000), follow)
+    servo.enable()
+    assert drive.state is State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize(("offered", "good"), [(0x80, True), (0x3FF, True), (0x7F, False)])
+def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> None:
+    drive = Drive()
+    drive.lacks.clear()
+    drive.objects[0x6502, 0] = offered
+    servo = prepared(drive)
+    drive.take()
+    if good:
+        servo.enable()
+        return
+    with pytest.raises(StateError, match=r"does not offer mode 8.*6502h reads 0000007Fh"):
+        servo.enable()
+    assert drive.take("exchange") == []
+    assert drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_what_a_drive_holds_already_is_not_written() -> None:
+    drive = Drive()
+    drive.objects |= {(0x60C2, 1): 4, (0x60C2, 2): -3, (0x6007, 0): 1}
+    prepared(drive)
+    assert drive.take("write") == []
 
 
 def test_a_mode_that_comes_late_is_waited_for() -> None:

@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc.bind import DbcMapError, bind, nearest
+from drivers.dbc.bind import bind
 from drivers.dbc.file import read_dbc
 from drivers.dbc.map import DbcMap, Protection, Quantity, Status, StopFrame
+from drivers.dbc.problems import DbcMapError, nearest
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import DRIVE_DBC
 
@@ -29,12 +30,13 @@ def inputs(**changes: Quantity | None) -> DbcMap:
 def test_the_map_binds() -> None:
     wiring = bind(MAP, LAYOUTS)
     assert wiring.states[2] is ServoState.OPERATION_ENABLED
-    assert wiring.stop_frame == (0x010, b"\xa5")
+    assert (wiring.stop_message.identifier, wiring.stop_image) == (0x010, b"\xa5")
+    assert not wiring.once
     assert set(wiring.sent) == {"DRV_Command"}
     assert set(wiring.settings) == {"DRV_Limits"}
     assert wiring.sampled == {"DRV_Motion", "DRV_Power", "DRV_Status"}
-    assert wiring.disable["DRV_Command"] == bytes(8)
-    assert wiring.stop["DRV_Command"] == b"\x03" + bytes(7)
+    assert wiring.disable.frames["DRV_Command"] == bytes(8)
+    assert wiring.stop.frames["DRV_Command"] == b"\x03" + bytes(7)
     assert wiring.received["DRV_Status"].period_s == 0.1
 
 
@@ -65,8 +67,29 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "status.states.ready.0", "16 is outside 0 to 15"),
         (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("RUN",)})),
          "status.states.running.0", "already means another state"),
-        (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "disabled": (0,)})),
-         "status.states", "no value means 'fault'"),
+        (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "fault": (5,)})),
+         "status.states", "no value means 'disabled'"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter="Life", counter_last=16)}),
+         "messages.DRV_Command.counter_last", "16 is outside 1 to 15"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter_last=14)}),
+         "messages.DRV_Command.counter_last", "is of a counter, and there is none"),
+        (replace(MAP, torque_offset=MAP.target), "torque_offset.signal", "shares its bits"),
+        (inputs(position=Quantity("DRV_Motion.Position", 1e-323)), "inputs.position.scale",
+         "a raw unit would be 0 SI units"),
+        (inputs(velocity=Quantity("DRV_Power.Velocity", wraps_after=6.3)),
+         "inputs.velocity.wraps_after", "is for position and target"),
+        (inputs(position=Quantity("DRV_Motion.Position", wraps_after=-1.0)),
+         "inputs.position.wraps_after", "more than zero, not -1"),
+        (replace(MAP, messages={"DRV_Command": Protection(prefix=(1,))}),
+         "messages.DRV_Command", "how a checksum is computed, and has none"),
+        (replace(MAP, messages={"DRV_Command": Protection(checksum="Check", prefix=(1, 256))}),
+         "messages.DRV_Command.prefix", "[1, 256] are not bytes"),
+        (replace(MAP, messages={"DRV_Command": Protection(remote=True)}),
+         "messages.DRV_Command.remote", "is for a message that the drive sends"),
+        (replace(MAP, messages={"DRV_Command": Protection(counter="TargetPosition")}),
+         "messages.DRV_Command.counter", "'TargetPosition' is the target of this map"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Motion", {"State": 1})), "inputs",
+         "'DRV_Motion' has two uses"),
         (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})),
          f"orders.stop.{ORDER}", "no value 'HALT'"),
         (replace(MAP, orders=replace(MAP.orders, stop={"DRV_Command.Ordr": 1})),
@@ -83,7 +106,8 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "messages.DRV_Motion.counter", "did you mean 'Life'?"),
         (replace(MAP, messages={"DRV_Motion": Protection(checksum="Life")}),
          "messages.DRV_Motion.checksum", "has 4 bits; a checksum has 8"),
-        (replace(MAP, messages={"DRV_Stop": Protection()}), "messages.DRV_Stop",
+        (replace(inputs(serial_number=None, revision=None), messages={"DRV_Info": Protection()}),
+         "messages.DRV_Info",
          "carries nothing in this map"),
         (replace(MAP, messages={"DRV_Motion": Protection(period_ms=-1)}),
          "messages.DRV_Motion.period_ms", "zero or more"),
@@ -128,3 +152,9 @@ def test_states_and_codes_are_whole_numbers() -> None:
         ("inputs", "fault_code", "signal"),
         ("status", "signal"),
     ]
+
+
+def test_two_messages_of_one_identifier_are_refused() -> None:
+    layouts = {**LAYOUTS, "DRV_Power": replace(LAYOUTS["DRV_Power"], identifier=0x190)}
+    with pytest.raises(DbcMapError, match="'DRV_Motion' and 'DRV_Power' have one identifier"):
+        bind(MAP, layouts)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -187,3 +188,18 @@ def test_a_drive_that_stopped_by_itself_is_not_asked_to_run_again(
             channel.settle()
     channel.settle()
     assert next(iter(channel.frames()))[1][0] & 15 == 0
+
+
+def test_a_counter_that_turns_before_its_width() -> None:
+    """AUTOSAR's profile 1 counts 0 to 14; 15 stands for no value."""
+    motion_guard = replace(MAP.messages["DRV_Motion"], counter_last=14)
+    command_guard = replace(MAP.messages["DRV_Command"], counter_last=14)
+    messages = {**MAP.messages, "DRV_Motion": motion_guard, "DRV_Command": command_guard}
+    channel = DbcChannel(bind(replace(MAP, messages=messages), read_dbc(DRIVE_DBC)), "the drive")
+    slot = channel.slots[MOTION]
+    for life, good in ((13, True), (14, True), (0, True), (15, False), (1, True), (1, False)):
+        count = slot.count
+        channel.receive(slot, motion(life), 0)
+        assert (slot.count > count) is good, life
+    lives = [data[0] >> 4 for _ in range(31) for _, data in channel.frames()]
+    assert lives == [(n + 1) % 15 for n in range(31)]

@@ -10,7 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dbc.codec import CHECKSUMS, crc8_autosar, crc8_j1850, sum8, xor8
+from drivers.dbc.codec import (
+    CHECKSUMS,
+    Signal,
+    checksum_of,
+    crc8_autosar,
+    crc8_j1850,
+    sum8,
+    xor8,
+)
 from drivers.dbc.file import Layout, read_dbc
 
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A B\n\n'
@@ -110,3 +118,25 @@ def test_checksums_have_their_published_check_values() -> None:
 def test_a_checksum_sees_every_single_bit(kind: str, data: bytes, bit: int) -> None:
     flipped = (int.from_bytes(data, "big") ^ 1 << bit % (8 * len(data))).to_bytes(len(data), "big")
     assert CHECKSUMS[kind](data) != CHECKSUMS[kind](flipped)
+
+
+@pytest.mark.parametrize("motorola", [False, True])
+@pytest.mark.parametrize("byte", range(4))
+@given(data=st.binary(min_size=4, max_size=4), prefix=st.binary(max_size=3))
+def test_a_checksum_covers_its_prefix_and_all_other_bytes(
+    motorola: bool, byte: int, data: bytes, prefix: bytes
+) -> None:
+    shift = 8 * (3 - byte if motorola else byte)
+    signal = Signal("C", 4, shift, 8, motorola)
+    rest = data[:byte] + data[byte + 1 :]
+    zeroed = data[:byte] + b"\0" + data[byte + 1 :]
+    for kind, algorithm in CHECKSUMS.items():
+        assert checksum_of(kind, signal, prefix)(data) == algorithm(prefix + zeroed)
+        assert checksum_of(kind, signal, prefix, left_out=True)(data) == algorithm(prefix + rest)
+
+
+def test_crc8_j1850_beside_its_byte() -> None:
+    """The check value of the catalogue of CRCs, over the digits 1 to 9."""
+    signal = Signal("C", 8, 56, 8)
+    crc = checksum_of("crc8_j1850", signal, b"12", left_out=True)
+    assert crc(b"3456789\xee") == crc8_j1850(b"123456789") == 0x4B

@@ -40,10 +40,20 @@ class Slot:
     """The last good frame of a message; its values are those of the bench."""
 
     def __init__(self, name: str, identifier: int, period_s: float, data: dict[str, float]) -> None:
-        self.message = SimpleNamespace(name=name, identifier=identifier, period_s=period_s)
+        self.message = SimpleNamespace(
+            name=name, identifier=identifier, period_s=period_s, remote=False
+        )
         self.data = data
         self.count = self.refused = 0
         self.time_ns = 77_000_000
+
+
+class Wired(SimpleNamespace):
+    """A map in which every limit is reported."""
+
+    @property
+    def reported(self) -> dict[str, Any]:
+        return {name: limit.held for name, limit in self.limits.items()}
 
 
 class Bench:
@@ -86,7 +96,7 @@ class Bench:
             "Motion": Slot("Motion", 0x191, 0.2, self.values),
         }
         inputs = {name: self.quantity(name) for name in self.values if name != "status"} | signals
-        self.wiring = SimpleNamespace(
+        self.wiring = Wired(
             received=self.slots,
             sent={"Command": SimpleNamespace(period_s=0.02)},
             inputs=inputs,
@@ -99,7 +109,9 @@ class Bench:
             stop=STOP,
             reset=RESET,
             enable={S.SWITCH_ON_DISABLED: READY, S.READY: RUN, S.OPERATION_ENABLED: RUN},
-            stop_frame=STOP_FRAME,
+            pages={},
+            asked=False,
+            torque_offset=None,
         )
 
     @staticmethod
@@ -112,6 +124,7 @@ class Bench:
             read=lambda data: data[name],
             gain=0.5,
             bias=3.0,
+            wraps_after=None,
         )
 
     @staticmethod
@@ -161,6 +174,13 @@ class Bench:
 
     def send(self, identifier: int, data: bytes) -> None:
         self.log.append(("send", identifier, data))
+
+    def stop(self, channel: object) -> None:
+        assert channel is self
+        self.send(*STOP_FRAME)
+
+    def request(self, slot: Slot) -> None:
+        assert not slot.message.remote
 
     def exchange(self) -> None:
         self.cycle += 1
@@ -724,9 +744,11 @@ def limit(gain: float) -> Any:
         message="Limits",
         gain=gain,
         bias=0.0,
-        signal=SimpleNamespace(pack=round, insert=lambda data, bits: data),
+        signal=SimpleNamespace(real=False, pack=round, insert=lambda data, bits: data),
     )
-    return SimpleNamespace(set=quantity, held=SimpleNamespace(message="Motion"))
+    return SimpleNamespace(
+        set=quantity, held=SimpleNamespace(message="Motion", signal=SimpleNamespace(name="Held"))
+    )
 
 
 def test_limits_are_written_awaited_verified_and_watched() -> None:

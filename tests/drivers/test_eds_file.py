@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia404 import Cia404Transmitter
 from drivers.canopen.cia406 import Cia406Encoder
-from drivers.canopen.eds_file import read_eds
+from drivers.canopen.eds_file import addresses, read_eds
 from drivers.canopen.link import CanopenLink
 from drivers.clock import SimulatedClock
 from drivers.epos.link import EposSerialLink
@@ -100,18 +102,72 @@ def test_the_files_of_the_simulated_devices_are_whole() -> None:
     )
 
 
-@pytest.mark.parametrize("index", ["6072", "6041", "60C2", "1013", "2100", "6075", "1018", "605A"])
-def test_an_object_that_a_drive_needs_is_missed(tmp_path: Path, index: str) -> None:
+@pytest.mark.parametrize(
+    "index", ["6040", "6041", "6060", "6061", "6064", "607A", "1016", "1017", "1018", "1400"]
+)
+def test_an_object_that_every_drive_needs_is_missed(tmp_path: Path, index: str) -> None:
     found = list(servo(without(tmp_path, DRIVE_EDS, index)).description_refusals())
     assert found
-    assert all(f"object {index}h" in str(error) for error in found)
+    assert all(f"{index}h" in str(error) for error in found)
+    assert index in ("1018", "1400") or "every run needs it: " in str(found[0])
 
 
-@pytest.mark.parametrize("index", ["6001", "6004", "6503", "1013"])
-def test_an_object_that_an_encoder_needs_is_missed(tmp_path: Path, index: str) -> None:
-    node = can_link().add_node(2, without(tmp_path, ENCODER_EDS, index))
+OPTIONAL = {
+    "6072": "not held by the drive: joint torque (6072h)",
+    "6073": "not held by the drive: motor current (6073h)",
+    "607D": "not held by the drive: lower end of the joint angle (607Dh:01h)",
+    "607F": "not held by the drive: joint speed (607Fh)",
+    "6065": "not held by the drive: following error (6065h)",
+    "605A": "not held by the drive: quick stop option (605Ah)",
+    "6085": "not held by the drive: quick stop deceleration (6085h)",
+    "6079": "not watched: supply voltage (6079h)",
+    "2101": "not watched: temperature (2101h)",
+    "2100": "not recorded: motor voltage",
+    "606C": "no motor speed (606Ch)",
+    "6075": "not checked: rated current (6075h)",
+    "6076": "not checked: rated torque (6076h)",
+    "6078": "no motor current (6078h): it is taken from the torque 6077h",
+    "1013": "no time stamp (1013h)",
+    "60C2": "no interpolation period (60C2h): set it to 1 ms",
+    "6007": "no reaction to a lost master (6007h)",
+}
+
+
+@pytest.mark.parametrize("index", OPTIONAL)
+def test_an_object_that_a_drive_may_lack_is_told(tmp_path: Path, index: str) -> None:
+    assert servo(DRIVE_EDS).lacks(0.001).words == ()
+    lean = servo(without(tmp_path, DRIVE_EDS, index))
+    assert list(lean.description_refusals()) == []
+    assert any(words.startswith(OPTIONAL[index]) for words in lean.lacks(0.001).words)
+
+
+@pytest.mark.parametrize("index", ["603F", "608F", "1009", "1003"])
+def test_an_object_that_only_confirms_may_be_absent(tmp_path: Path, index: str) -> None:
+    lean = servo(without(tmp_path, DRIVE_EDS, index))
+    assert list(lean.description_refusals()) == []
+    assert lean.lacks(0.001).words == ()
+
+
+def test_a_drive_without_current_and_torque_needs_one_named(tmp_path: Path) -> None:
+    eds = without(tmp_path, without(tmp_path, DRIVE_EDS, "6077"), "6078")
+    (error,) = servo(eds).description_refusals()
+    assert "neither the current 6078h nor the torque 6077h" in str(error)
+    assert "servo.current_object" in str(error)
+    link = can_link()
+    named = dataclasses.replace(SCALES, current_object=(0x60F4, 0))
+    assert list(Cia402Servo(link.add_node(1, eds), link, named).description_refusals()) == []
+
+
+def test_an_encoder_needs_its_position(tmp_path: Path) -> None:
+    node = can_link().add_node(2, without(tmp_path, ENCODER_EDS, "6004"))
     (error,) = Cia406Encoder(node, EncoderScales(1)).description_refusals()
-    assert f"object {index}h" in str(error)
+    assert "object 6004h" in str(error)
+
+
+@pytest.mark.parametrize("index", ["6001", "6002", "6503", "1013"])
+def test_what_an_encoder_of_class_1_lacks_is_not_needed(tmp_path: Path, index: str) -> None:
+    node = can_link().add_node(2, without(tmp_path, ENCODER_EDS, index))
+    assert list(Cia406Encoder(node, EncoderScales(1)).description_refusals()) == []
 
 
 @pytest.mark.parametrize("index", ["6131", "6132", "9130", "6150"])
@@ -126,12 +182,12 @@ def test_a_serial_line_needs_no_process_data_and_no_time_stamp(tmp_path: Path) -
     node = link.add_node(1, without(tmp_path, DRIVE_EDS, "1013"))
     assert list(Cia402Servo(node, link, SCALES).description_refusals()) == []
     missing = EposSerialLink(SimulatedClock(), never)  # type: ignore[arg-type]
-    node = missing.add_node(1, without(tmp_path, DRIVE_EDS, "6079"))
+    node = missing.add_node(1, without(tmp_path, DRIVE_EDS, "6041"))
     (error,) = Cia402Servo(node, missing, SCALES).description_refusals()
-    assert "object 6079h" in str(error)
+    assert "object 6041h" in str(error)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1", "cp850", "utf-16"])
 def test_a_maker_s_encoding_does_no_harm_in_any_locale(
     tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,3 +203,140 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "own.eds")
     with pytest.raises(ConfigurationError, match="it is a pipe or a device"):
         read_eds(tmp_path / "own.eds", 1)
+
+
+HARMLESS = {
+    "blank baud rate": TEXT.replace("BaudRate_800=0", "BaudRate_800="),
+    "decimal vendor with zeros": TEXT.replace("VendorNumber=0x000007FF", "VendorNumber=001"),
+    "comment lines counted wrongly": f"[Comments]\nLines=x\n{TEXT}",
+    "text before the first section": f"Made by a tool\n{TEXT}",
+    "key twice": TEXT.replace("[6041]\n", "[6041]\nParameterName=a\n"),
+    "section twice": f"{TEXT}\n[6041]\nParameterName=b\nDataType=0x0002\n",
+    "no name": TEXT.replace("ParameterName=Statusword\n", ""),
+    "names in capitals": TEXT.replace("DataType", "DATATYPE").replace("[6041]", "[6041 ]"),
+    "Windows lines": TEXT.replace("\n", "\r\n"),
+    "line without a value": TEXT.replace("[6041]\n", "[6041]\nnonsense\n"),
+}
+
+
+@pytest.mark.parametrize("text", HARMLESS.values(), ids=HARMLESS)
+def test_what_makers_write_beside_the_objects_does_no_harm(tmp_path: Path, text: str) -> None:
+    eds = tmp_path / "own.eds"
+    eds.write_bytes(text.encode())
+    whole = read_eds(DRIVE_EDS, 1)
+    read = read_eds(eds, 1)
+    assert addresses(read) == addresses(whole)
+    assert read[0x6041].data_type == whole[0x6041].data_type == 6
+    assert read.faults == {}
+
+
+@pytest.mark.parametrize(
+    ("line", "instead", "words"),
+    [
+        ("DataType=0x0006", "", r"section \[6040\] has no DataType"),
+        ("DataType=0x0006", "DataType=", "DataType of section .* is '', must be a number"),
+        ("DataType=0x0006", "DataType=word", "DataType of section .* is 'word', must be a"),
+        ("PDOMapping=1", "PDOMapping=yes", "PDOMapping of section .* is 'yes', must be a number"),
+    ],
+)
+def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(
+    tmp_path: Path, line: str, instead: str, words: str
+) -> None:
+    eds = tmp_path / "own.eds"
+    at = TEXT.index("[6040]")
+    eds.write_text(TEXT[:at] + TEXT[at:].replace(line, instead, 1))
+    number = 1 + eds.read_text()[: eds.read_text().index("[6040]")].count("\n")
+    (error,) = (e for e in servo(eds).description_refusals() if "cannot be used" in str(e))
+    assert re.search(rf"6040h:00h cannot be used: {re.escape(str(eds))}:(\d+): {words}", str(error))
+    shown = int(str(error).split(f"{eds}:")[1].split(":")[0])
+    assert number <= shown <= number + 6
+
+
+def test_a_fault_in_an_object_that_is_not_used_does_no_harm(tmp_path: Path) -> None:
+    eds = tmp_path / "own.eds"
+    at = TEXT.index("[1003]")
+    eds.write_text(TEXT[:at] + TEXT[at:].replace("DataType", "Datatyp", 1))
+    assert list(servo(eds).description_refusals()) == []
+    assert read_eds(eds, 1).faults
+
+
+VALUES = st.sampled_from(["", "0x7", "7", "8", "9", "-1", "x", "0x", "$NODEID+0x180", "1 ; note"])
+KEYS = st.sampled_from(
+    [
+        "ParameterName",
+        "ObjectType",
+        "DataType",
+        "AccessType",
+        "DefaultValue",
+        "LowLimit",
+        "HighLimit",
+        "PDOMapping",
+        "CompactSubObj",
+        "SubNumber",
+        "NrOfEntries",
+        "Lines",
+    ]
+)
+NAMES = st.sampled_from(
+    [
+        "1000",
+        "1018",
+        "1018sub1",
+        "6041",
+        "6041sub0",
+        "1A00",
+        "1A00sub1",
+        "1800",
+        "FileInfo",
+        "A0",
+        "DummyUsage",
+        "1018Name",
+        "Comments",
+        "1018subFF",
+        "DeviceInfo",
+    ]
+)
+LINES = st.one_of(
+    st.builds("[{}]".format, NAMES),
+    st.builds("{}={}".format, KEYS, VALUES),
+    st.text(max_size=12),
+)
+
+
+@given(st.lists(LINES, max_size=40))
+def test_no_text_breaks_the_reader(
+    tmp_path_factory: pytest.TempPathFactory, lines: list[str]
+) -> None:
+    eds = tmp_path_factory.getbasetemp() / "lines.eds"
+    eds.write_text("\n".join(lines), encoding="utf-8", errors="replace")
+    with suppress(ConfigurationError):
+        link = can_link()
+        node = link.add_node(1, eds)
+        list(Cia402Servo(node, link, SCALES).description_refusals())
+        list(Cia406Encoder(node, EncoderScales(1)).description_refusals())
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_break_the_reader(
+    tmp_path_factory: pytest.TempPathFactory, content: bytes
+) -> None:
+    eds = tmp_path_factory.getbasetemp() / "bytes.eds"
+    eds.write_bytes(content)
+    with suppress(ConfigurationError):
+        read_eds(eds, 1)
+
+
+def test_members_that_one_section_describes(tmp_path: Path) -> None:
+    eds = tmp_path / "own.eds"
+    eds.write_text(
+        "[2000]\nParameterName=a\nObjectType=0x8\nDataType=0x0003\nCompactSubObj=3\n"
+        "[2001]\nDataType=0xA0\n[A0]\n[A0sub1]\nDefaultValue=0x0006\n"
+        "[2002]\nDataType=7\nLowLimit=0xFFFFFFFF\nDefaultValue=$NODEID+0x180\n"
+        "[2003]\nDataType=2\nLowLimit=0xFF\nHighLimit=0x7F\n"
+    )
+    read = read_eds(eds, 5)
+    assert addresses(read) >= {(0x2000, 0), (0x2000, 1), (0x2000, 3)}
+    assert read[0x2000][3].data_type == 3
+    assert read[0x2001].data_type == 6
+    assert (read[0x2002].default, read[0x2002].min) == (0x185, 0xFFFFFFFF)
+    assert (read[0x2003].min, read[0x2003].max) == (-1, 127)

@@ -52,6 +52,14 @@ def test_torque_per_ampere_falls() -> None:
     assert current > 1.05 * needed
 
 
+def test_torque_per_ampere_falls_by_a_rational_law() -> None:
+    knee = 30.0
+    needed = means({}, weight_kg=20.0)[1]
+    current = means({"torque_saturation": {"knee_A": knee, "rational": 1.0}}, weight_kg=20.0)[1]
+    assert current / (1.0 + (current / knee) ** 2) == pytest.approx(needed, rel=1e-3)
+    assert current > 1.02 * needed
+
+
 def test_torque_lags_the_current() -> None:
     """On a steady slope of the torque the current leads by the time constant."""
     lag = 2e-3

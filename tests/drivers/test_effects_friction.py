@@ -47,8 +47,9 @@ def test_static_friction_grows_at_rest() -> None:
         assert breakaway(effect, wait_s) - breakaway({}, wait_s) == pytest.approx(wanted, abs=0.2)
 
 
-def test_friction_that_remembers_keeps_its_steady_level() -> None:
-    effect = {"friction_memory": {"time_s": 0.02}}
+@pytest.mark.parametrize("of_speed", [0.0, 1.0])
+def test_friction_that_remembers_keeps_its_steady_level(of_speed: float) -> None:
+    effect = {"friction_memory": {"time_s": 0.02, "of_speed": of_speed}}
     assert change(effect, 0.3) == pytest.approx(0.0, abs=0.02)
     late, prompt = (Track(e, sine(2.0, 0.05, 2.0)) for e in (effect, {}))
     assert np.max(np.abs(late.current - prompt.current)[600:]) * PER_AMPERE > 1.0

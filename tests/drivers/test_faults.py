@@ -184,7 +184,7 @@ def test_encoder_faults(host: Host) -> None:
 def test_a_refused_mode_stops_the_way_to_power(host: Host) -> None:
     prepared(host)
     sensor_faults.refuse_mode(host.bench.drive)
-    with pytest.raises(StateError, match="mode of operation is 0"):
+    with pytest.raises(StateError, match="6061h still reads 0"):
         host.servo.enable()
     assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
     assert True not in host.powered

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from drivers.mock.direct import record
-from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.gas_direct import burn, impacted_area, steady_pressure, throat_area
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import GasGenerator, Machine
+from drivers.mock.plant.true_motion import simulate
+from drivers.mock.without_bus import record
 
 Array = NDArray[np.float64]
 

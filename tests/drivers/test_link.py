@@ -204,7 +204,7 @@ def test_process_data_must_fit_the_device(host: Host) -> None:
         mapped((0x6064, 0), (0x606C, 0), (0x60F4, 0))
     with pytest.raises(ConfigurationError, match="not in the device's EDS"):
         mapped((0x5000, 0))
-    with pytest.raises(ConfigurationError, match="no PDO 9"):
+    with pytest.raises(ConfigurationError, match=r"TPDO 9 .1808h, 1A08h. is not in"):
         mapped((0x6064, 0), number=9)
     with pytest.raises(ConfigurationError, match=r"1008h:00h .*no integer"):
         mapped((0x1008, 0))

@@ -373,7 +373,7 @@ def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> N
     for channel in channels:
         channel.commanded = True
     link.close()
-    stop = channels[0].wiring.stop_frame[0]
+    stop = channels[0].wiring.stop_message.identifier
     assert sent == [stop, stop, -1]
     simulated.bus.shutdown()
 

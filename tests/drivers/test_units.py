@@ -122,6 +122,6 @@ def test_unwrapping_follows_any_walk_of_less_than_half_the_range(
 
 
 def test_a_signed_counter_starts_next_to_zero() -> None:
-    assert Unwrapper(1000, signed=True).update(990) == -10
-    assert Unwrapper(1000, signed=True).update(10) == 10
+    assert Unwrapper(1000, near=0).update(990) == -10
+    assert Unwrapper(1000, near=0).update(10) == 10
     assert Unwrapper(1000).update(990) == 990

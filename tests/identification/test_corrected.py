@@ -42,7 +42,7 @@ LINEAR = {
     "asymmetric_viscous": ({"coefficient_Nms_rad": -0.7}, (), (-0.7,)),
     "quadratic_drag": ({"coefficient_Nms2_rad2": 1.3}, (), (1.3,)),
     "stribeck_shape": ({"alpha": 1.2}, (1.2, 1.0), (1.0,)),
-    "friction_memory": ({"time_s": 0.01}, (0.01,), (1.0,)),
+    "friction_memory": ({"time_s": 0.01, "of_speed": 1.0}, (0.01, 1.0), (1.0,)),
     "presliding": ({"stiffness_Nm_rad": 3e3}, (3e3,), (1.0,)),
     "position_dependent_friction": (
         {"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05},

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.likelihood import stages
+from identification.estimate.likelihood import searches, unloaded
 from identification.estimate.likelihood.acceptance import refusal
 from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import innovation_statistics, refine_stages
@@ -158,23 +158,53 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
 def test_strong_hidden_ripple_does_not_break_the_search(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    solved_from, inertias = stages._solved_from, []
+    solved_from, begun = unloaded._solved_from, []
 
     def tried(start: Point, *given: object) -> object:
-        inertias.append(start.vector[stages.INERTIA])
+        begun.append((start.filter.evaluations, start.vector[unloaded.INERTIA]))
         return solved_from(start, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(stages, "_solved_from", tried)
+    monkeypatch.setattr(unloaded, "_solved_from", tried)
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
     result = identify(Dataset((recording,)))
     assert "physics that the model lacks" in result.warnings[0]
-    # None near solves the equations, so that it goes to inertias far off; that one there does by
-    # chance is the rounding's, and helps nobody.
-    (unloaded,) = result.starts
-    assert min(unloaded.ends[:10]) > unloaded.reached
-    assert np.any(np.isclose(inertias, stages._FAR[0] * inertias[0]))
+    # The search tries other inertias than the equation error's, and ends although none solves the
+    # equations.
+    passes, inertias = zip(*begun, strict=True)
+    assert len(set(inertias)) > 3
+    assert max(passes) < searches.MOST_PASSES
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
+
+
+def test_far_inertias_are_tried_where_no_near_one_solves_the_equations(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inertias = []
+
+    def unsolved(start: Point, *_given: object) -> unloaded.Solved:
+        inertias.append(start.vector[unloaded.INERTIA])
+        return unloaded.Solved(2.0 * unloaded.SOLVED, start)
+
+    monkeypatch.setattr(unloaded, "_solved_from", unsolved)
+    identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
+    for share in unloaded._FAR:
+        assert np.any(np.isclose(inertias, share * inertias[0]))
+
+
+def test_a_recording_without_breakaways_leaves_the_others_their_refinement(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    moving = replace(beginning(practical_pair[0], FEW_S), name="moving")
+    seconds = moving.channels["time"]
+    inside = (seconds > 1.0) & (seconds < 1.4)
+    cut = {name: values[inside] for name, values in moving.channels.items()}
+    short = replace(moving, name="short", channels=cut)
+    alone, both = (identify(Dataset(given)) for given in ((moving,), (moving, short)))
+    assert both.noise is not None
+    assert any(w.startswith("short: used by the equation error only") for w in both.warnings)
+    for name, value in alone.values().items():
+        assert both.values()[name] == pytest.approx(value, rel=0.01)
 
 
 def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Recording]) -> None:

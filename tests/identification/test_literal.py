@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
+from drivers.mock.plant.true_motion import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.runs.truth import JOINT_FIELDS

@@ -163,7 +163,7 @@ CASES: Mapping[str, Case] = {
     "mode refused": Case(
         (fault("drive", "mode_refused"),),
         RIDES,
-        at("prompt prepare enable", Must(4, "mode of operation is 0", 0.0)),
+        at("prompt prepare enable", Must(4, "6061h still reads 0", 0.0)),
     ),
     "SDO abort": Case(
         (fault("drive", "sdo_abort"),),

@@ -36,7 +36,7 @@ _OTHERWISE: Mapping[str, Case] = {
     "drive restarts": Case(
         (fault("drive", "restart"),),
         NOT_RUNNING,
-        at("prompt prepare disable", RIDES) | at("enable", Must(4, "mode of operation is 0", 0.0)),
+        at("prompt prepare disable", RIDES) | at("enable", Must(4, "6061h still reads 0", 0.0)),
     ),
     "control loop hangs 0.5 s": Case(
         (fault("host", "hangs"),),

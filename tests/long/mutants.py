@@ -32,7 +32,16 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_eds_file.py",
         "tests/drivers/test_readings.py",
     ),
-    "drivers.canopen.cia402_objects": ("tests/drivers/test_cia402_servo.py",),
+    "drivers.canopen.cia402_objects": (
+        "tests/drivers/test_cia402_servo.py",
+        "tests/drivers/test_lean_devices.py",
+    ),
+    "drivers.canopen.cia402_mode": ("tests/drivers/test_cia402_servo.py",),
+    "drivers.canopen.cia402_values": (
+        "tests/drivers/test_cia402_servo.py",
+        "tests/drivers/test_lean_devices.py",
+    ),
+    "rig.control.speed_witness": ("tests/rig/test_speed_witness.py",),
     "drivers.canopen.transitions": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo_steps.py",
@@ -61,13 +70,13 @@ ARGUED: Mapping[tuple[str, str], str] = {
     },
     **{
         (
-            "drivers.canopen.cia402_servo",
-            f"Cia402Servo.sample: {value} * scales.sign -> {value} / scales.sign",
+            "drivers.canopen.cia402_values",
+            f"CyclicValues.sample: {value} * scales.sign -> {value} / scales.sign",
         ): _SIGN
         for value in (
-            "current * scales.current_unit_A",
-            "velocity * scales.joint_speed_unit_rad_s",
-            "voltage * scales.voltage_unit_V",
+            "values[at[told.current]] * told.current_unit_A",
+            "values[at[told.speed]] * scales.joint_speed_unit_rad_s",
+            "values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V",
         )
     },
     (

@@ -31,15 +31,16 @@ TOLD_S = 3.0
 SUSPENDED_S = 2.0
 LOG_GAP_S = 0.2
 LIMITS = (
-    f"Power off within {STOP_S:g} s of SIGHUP, SIGTERM, SIGTSTP, a terminal that is gone and an "
-    f"input that ends; "
-    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), "
-    f"{CAN_WATCH_S:g} s on a CAN "
-    f"bus (the drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a "
-    f"suspension on the serial "
-    f"bench, {CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; "
-    f"{STORAGE_S:g} s of a full "
-    f"disk. Under power, the verdict is on the terminal {TOLD_S:g} s later."
+    "The power stage must be off for good within these times: "
+    f"{STOP_S:g} s after SIGHUP, SIGTERM, SIGTSTP, a lost terminal or an input that ends; "
+    f"{NOW_S:g} s after SIGQUIT; "
+    f"{GUARD_S:g} s after SIGKILL on the serial bench, by the guardian; "
+    f"{CAN_WATCH_S:g} s after SIGKILL or a lost adapter on a CAN bus, by the drive's own watchdog; "
+    f"{GUARD_DEADLINE_S:g} s after a suspension on the serial bench, and {CAN_WATCH_S:g} s on a "
+    "CAN bus; "
+    f"{LINE_S:g} s after garbage that ends a run; {STORAGE_S:g} s after the disk is full. "
+    "If the drive had power, the terminal must show the verdict within another "
+    f"{TOLD_S:g} s."
 )
 
 PHASES: Mapping[str, tuple[str, str, float]] = {
@@ -179,37 +180,41 @@ class Column:
 COLUMNS: Mapping[str, Column] = {
     "adapter gone": Column(
         _adapter_gone,
-        "the other end of the drive's terminal is closed, so that everything gives EIO; the "
-        "server's connection ends",
+        "the harness closes the other end of the drive's pseudo-terminal, so that every call fails "
+        "with EIO; over socketcand the server closes the connection",
         busy=False,
     ),
     "line garbage": Column(
         _garbage,
-        "some 200 bytes of noise and of broken lines of the adapter's own protocol come in on the "
-        "drive's line",
+        "the drive's line delivers some 200 bytes of noise and of broken lines of the adapter's "
+        "protocol",
         busy=False,
     ),
-    "second program": Column(_ridden, "`rig jog` on the same bench"),
-    "SIGHUP": Column(_stopped, "the signal"),
-    "SIGTERM": Column(_stopped, "the signal"),
-    "SIGTSTP": Column(_stopped, "the signal; Ctrl-Z"),
-    "SIGQUIT": Column(_quit, "the signal; Ctrl and backslash"),
-    "SIGKILL": Column(_killed, "the signal"),
+    "second program": Column(_ridden, "a second program, `rig jog`, opens the same bench"),
+    "SIGHUP": Column(_stopped, "the process of the run gets SIGHUP"),
+    "SIGTERM": Column(_stopped, "the process of the run gets SIGTERM"),
+    "SIGTSTP": Column(_stopped, "the process of the run gets SIGTSTP, as by Ctrl-Z"),
+    "SIGQUIT": Column(_quit, "the process of the run gets SIGQUIT, as by Ctrl-backslash"),
+    "SIGKILL": Column(_killed, "the process of the run gets SIGKILL"),
     "terminal stalled": Column(
-        _ridden, "Ctrl-S; Ctrl-Q once the run is over, or after 1 s at a prompt"
+        _ridden,
+        "Ctrl-S stops the output of the terminal; Ctrl-Q releases it after the run, or after 1 s "
+        "at a prompt",
     ),
     "terminal gone": Column(
         _hung_up, "the terminal is hung up, as by an ssh connection that drops"
     ),
-    "stdout closed": Column(_unheard, "the pipe behind the standard output has no reader any more"),
-    "stdin closed": Column(_stdin, "the pipe before the standard input ends"),
-    "disk full": Column(_disk, "the file system of the run folder has no room left"),
+    "stdout closed": Column(_unheard, "the pipe of the standard output loses its reader"),
+    "stdin closed": Column(_stdin, "the pipe of the standard input ends"),
+    "disk full": Column(_disk, "the file system of the run folder is full"),
     "HOME not writable": Column(
         _ridden,
-        "HOME is no folder any more; at the prompt: from the start, with a program that may not "
-        "be written to",
+        "HOME is no folder any more; in the column *prompt* it is none from the start, and the "
+        "program's own folder cannot be written either",
     ),
-    "suspended 2 s": Column(_suspended, "SIGSTOP, and SIGCONT 2 s later", busy=False),
+    "suspended 2 s": Column(
+        _suspended, "the process of the run gets SIGSTOP, and SIGCONT 2 s later", busy=False
+    ),
 }
 
 START = "start"

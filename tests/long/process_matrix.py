@@ -1,10 +1,9 @@
-"""What befalls the process of a run, in every phase, on every transport: what came of it, held
-against what must.
+"""Failures of the process, adapter, terminal and disk of a run, in every phase on every transport,
+each compared with the required outcome.
 
-`python -m tests.long.process_matrix` goes through all of it, the transports side by side, and
-writes tables and messages to docs/faults-processes.md. With `--only WORDS`, words with commas
-between, it goes through what matches all of them (a name of a column, transport or phase each) and
-only prints.
+`python -m tests.long.process_matrix` runs all cells, the transports in parallel, and writes tables
+and messages to docs/faults-processes.md. `--only WORDS`, names of columns, transports or phases
+separated by commas, runs the cells that match all names and prints the result only.
 """
 
 from __future__ import annotations

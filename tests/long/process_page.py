@@ -1,6 +1,4 @@
-"""The page on what befalls the process of a run: tables, and each message once as the operator sees
-it.
-"""
+"""Write docs/faults-processes.md: tables of the process matrix, and each message once."""
 
 from __future__ import annotations
 
@@ -17,6 +15,7 @@ COLUMNS_BEGIN, COLUMNS_END = (
     "<!-- columns: written by tests/long/process_matrix.py -->",
     "<!-- end of columns -->",
 )
+SHOWN = "The list has every message that a cell showed on the terminal, once each."
 BEGIN, END = (
     "<!-- processes: written by tests/long/process_matrix.py -->",
     "<!-- end of processes -->",
@@ -25,14 +24,14 @@ BEGIN, END = (
 
 @dataclass(frozen=True)
 class Cell:
-    """What came of it.
+    """Outcome of one failure in one phase on one transport.
 
     Attributes:
-        text: For the table.
-        problems: What is not as it must be.
-        messages: What the operator saw from then on.
-        busy: How often it was repeated because the machine was too busy.
-        seconds: How long the power took to go off, s.
+        text: Entry of the table.
+        problems: Requirements that were not met.
+        messages: Messages on the terminal after the failure.
+        busy: Number of repeats because the machine was too busy.
+        seconds: Time until the power was off, s.
     """
 
     text: str
@@ -43,7 +42,7 @@ class Cell:
 
 
 Cells = dict[tuple[str, str, str], Cell]
-"""Column, transport and phase to what came of it."""
+"""Outcome by column, transport and phase."""
 
 
 def tables(cells: Cells) -> list[str]:
@@ -70,7 +69,10 @@ def tables(cells: Cells) -> list[str]:
 
 
 def said(cells: Cells) -> list[str]:
-    """Return every message once, with where it was first seen and how often."""
+    """Return every message once, with the cell that showed it first and the number of cells.
+
+    Lines of a message that the terminal wrapped are listed together.
+    """
     seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
     for place, made in cells.items():
         for message in made.messages:
@@ -79,13 +81,17 @@ def said(cells: Cells) -> list[str]:
             )
             first = seen.get(key)
             seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
+    blocks: dict[tuple[tuple[str, str, str], int], list[str]] = {}
+    for message, place, count in seen.values():
+        blocks.setdefault((place, count), []).append(message)
     lines = []
-    for message, (column, transport, phase), count in seen.values():
+    for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- {column}, {phase}, {transport} ({count} in all):",
+            f"- This message appeared in {count} cell{'' if count == 1 else 's'}, first at "
+            f"*{column}* in phase *{phase}* on transport {transport}:",
             "",
             "  ```text",
-            f"  {message}",
+            *(f"  {message}" for message in messages),
             "  ```",
         ]
     return lines
@@ -98,7 +104,7 @@ def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
     count = (
         f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
     )
-    body = [count, "", *lines, "## What the operator sees", "", *messages]
+    body = [count, "", *lines, "## What the operator sees", "", SHOWN, "", *messages]
     limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + [
         "",
         f"**Limits.** {LIMITS}",

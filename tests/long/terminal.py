@@ -1,9 +1,8 @@
-"""What is on the screen, tried as an operator in tmux: typing ahead, Ctrl-C, resizing, narrow and
-slow terminals.
+"""Trials of the operator's screen in tmux: typing ahead, Ctrl-C, resizing, narrow or slow terminal.
 
-`python -m tests.long.terminal [--only WORDS] [--jobs N]`, on the serial bench unless `--transport`
-says another. Screens at the telling moments go to docs/operator-screens.md where everything is
-tried. It needs tmux.
+`python -m tests.long.terminal [--only WORDS] [--jobs N]` uses the serial bench unless `--transport`
+names another. A run of all trials writes a selection of screens to docs/operator-screens.md. The
+command needs tmux.
 """
 
 from __future__ import annotations

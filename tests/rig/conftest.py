@@ -65,6 +65,8 @@ class FakeBench(Link, Servo, Encoder):
     targets: list[float] = field(default_factory=list)
     joint: float = 0.1
     target: float = 0.1
+    speed: float = 0.0
+    exchanged_ns: int = 0
     fresh: bool = True
     limits: ServoLimits | None = None
     pacer: Clock | None = None
@@ -84,10 +86,13 @@ class FakeBench(Link, Servo, Encoder):
         self._call("close")
 
     def exchange(self) -> None:
-        self.clock.sleep_until_ns(self.clock.now_ns() + 400_000)
+        now_ns, before = self.clock.now_ns(), self.joint
+        self.clock.sleep_until_ns(now_ns + 400_000)
         self._call("exchange")
         if self.drive_state is ServoState.OPERATION_ENABLED:
             self.joint = self.target
+            self.speed = (self.joint - before) * 1e9 / max(now_ns - self.exchanged_ns, 1_000_000)
+            self.exchanged_ns = now_ns
         elif self.drive_state is ServoState.QUICK_STOP_ACTIVE and self.calls["exchange"] % 50 == 0:
             self.drive_state = ServoState.SWITCH_ON_DISABLED
 
@@ -142,7 +147,7 @@ class FakeBench(Link, Servo, Encoder):
         values = {
             "device_time_s": self.clock.now_ns() * 1e-9,
             "motor_angle_rad": self.joint * GEAR,
-            "velocity_rad_s": 0.0,
+            "velocity_rad_s": self.speed,
             "current_A": 1.5,
             "voltage_V": 3.0,
             "supply_voltage_V": 60.0,

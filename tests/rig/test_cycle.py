@@ -12,6 +12,7 @@ import pytest
 
 from drivers.clock import SimulatedClock
 from drivers.interfaces import EncoderSample, PressureSample, RawFrame, ServoSample
+from drivers.lacks import Lacks
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.control.cycle import Cycle, TripError
@@ -65,6 +66,9 @@ class Bench:
         self.exchanged.append(self.clock.now_ns() - START_NS)
         self.clock.sleep_until_ns(self.clock.now_ns() + ANSWER_NS)
         self.actions.pop(len(self.exchanged), lambda: None)()
+
+    def lacks(self, cycle_s: float) -> Lacks:
+        return Lacks()
 
     def take_frames(self) -> list[RawFrame]:
         return [RawFrame(len(self.exchanged), 0x80, b"", True)]

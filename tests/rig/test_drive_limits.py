@@ -305,3 +305,17 @@ def test_one_step_is_one_step_in_floating_point_numbers_too() -> None:
     coarse = dataclasses.replace(STEPS, angle_rad=0.1)
     assert 0.7 + 0.1 < 0.8
     require_held(changed(angle_max_rad=0.8), changed(angle_max_rad=0.7), coarse)
+
+
+def test_only_a_limit_that_the_drive_has_no_object_for_is_left_out() -> None:
+    held = changed(torque_N_m=math.nan, quick_stop_option=-1)
+    unheld = frozenset({"torque_N_m", "quick_stop_option"})
+    every = frozenset(field.name for field in dataclasses.fields(ServoLimits))
+    require_held(held, WANTED, STEPS, taken=every - unheld)
+    require_within_own(WANTED, held, STEPS, unheld=unheld)
+    for part in (frozenset({"torque_N_m"}), frozenset({"quick_stop_option"}), frozenset()):
+        with pytest.raises(ConfigurationError):
+            require_held(held, WANTED, STEPS, taken=every - part)
+    looser = changed(torque_N_m=math.nan, current_A=99.0)
+    with pytest.raises(ConfigurationError, match="motor current"):
+        require_held(looser, WANTED, STEPS, taken=every - unheld)

@@ -203,8 +203,7 @@ def test_more_than_the_limit_is_not_sent() -> None:
     [
         (
             "practical_dbc",
-            "servo.kind: feed-forward needs the torque offset 60B2h, which this drive's own "
-            "frames lack",
+            "servo.torque_offset: missing; feed-forward needs the signal of a torque",
         ),
         (
             "practical_serial",

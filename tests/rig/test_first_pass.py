@@ -134,6 +134,7 @@ def test_while_the_joint_does_not_move_larger_ones_follow(
         before, free = bench.joint, max(map(abs, bench.targets), default=1.0) > np.radians(1.0)
         follow()
         bench.joint = bench.joint if free else before
+        bench.speed = float(np.clip(bench.speed, -0.5, 0.5)) if free else 0.0
 
     bench.exchange, bench.joint, bench.target = stuck, 0.0, 0.0
     folder, outcome = runner(bench)

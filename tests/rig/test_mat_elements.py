@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,10 @@ import pytest
 import scipy.io
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.sparse import csc_array
 
+from rig.common.errors import InputError
+from rig.sources.arrays import MatTable
 from rig.sources.mat_elements import HEADER_BYTES, DamagedElementError, check_elements
 
 CONTENT = {
@@ -98,3 +102,28 @@ def test_any_damage_passes_or_is_named(data: st.DataObject) -> None:
         raw[place] = data.draw(st.integers(0, 255))
     with contextlib.suppress(DamagedElementError):
         check_elements(io.BytesIO(raw))
+
+
+def test_a_struct_with_a_member_that_is_not_read_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    content = {
+        "good": {"x": np.arange(4.0)},
+        "odd": {"x": np.arange(4.0), "m": csc_array(np.eye(3))},
+    }
+    scipy.io.savemat(path, content)
+    assert MatTable(path).names == ("good.x",)
+
+
+def test_text_and_members_of_a_struct_are_checked(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"s": {"x": np.arange(4.0), "word": "abcdefgh"}})
+    raw = path.read_bytes()
+    place = raw.rindex(b"\x10\0\0\0\x08\0\0\0abcdefgh")
+    path.write_bytes(raw[:place] + b"\x0f" + raw[place + 1 :])
+    with pytest.raises(InputError, match="text of the impossible type 15"):
+        MatTable(path)
+    names = raw.index(b"x\0\0\0")
+    length = raw.rindex(b"\x05\0\x04\0", 0, names)
+    path.write_bytes(raw[: length + 4] + (7).to_bytes(4, "little") + raw[length + 8 :])
+    with pytest.raises(InputError, match=r"field names of \d+ bytes with 7 bytes each"):
+        MatTable(path)

@@ -95,11 +95,11 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
         ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
         (
             [("servo: {", "servo: {eds: poor.eds, ")],
-            "servo.eds: object 6072h:00h is not in the device's EDS",
+            "servo.eds: object 6061h:00h is not in the device's EDS; every run needs it: it tells",
         ),
         (
             [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6075h:00h is not in the device's EDS",
+            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs it: it takes",
         ),
     ],
     ids=[
@@ -116,7 +116,7 @@ def test_a_bench_that_cannot_be_connected_to_is_bad_input(
     tmp_path: Path, outcomes: Any, changes: list[tuple[str, str]], words: str
 ) -> None:
     shutil.copy(ENCODER_EDS, "encoder.eds")
-    Path("poor.eds").write_text(DRIVE_EDS.read_text().replace("[6072]", "[5072]"))
+    Path("poor.eds").write_text(DRIVE_EDS.read_text().replace("[6061]", "[5061]"))
     bench = variant(tmp_path, *changes)
     found = outcomes(bench)
     for code, text in found.values():

@@ -26,7 +26,16 @@ def serial_bench(drive: str, encoder: str) -> Bench:
 
 
 @pytest.mark.parametrize(
-    "name", ["practical", "practical_serial", "practical_dbc", "practical_hot", "literal"]
+    "name",
+    [
+        "practical",
+        "practical_serial",
+        "practical_dbc",
+        "practical_hot",
+        "literal",
+        "odrive_can",
+        "mit_mini",
+    ],
 )
 def test_a_simulated_bench_uses_nothing_that_others_could(name: str) -> None:
     assert resources(load_bench(name).value) == ()

@@ -505,7 +505,7 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
     code = (
         "import sys, rig.cli.entry, rig.wiring.connect, drivers.mock.bench as mock;"
         "made = mock.simulated_bench;"
-        "rig.wiring.connect.simulated_bench = lambda m, s, b, d, e, p, r: made(m, s, b, 1, e);"
+        "rig.wiring.connect.simulated_bench = lambda m, s, b, d, e, *_: made(m, s, b, 1, e);"
         "sys.exit(rig.cli.entry.status(sys.argv[1:]))"
     )
     options = ["--verbose"] if verbose else []

@@ -53,6 +53,21 @@ def below(value: float) -> float:
     return math.nextafter(value, -math.inf)
 
 
+def test_what_a_drive_does_not_report_is_not_checked_and_all_else_is() -> None:
+    blind = dataclasses.replace(
+        LIMITS, temperature=math.inf, supply_min=-math.inf, supply_max=math.inf
+    )
+    silent = {"temperature": math.nan, "supply_voltage": math.nan}
+    assert check(sample(**silent), 0.0, 0.0, blind) is None
+    assert check(sample(**silent, current=25.1), 0.0, 0.0, blind) is not None
+    # Without an upper limit the lower one holds, and a reading that fails still trips.
+    open_ended = dataclasses.replace(LIMITS, supply_max=math.inf)
+    for supply in (47.9, math.nan):
+        trip = check(sample(supply_voltage=supply), 0.0, 0.0, open_ended)
+        assert trip is not None
+        assert trip.check is Check.SUPPLY
+
+
 def test_a_good_sample_passes() -> None:
     assert check(sample(), 0.0, 0.0, LIMITS) is None
 
@@ -448,3 +463,17 @@ def test_a_trip_outside_of_a_run_is_said_without_a_time() -> None:
 def test_a_remedy_leaves_out_that_the_run_can_be_tried_again() -> None:
     assert remedy(Check.TEMPERATURE) == "let the motor cool"
     assert remedy(Check.PRESSURE).endswith("let the generator burn out")
+
+
+@pytest.mark.parametrize(
+    ("name", "flag"),
+    [("temperature", "reports_temperature"), ("supply_voltage", "reports_supply")],
+)
+def test_only_a_value_that_the_drive_does_not_report_is_left_out(name: str, flag: str) -> None:
+    missing = sample(**{name: math.nan})
+    assert check(missing, 0.0, 0.0, LIMITS) is not None
+    blind = dataclasses.replace(LIMITS, **{flag: False})
+    assert check(missing, 0.0, 0.0, blind) is None
+    for other in ("temperature", "supply_voltage", "velocity", "current", "angle"):
+        if other != name:
+            assert check(sample(**{name: math.nan, other: math.nan}), 0.0, 0.0, blind) is not None

@@ -120,11 +120,13 @@ def test_one_bad_line_is_named(tmp_path: Path, bad: str, expected: str) -> None:
     assert expected in str(caught.value)
 
 
-def test_a_units_line_below_the_header_suggests_skip_rows(tmp_path: Path) -> None:
-    with pytest.raises(
-        InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\); skip header lines"
-    ):
-        delimited(tmp_path, "t,x\ns,m\n0,1\n").read([0])
+def test_a_units_line_below_the_header_is_told_from_a_broken_row(tmp_path: Path) -> None:
+    table = delimited(tmp_path, "t,x\ns,m\n0,1\n2,3\n")
+    np.testing.assert_array_equal(table.read([1])[0], [1, 3])
+    assert table.units == ("s", "m")
+    assert table.notes == ("line 2 below the names taken as units: s, m",)
+    with pytest.raises(InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\)"):
+        delimited(tmp_path, "t,x\ns,1\n0,1\n").read([0])
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ EDS.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -102,8 +102,17 @@ class DeviceDictionary:
         self.texts: dict[int, str] = {}
         self.checks: dict[int, Callable[[int, int], None]] = {}
         self.written: dict[int, Callable[[int, int], None]] = {}
-        self._indices = {number >> 8 for number in self.entries}
         self.reset(0, 0xFFFF)
+
+    def remove_except(self, kept: Container[tuple[int, int]]) -> None:
+        """Remove what a device does not show to its bus, all but these objects (index and
+        subindex); it goes on with their values.
+        """
+        self.entries = {
+            number: entry
+            for number, entry in self.entries.items()
+            if (number >> 8, number & 0xFF) in kept
+        }
 
     def reset(self, first: int, last: int) -> None:
         """Reset the objects of indices ``first`` to ``last`` to their defaults, without running
@@ -128,7 +137,8 @@ class DeviceDictionary:
         """
         entry = self.entries.get(key(index, subindex))
         if entry is None:
-            raise SdoAbortError(NO_SUBINDEX if index in self._indices else NO_OBJECT)
+            indices = (number >> 8 for number in self.entries)
+            raise SdoAbortError(NO_SUBINDEX if index in indices else NO_OBJECT)
         return entry
 
     def read(self, index: int, subindex: int) -> bytes:

@@ -22,7 +22,11 @@ REFERENCE_FORCE_N = 3000.0
 
 @compiled
 def felt_force(force: float, e: Vector) -> float:
-    """Return the effective force for friction, N, if friction is not proportional to the load."""
+    """Return the contact force that friction is proportional to, N.
+
+    With the injected effect ``load_exponent`` it is a power of the contact force ``force``, equal
+    to ``force`` at the reference force; without the effect it is ``force``.
+    """
     if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
         return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
     return force

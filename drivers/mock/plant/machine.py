@@ -172,7 +172,9 @@ class SimulatedMachine:
             self._p[friction.ALPHA] = e[table.STRIBECK_ALPHA]
         if self._s[loops.OMEGA] == 0.0:
             p = self._p
-            self._x[extra.FALLING] = p[friction.DM] + p[friction.MOMENT] * p[friction.DMU]
+            of_speed = e[table.MEMORY_OF_SPEED] > 0.0
+            at_rest = p[friction.DM] + p[friction.MOMENT] * p[friction.DMU]
+            self._x[extra.FALLING] = 0.0 if of_speed else at_rest
 
     def limit_current(self, current_A: float) -> None:
         """Lower the current the drive may ask for; it never exceeds the limit of its own loops."""

@@ -94,13 +94,14 @@ FRICTION: tuple[Entry, ...] = (
     Entry(
         name="friction_memory",
         group="friction",
-        equation="M_f from omega_lag, T d(omega_lag)/dt = omega - omega_lag",
+        equation="T dx/dt = u - x; x is the level M_f(omega) of friction less its viscous part, or "
+        "(of_speed = 1) the speed omega that this level follows",
         assumption="the implied assumption that Stribeck friction is static, without memory (eq. "
         "9)",
         shows_in="torque",
         coordinate="time since reversal: loops of friction over speed that widen with the "
         "acceleration",
-        parameters=(Quantity("time_s", "s", 0.0, 0.2),),
+        parameters=(Quantity("time_s", "s", 0.0, 0.2), Quantity("of_speed", "", 0.0, 1.0)),
         look_alikes=("current_loop_lag", "time_skew", "stribeck_shape", "presliding"),
         experiment=(
             "Slow sines around a bias speed of one Stribeck speed, never reversing, at three "
@@ -109,7 +110,8 @@ FRICTION: tuple[Entry, ...] = (
             "the current "
             "changes."
         ),
-        sentence="friction follows the speed of {time_s:ms} ago",
+        sentence="friction responds to a change of speed with a lag of {time_s:ms} (of_speed "
+        "{of_speed:}; 1: it follows a lagged speed, 0: its level lags)",
     ),
     Entry(
         name="dwell_static_friction",

@@ -62,20 +62,21 @@ MOTOR: tuple[Entry, ...] = (
     Entry(
         name="torque_saturation",
         group="motor",
-        equation="J domega/dt = i Km I_k tanh(I / I_k) - M_f - M_L",
+        equation="J domega/dt = i Km I_k tanh(I / I_k) - M_f - M_L, or (rational = 1) "
+        "i Km I / (1 + (I / I_k)^2) - M_f - M_L",
         assumption="the implied assumption that torque is proportional to current at any current "
         "(eq. 1)",
         shows_in="torque",
         coordinate="load: grows as the cube of the current, nothing at small current",
-        parameters=(Quantity("knee_A", "A", 2.0, 500.0),),
+        parameters=(Quantity("knee_A", "A", 2.0, 500.0), Quantity("rational", "", 0.0, 1.0)),
         look_alikes=("load_exponent", "transmission_efficiency", "winding_heating"),
         experiment=(
             "High current without load, by the hardest accelerations the limits allow, beside "
             "high current under "
             "load: saturation follows the current, load friction the weight."
         ),
-        sentence="torque per ampere falls as the current rises, bending toward a limit of "
-        "{knee_A:A}",
+        sentence="torque per ampere falls as the current rises, with a knee at {knee_A:A} "
+        "(rational {rational:}; 0: I_k tanh(I / I_k), 1: I / (1 + (I / I_k)^2) in place of I)",
     ),
     Entry(
         name="current_loop_lag",

@@ -221,8 +221,8 @@ def _view(
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
     acceleration = central_difference(velocity, 1.0 / rate)
     drive = drive_torque(recording, grid, velocity)
-    hanging, inertia = _hanging(recording, angle)
-    known = hanging - inertia * acceleration
+    hanging = recording.known_torque(angle)
+    known = hanging - recording.known_inertia * acceleration
     torque = smooth(drive, rate, cutoff) + known
     sense = marks.sense(velocity, torque, still)
     turned = marks.turned(sense)
@@ -281,16 +281,6 @@ def _motion(
     velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
     return angle, velocity, marks.Quick(velocity, 0.0), np.asarray(velocity == 0.0)
-
-
-def _hanging(recording: Recording, angle: Array) -> tuple[Array, float]:
-    """Return the torque of a declared weight that turns with the joint, N m, and its inertia, kg
-    m^2.
-    """
-    pendulum = recording.pendulum
-    if pendulum is None:
-        return np.zeros(len(angle)), 0.0
-    return pendulum.torque(angle, recording.bench.gravity), pendulum.inertia
 
 
 def _channel(recording: Recording, name: str, grid: Array) -> Array | None:

@@ -30,7 +30,11 @@ SAME_FALL = (0.6, 0.1)
 """Shares of its rise down to which friction has fallen where a fitted exponent and another one
 agree: which they are depends on the speeds that the recordings have.
 """
-LAGS_S: tuple[Shape, ...] = tuple((t,) for t in (0.002, 0.005, 0.01, 0.02, 0.05))
+LEVEL_OR_SPEED = (0.0, 1.0)
+"""What lags: the level of friction (0), or the speed that this level follows (1)."""
+LAGS: tuple[Shape, ...] = tuple(
+    (t, of_speed) for of_speed in LEVEL_OR_SPEED for t in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
+)
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
 STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
 STEADY_S = 1e6
@@ -96,13 +100,20 @@ def _level(view: View, nominal: Nominal) -> Array:
 
 
 def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
+    time_s, of_speed = shape
     level = _level(view, nominal)
-    late = lagged(level, view.step, shape[0])
+    late = _level(_late(view, time_s), nominal) if of_speed else lagged(level, view.step, time_s)
     if nominal.bristles:  # what is late then is how far the bristles yield
         start = _borne_at_start(view, nominal)
         late, level = (dahl(view.angle, each, nominal.bristles, start) for each in (late, level))
         return rows(late - level)
     return rows(view.sense * (late - level))
+
+
+@lru_cache(maxsize=KEPT)
+def _late(view: View, time_s: float) -> View:
+    """Return the view with its speed after a first-order lag."""
+    return replace(view, velocity=lagged(view.velocity, view.step, time_s))
 
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -191,9 +202,10 @@ TERMS = (
     Term(
         "friction_memory",
         {"torque": _memory},
-        shaped("time_s"),
-        lambda _context: LAGS_S,
+        lambda _coefficients, shape, _context: {"time_s": shape[0], "of_speed": shape[1]},
+        lambda _context: LAGS,
         refine={0: 0.0},
+        forms={1: LEVEL_OR_SPEED},
         positive=(0,),
         size=1.0,
         follows=True,

@@ -26,7 +26,6 @@ from identification.diagnosis.terms.term import (
     one,
     polar,
     rows,
-    shaped,
 )
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.recording import Array
@@ -43,6 +42,8 @@ LEAST_GAIN = 0.5
 """Least ratio of a rippling motor's torque to its mean torque at this current."""
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Trial knees of a saturating torque constant, over the greatest current."""
+TANH_OR_RATIONAL = (0.0, 1.0)
+"""Laws of saturation: a hyperbolic tangent (0), or a rational function (1)."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
 STEP_A = (0.01, 0.3)
 """Limits of the current over which a dead-time step is smeared, A.
@@ -119,9 +120,21 @@ def _cycles(context: Context) -> Sequence[Shape]:
 
 
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
+    """Return the torque of the current beyond the one that would be needed without saturation.
+
+    The torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2), which cannot exceed
+    half of Km I_k.
+    """
+    knee, rational = shape
     gain = torque_per_ampere(view)
-    share = np.clip(nominal.drive(view) / (gain * shape[0]), -0.999, 0.999)
-    return rows(gain * shape[0] * (np.arctanh(share) - share))
+    share = nominal.drive(view) / (gain * knee)
+    if rational:
+        share = np.clip(share, -0.4999, 0.4999)
+        needed = 2.0 * share / (1.0 + np.sqrt(1.0 - 4.0 * share**2))
+    else:
+        share = np.clip(share, -0.999, 0.999)
+        needed = np.arctanh(share)
+    return rows(gain * knee * (needed - share))
 
 
 def _knees(context: Context) -> list[Shape]:
@@ -129,7 +142,7 @@ def _knees(context: Context) -> list[Shape]:
         float(np.max(np.abs(context.nominal.drive(v)))) / torque_per_ampere(v)
         for v in context.views
     )
-    return [(k * greatest,) for k in KNEES]
+    return [(k * greatest, rational) for rational in TANH_OR_RATIONAL for k in KNEES]
 
 
 def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
@@ -306,9 +319,10 @@ TERMS = (
     Term(
         "torque_saturation",
         in_motion(_saturation),
-        shaped("knee_A"),
+        lambda _coefficients, shape, _context: {"knee_A": shape[0], "rational": shape[1]},
         lambda context: _knees(context) if any(_has_current(v) for v in context.views) else (),
         refine={0: 0.0},
+        forms={1: TANH_OR_RATIONAL},
         positive=(0,),
         size=1.0,
         follows=True,

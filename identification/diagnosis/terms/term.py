@@ -53,6 +53,8 @@ class Term:
         shapes: Trial shapes; empty if these recordings cannot show the effect.
         refine: Index of each continuous shape entry to its search range around the trial; 0 for
             scales, which are searched within a factor.
+        forms: Index of a shape entry that says which form of the effect it is, to its values, the
+            usual form first.
         positive: Indices of coefficients that must be positive to be physical.
         follows: Whether the regressors depend on the nominal values, so that they change during a
             fit.
@@ -74,6 +76,7 @@ class Term:
     read: Reader
     shapes: Callable[[Context], Sequence[Shape]] = lambda _context: NO_SHAPE
     refine: Mapping[int, float] = field(default_factory=dict)
+    forms: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     positive: tuple[int, ...] = ()
     size: float | None = None
     shape_error: float = ROUGH

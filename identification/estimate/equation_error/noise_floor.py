@@ -128,6 +128,9 @@ def _same_rig(one: Recording, other: Recording) -> bool:
         one.stage == other.stage
         and one.weight_mass == other.weight_mass
         and one.pendulum == other.pendulum
+        and one.bench == other.bench
+        and one.hoist == other.hoist
+        and one.constant_torque == other.constant_torque
         and one.controller == other.controller
         and "command" in one.channels
         and "command" in other.channels

@@ -37,6 +37,8 @@ def try_refinements(
         return None, refined
     before = error(values)
     fault = refusal(refined, before, error(refined.values), limits)
+    if fault and refined.stopped:
+        return refined, f"{fault}; the search stopped at its greatest number of passes"
     if fault and _coloured(refined, limits):
         # The correlation may be sensor noise and not unmodelled physics.
         other = attempt(True)

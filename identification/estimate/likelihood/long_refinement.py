@@ -62,6 +62,7 @@ def refine_pieces(
     vector = pack(start.values, model.alpha)
     begins: dict[int, tuple[Array, ...]] = {}
     evaluations = start.evaluations
+    left_out = dict.fromkeys(piece.name for piece in pieces)
     for number in range(PASSES):
         found: list[Reduced] = []
         for k, piece in enumerate(pieces):
@@ -69,6 +70,7 @@ def refine_pieces(
             if settled is None:
                 continue
             point = settled
+            left_out.pop(piece.name, None)
             begins[k] = point.breakaway_times
             found.append(reduce(point, HUBER_THRESHOLD))
             evaluations += point.filter.evaluations
@@ -79,7 +81,12 @@ def refine_pieces(
         vector = point.parameters(x)
         if length < len(free) * SETTLED**2:
             break
-    evaluated = replace(start, evaluations=evaluations, iterations=start.iterations + number + 1)
+    evaluated = replace(
+        start,
+        evaluations=evaluations,
+        iterations=start.iterations + number + 1,
+        left_out=tuple(left_out),
+    )
     return _over_all(evaluated, found, names, vector)
 
 

@@ -31,6 +31,11 @@ from identification.prepare import Prepared
 from identification.recording import Model, Recording
 from identification.result import Convergence, MeasuredNoise, Starts
 
+NEEDED = (
+    "prediction errors need even sampling, a quantised encoder, measured torque and two breakaways "
+    "from rest"
+)
+
 
 @dataclass(frozen=True)
 class Found:
@@ -102,6 +107,7 @@ def refine(
         refined,
         refined.starts,
         stages,
+        partly_used(refined.left_out),
     )
     if bias is None:
         return found
@@ -178,28 +184,47 @@ def refine_recordings(
         )
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
         return "the equation error finds no rise of friction toward rest"
-    motions = {id(r): motion(r) for r in recordings}
-    for r in recordings:
-        if motions[id(r)] is None:
-            return (
-                f"prediction errors need even sampling, a quantised encoder, measured torque and "
-                f"two breakaways from "
-                f"rest, and {r.name} lacks one of them"
-            )
-    found = [m for m in motions.values() if m is not None]
+    motions = [motion(r) for r in recordings]
+    found = [m for m in motions if m is not None]
+    left_out = tuple(r.name for r, m in zip(recordings, motions, strict=True) if m is None)
     unloaded = [m for m in found if m.recording.stage == "unloaded"]
     loaded = [m for m in found if m.recording.stage == "loaded"]
     if not values["J"] > 0.0:
         return "the equation error finds no inertia to start from"
+    for condition, usable in (("unloaded", unloaded), ("loaded", loaded)):
+        unusable = [r.name for r in recordings if r.stage == condition]
+        if unusable and not usable:
+            return f"{NEEDED}, and {', '.join(unusable)} {_lack(unusable)} one of these"
     if not unloaded:
         return "there is no unloaded recording to start from"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
         # A rise may not show at the bandwidth of the equation error but in the breakaways.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
-        return staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
+        refined = staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
     except np.linalg.LinAlgError:
-        return "these recordings do not determine the parameters of the prediction error"
+        return (
+            "the search of the prediction error finds no solution: the recordings do not determine "
+            "the parameters, or the machine has physics that the model lacks"
+        )
+    return replace(refined, left_out=left_out)
+
+
+def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
+    """Return the warning that prediction errors do not use some recordings; empty if they use
+    all.
+    """
+    if not left_out:
+        return ()
+    names = ", ".join(left_out)
+    return (
+        f"{names}: used by the equation error only, for the start values; {NEEDED}, and "
+        f"{'it lacks' if len(left_out) == 1 else 'each lacks'} one of these",
+    )
+
+
+def _lack(names: Sequence[str]) -> str:
+    return "lacks" if len(names) == 1 else "lack"
 
 
 def spread_of(refined: Refined) -> Spread:

@@ -233,9 +233,7 @@ def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headro
     None.
     """
     recordings = [m.recording for m in motions]
-    plain = all(
-        r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings
-    )
+    plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
     if not plain:
         return None
     limit = headroom * max(float(np.max(np.abs(m.torque))) for m in motions)

@@ -22,6 +22,11 @@ they miss the best end.
 """
 _START_SPEEDS = 6
 _START_STATICS = 7
+MOST_PASSES = 4000
+"""Passes of the filter over the recordings after which a fit starts no further search, and its best
+end counts. Where the model holds, the unloaded and the loaded fit take some hundred each, and 3000
+in the worst case known.
+"""
 STARTS = 3
 """Number of starts from which a search is run: the likeliest of the grid is not always in the right
 basin.
@@ -100,6 +105,16 @@ class LoadedFit:
     drop: float
     ends: tuple[End, ...]
 
+    @property
+    def stopped(self) -> bool:
+        """Whether the passes were used up (:data:`MOST_PASSES`)."""
+        return spent(self.point)
+
+
+def spent(point: Point) -> bool:
+    """Return whether the passes of a point's fit are used up (:data:`MOST_PASSES`)."""
+    return point.filter.evaluations >= MOST_PASSES
+
 
 def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
     """Return start points from a grid of static limits and Stribeck speeds, as far as they are
@@ -157,12 +172,13 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
     ends: list[End] = []
     for start in followed:
         begun.append(_deviance(start))
-        ends.append(_ended(start, _TEMPERING))
+        if not ends or not spent(start):
+            ends.append(_ended(start, _TEMPERING))
     left = min(ends, key=lambda end: end.rank).deviance
     ends += [
         _ended(start, (1.0,))
         for start, deviance_there in zip(followed, begun, strict=True)
-        if deviance_there < left
+        if deviance_there < left and not spent(start)
     ]
     best = _neighbours(min(ends, key=lambda end: end.rank), ends)
     if _missed(best):
@@ -242,6 +258,8 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
     """
     before = best
     for start in starts:
+        if spent(start):
+            break
         ends.append(_ended(start, _TEMPERING, _WIDE_STEP))
         best = min(best, ends[-1], key=lambda end: end.rank)
         if not _missed(best):
@@ -264,7 +282,7 @@ def _neighbours(best: End, ends: list[End]) -> End:
         for _ in range(_ROUNDS):
             begun = best
             for place, factor in beside:
-                if place in best.point.free:
+                if place in best.point.free and not spent(best.point):
                     ends.append(_searched(begun.point, place, factor))
                     best = min(best, ends[-1], key=lambda end: end.rank)
             if begun.deviance - best.deviance < SAME_END:

@@ -16,7 +16,6 @@ from rig.cli.authoring.campaign_questions import (
     linear,
     questions,
 )
-from rig.cli.authoring.columns import guess_channels, guess_mass
 from rig.cli.authoring.questions import Answers, ask_all
 from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
@@ -29,6 +28,7 @@ from rig.config.campaign_sections import (
     ReadSection,
     RecordingSection,
 )
+from rig.sources.columns import guess_channels, guess_mass
 from rig.sources.formats import FORMATS, open_table
 from rig.sources.table import format_of
 from rig.terminal.prompt import Asker
@@ -92,20 +92,26 @@ def answer(
     return ask_all(questions(files), given, asker, tell, before)
 
 
-def campaign_text(path: Path, files: Sequence[DataFile], answers: Answers) -> str:
+def campaign_text(
+    path: Path,
+    files: Sequence[DataFile],
+    answers: Answers,
+    read: Mapping[str, Any] | None = None,
+) -> str:
     """Return the text of a campaign file, its first line left out.
 
     Args:
         path: Future path of the campaign file; recordings are named relative to its folder.
         files: The recordings.
         answers: Answers about them.
+        read: How text files are read; nothing where they need no telling.
     """
     bench = {
         **{key: answers[key] for key in BenchSection.model_fields if key in answers},
         "gravity": Constants.model_fields["gravity_m_s2"].default,
     }
     recordings = [
-        _recording(path, file, mass, answers, bare=n > 0)
+        _recording(path, file, mass, answers, read or {}, bare=n > 0)
         for n, (file, mass) in enumerate(zip(files, answers["masses"], strict=True))
     ]
     head = (
@@ -128,7 +134,14 @@ def campaign_text(path: Path, files: Sequence[DataFile], answers: Answers) -> st
     )
 
 
-def _recording(path: Path, file: DataFile, mass: float, answers: Answers, bare: bool) -> Block:
+def _recording(
+    path: Path,
+    file: DataFile,
+    mass: float,
+    answers: Answers,
+    read: Mapping[str, Any],
+    bare: bool,
+) -> Block:
     values: dict[str, Any] = {
         "file": Path(os.path.relpath(file.path, path.parent)).as_posix(),
         "stage": "loaded" if mass else "unloaded",
@@ -137,6 +150,8 @@ def _recording(path: Path, file: DataFile, mass: float, answers: Answers, bare: 
     }
     if "rate" in answers:
         values["rate"] = answers["rate"]
+    if read:
+        values["read"] = Block(ReadSection, read, bare=bare)
     return Block(RecordingSection, {**values, "channels": _channels(file, answers)}, bare=bare)
 
 

@@ -9,15 +9,15 @@ from typing import Any, Final
 
 import click
 
-from rig.cli.authoring.columns import (
+from rig.cli.authoring.questions import Kind, Number, Numbers, Question
+from rig.config.campaign_sections import FITTED_TERMS
+from rig.sources.columns import (
     Guess,
     channel_unit,
     guess_channels,
     is_linear,
     scale_of,
 )
-from rig.cli.authoring.questions import Kind, Number, Numbers, Question
-from rig.config.campaign_sections import FITTED_TERMS
 
 ASKED: Final = (
     "time",

@@ -3,7 +3,8 @@
 They are generated from the records into which the program reads the files. A schema refuses unknown
 keys, wrong types and values outside their range. It cannot check relations between values or the
 existence of files, and leaves those to the program. It accepts every file that the program accepts,
-except wrong values under ``defaults`` that every recording overrides.
+except wrong values under ``defaults`` that every recording overrides, or beside a table whose rows
+all do.
 """
 
 from __future__ import annotations
@@ -30,6 +31,20 @@ from rig.config.simulated_machine import may_be
 
 Tree = dict[str, Any]
 _LINK: Final = re.compile(r"\s*\[[^\]]+\]\([^)]+\.md\)\.?")
+_SHORT_WINDOW: Final = {
+    "type": "array",
+    "items": {"type": ["number", "null"]},
+    "minItems": 2,
+    "maxItems": 2,
+    "description": "[from, to], s; null leaves an end open.",
+}
+_TABLE: Final = {
+    "anyOf": [
+        {"type": "string", "description": "CSV file, relative to this file."},
+        {"type": "array", "items": {"type": "array"}, "minItems": 2},
+    ],
+    "description": "Rows of recordings; the header names keys, such as `file` or `gravity.mass`.",
+}
 KINDS: Final[Mapping[str, type[BaseModel]]] = {
     "bench": Bench,
     "sequence": Sequence,
@@ -210,7 +225,12 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
         "type": "object",
         "description": model["fixed"].get("description", ""),
         "properties": {
-            name: {"type": "number", **({} if name == "offset" else {"minimum": 0})}
+            name: {
+                "anyOf": [
+                    {"type": "number", **({} if name == "offset" else {"minimum": 0})},
+                    {"$ref": "#/definitions/UncertainNumber"},
+                ]
+            }
             for name in PARAMETERS
         },
         "additionalProperties": False,
@@ -227,17 +247,30 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
     }
     channels["additionalProperties"] = False
     channels.pop("propertyNames", None)
+    window = definitions["RecordingSection"]["properties"]["window"]
+    window["anyOf"].append(_SHORT_WINDOW)
     definitions.update(_partial(definitions, "RecordingSection"))
     partial = {"$ref": f"#/definitions/{_PART}RecordingSection"}
     tree["properties"]["defaults"] = {
         **partial,
         "description": tree["properties"]["defaults"].get("description", ""),
     }
+    entry = definitions[f"{_PART}RecordingSection"]
+    definitions["TableEntry"] = {
+        **entry,
+        "description": "As many recordings as a table has rows; other keys hold for every row.",
+        "properties": {"table": _TABLE, **entry["properties"]},
+        "required": ["table"],
+    }
+    table = {"$ref": "#/definitions/TableEntry"}
+    recordings = tree["properties"]["recordings"]
+    items = recordings.pop("items")
+    listed = {key: recordings.pop(key) for key in ("type", "minItems") if key in recordings}
+    recordings["anyOf"] = [listed, table]
     # A key missing in a recording may be given under `defaults`.
-    items = tree["properties"]["recordings"].pop("items")
     tree["if"] = {"required": ["defaults"]}
-    tree["then"] = {"properties": {"recordings": {"items": partial}}}
-    tree["else"] = {"properties": {"recordings": {"items": items}}}
+    tree["then"] = {"properties": {"recordings": {"items": {"anyOf": [partial, table]}}}}
+    tree["else"] = {"properties": {"recordings": {"items": {"anyOf": [items, table]}}}}
 
 
 _PART: Final = "Partial"

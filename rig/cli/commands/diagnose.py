@@ -29,6 +29,12 @@ from rig.cli import options as shared
     help="Diagnose the gas generator, from pressure and valve angle; needed only where there is "
     "torque as well.",
 )
+@click.option(
+    "--observable",
+    is_flag=True,
+    help="Seek nothing: print which effects these recordings can show, from which size on, and "
+    "which of them they cannot distinguish.",
+)
 @shared.partial
 @shared.seed()
 @shared.out_folder(
@@ -40,6 +46,7 @@ def command(
     bandwidth: float | None,
     refine: bool | None,
     gas: bool,
+    observable: bool,
     partial: bool,
     seed: int,
     out: Path | None,
@@ -58,7 +65,11 @@ def command(
       rig diagnose runs/demo
       rig diagnose bench.yaml --bandwidth 30 --json result.json
       rig diagnose runs/hot --gas
+      rig diagnose bench.yaml --observable
     """
+    if observable:
+        _no_search(gas, refine)
+        return _print_observable(source, seed, bandwidth, json_file)
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
@@ -89,3 +100,28 @@ def command(
     for file in beside.files:
         click.echo(f"{folder / file.name}: {file.use}")
     click.echo(f"report: {folder / PAGE_FILE}")
+
+
+def _no_search(gas: bool, refine: bool | None) -> None:
+    """Refuse options of a search.
+
+    Raises:
+        click.UsageError: One of them was given.
+    """
+    if gas or refine is not None:
+        raise click.UsageError("--observable goes with neither --gas nor --refine")
+
+
+def _print_observable(
+    source: Path, seed: int, bandwidth: float | None, json_file: Path | None
+) -> None:
+    """Print which effects a source can show, and write the record where asked to."""
+    from rig.common.places import require_file, write_json
+    from rig.results.diagnose.observable import observable_document, observe_source
+    from rig.results.terminal import text
+
+    require_file(json_file, "--json")
+    seen = observe_source(source, seed, bandwidth)
+    if json_file is not None:
+        write_json(json_file, seen.record())
+    click.echo(text(observable_document(source, seen)))

@@ -11,6 +11,7 @@ from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.common.input_files import source_name
 from rig.common.places import replacing, require_file
+from rig.results.sections import reading_notes
 from rig.runs.export import WRITERS, export, files
 from rig.sources import load_source
 
@@ -57,4 +58,6 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
         count = sum(len(recording.time) for recording in part.recordings)
         names = ", ".join(recording.name for recording in part.recordings)
         click.echo(f"{place}: {count} samples of {names}")
+    for note in reading_notes(dataset.recordings):
+        click.echo(note)
     return DONE

@@ -18,16 +18,17 @@ from rig.common.places import require_file, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.control.attendance import connected
-from rig.control.jog import Jog, move, plan_jog
+from rig.control.jog import Jog, held_only_here, move, plan_jog
 from rig.control.progress import RunProgress
 from rig.control.sequencer import Outcome
 from rig.runs.run_record import Ending
-from rig.terminal.prompt import InputEndedError, Prompt
+from rig.terminal.prompt import InputEndedError, Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 from rig.wiring.devices import Devices
 from rig.wiring.ownership import say_taken_over
 from rig.wiring.preflight import require_startable
+from rig.wiring.teardown import SafeState
 
 SCHEMA = "loadrig.jog/1"
 
@@ -73,6 +74,7 @@ def command(
     screen = Screen()
     screen.silence()
     outcome = None
+    agreed = False
     with (
         closing(screen),
         StopButton(screen.say) as stop,
@@ -86,6 +88,12 @@ def command(
             except InputError as error:
                 screen.say(str(error))
                 continue
+            if not agreed and (words := held_only_here(jog, document.value, devices)) is not None:
+                screen.say(words)
+                agreed = _agreed(Prompt(screen), stop, screen, document.value.simulated)
+                if not agreed:
+                    outcome = _unmoved(devices)
+                    break
             outcome = _move(document.value, jog, devices, stop, screen, reset_fault)
             if outcome.ending is not Ending.DONE:
                 break
@@ -116,6 +124,35 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
             yield (float(typed.replace(",", ".")),)
         except ValueError:
             screen.say(f"{typed!r} is not an angle in degrees")
+
+
+def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -> bool:
+    """Ask whether to move under limits that this program alone checks; False for anything but yes.
+
+    On a real bench only a person at a terminal can agree.
+
+    Raises:
+        KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
+    """
+    if not (simulated or at_terminal()):
+        screen.say("there is no terminal to ask at: run at a terminal")
+        return False
+    try:
+        with stop.interruptible():
+            answer = prompt.ask("Move under the limits of this program alone? yes or no [no]: ")
+    except InputEndedError as error:
+        screen.say(f"{error}: not confirmed")
+        return False
+    except OperatorStopError as error:
+        raise KeyboardInterrupt from error
+    return answer.lower() in ("y", "yes")
+
+
+def _unmoved(devices: Devices) -> Outcome:
+    """Return the outcome of a jog that was not confirmed; nothing was sent."""
+    state = devices.servo.state()
+    safe = SafeState(not state.energised, state.value)
+    return Outcome(Ending.STOPPED, "not confirmed; nothing was moved", safe)
 
 
 def _move(

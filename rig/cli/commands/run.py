@@ -91,10 +91,10 @@ def command(**options: Any) -> int:
     are answers too. SIGUSR1 pauses at the end of the stage, where the drive is off; `rig resume`
     goes on after a stop or a crash.
 
-    Ctrl-C, or SIGTERM, once: stops at once, brakes with the drive's ramp, takes the power off and
-    verifies that it is. Again while it brakes: takes the power off without waiting for the ramp.
-    After that it changes nothing: the reading back has a time-out of its own and is always done. It
-    is a stop function in software, not an emergency stop.
+    One Ctrl-C or SIGTERM stops the run at once: the program brakes with the drive's ramp, takes the
+    power off and reads the drive's state back. A second Ctrl-C during braking takes the power off
+    without waiting for the ramp. Any further one changes nothing: the state is always read back,
+    with a time-out of its own. Ctrl-C is a stop function in software, not an emergency stop.
 
     \b
     Example:

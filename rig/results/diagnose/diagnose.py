@@ -17,6 +17,7 @@ from identification.diagnosis.gas.burns import bears
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
+from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
 from rig.common.input_files import is_folder
@@ -87,7 +88,7 @@ def diagnose_source(
     started = time.perf_counter()
     if progress is not None:
         progress("reading", 0.0)
-    dataset = load_source(source, partial=partial)
+    dataset, exact = _as_exact(load_source(source, partial=partial))
     described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
@@ -108,9 +109,32 @@ def diagnose_source(
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
     found = settled(found)
-    warnings = (*found.warnings, *partial_warnings(dataset))
-    found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
-    return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+    told = (*found.warnings, *partial_warnings(dataset), *exact)
+    found = dataclasses.replace(found, seconds=seconds, warnings=told)
+    provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
+    return Outcome(dataset, found, provenance)
+
+
+def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
+    """Return a dataset without priors and uncertainties of constants, which a diagnosis does not
+    use, and the warnings that say so.
+    """
+    constants = uncertain_constants(dataset.part("fit"))
+    warnings = []
+    if constants:
+        listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
+        warnings.append(
+            f"the diagnosis takes known constants as exact: intervals do not hold the uncertainty "
+            f"of {listed}; those of rig identify do"
+        )
+    if dataset.model.priors:
+        warnings.append(
+            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it fits "
+            f"them freely"
+        )
+    recordings = tuple(dataclasses.replace(r, uncertainties={}) for r in dataset.recordings)
+    model = dataclasses.replace(dataset.model, priors={})
+    return dataclasses.replace(dataset, recordings=recordings, model=model), warnings
 
 
 def without_torque(dataset: Dataset) -> bool:

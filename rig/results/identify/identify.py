@@ -19,6 +19,7 @@ from identification.estimate.paper_method.comparison import Contender, compare
 from identification.estimate.paper_method.paper import identify_paper
 from identification.estimate.prediction.simulated_ladder import SimulatedRung, climb_simulated
 from identification.estimate.transfer import Transfer, transfer
+from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 from rig.common.errors import InputError
@@ -140,7 +141,9 @@ def identify_source(
             carried = transfer(results[0], dataset, other, np.random.default_rng(request.seed))
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
     described_by = source / RUN_FILE if is_folder(source) else source
-    provenance = Provenance.of(request.seed, read, time.perf_counter() - started, described_by)
+    tables = {**dataset.tables, **(other.tables if other is not None else {})}
+    seconds = time.perf_counter() - started
+    provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
     return Outcome(
         dataset,
         tuple(results),
@@ -184,6 +187,10 @@ def _identified(
         rng=np.random.default_rng(request.seed),
         progress=lambda stage, share: progress(f"{method}: {stage}", share),
     )
+    constants = [c.place for c in uncertain_constants(dataset.part("fit"))]
+    if (unused := [*constants, *dataset.model.priors]) and method != "default":
+        ignored = f"the {method} method does not use the uncertainty of {', '.join(unused)}"
+        warnings = (*warnings, ignored)
     return dataclasses.replace(
         result,
         seconds=time.perf_counter() - begun,

@@ -21,7 +21,8 @@ from rig.runs.partial import partial_names
 def outcome_record(outcome: Outcome) -> dict[str, Any]:
     """Return the record of ``rig identify --json``."""
     first, *others = outcome.results
-    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
+    record = identification_record(first, outcome.provenance)
+    record |= uncertainty_record(first) | known_record(first)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     record["partial"] = partial_names(outcome.dataset)
     if others:
@@ -83,6 +84,32 @@ def fit_record(fit: Fit) -> dict[str, Any]:
         "train_relative": finite(fit.train_relative),
         "validate_rms": finite(fit.validate_rms),
         "validate_relative": finite(fit.validate_relative),
+    }
+
+
+def known_record(result: Identification) -> dict[str, Any]:
+    """Return the keys on what was known with an uncertainty."""
+    return {
+        "priors": {
+            p.name: {
+                "value": finite(p.value),
+                "uncertainty": finite(p.uncertainty),
+                "alone": finite(p.alone),
+                "alone_uncertainty": finite(p.alone_uncertainty),
+                "posterior": finite(p.posterior),
+                "posterior_uncertainty": finite(p.posterior_uncertainty),
+            }
+            for p in result.priors
+        },
+        "known_constants": [
+            {
+                "place": c.place,
+                "value": finite(c.value),
+                "uncertainty": finite(c.uncertainty),
+                "shifts": {name: finite(shift) for name, shift in c.shifts.items()},
+            }
+            for c in result.known_constants
+        ],
     }
 
 

@@ -28,6 +28,20 @@ BOOTSTRAP_NOTE = (
 )
 
 
+CONSTANTS_NOTE = (
+    "The 90 % intervals of the parameters hold the uncertainty (one standard deviation) of these "
+    "constants; values stay those of the constants as given. Floor, profiles and bootstrap do not "
+    "hold it."
+)
+PRIORS_NOTE = (
+    "Prior and recordings are joined as independent; +- is one standard deviation, of the "
+    "recordings with the uncertainty of the constants. All other values and intervals follow by "
+    "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
+)
+_MOVED = 4
+"""Parameters named in a row of the constants."""
+
+
 def uncertainty_notes(result: Identification) -> list[str]:
     """Return lines on trade-offs, active bounds, and the number of starts that reached the best
     optimum.
@@ -104,11 +118,51 @@ def _open(curve: Profile) -> str:
 def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
     """Return the requested tables, each with its note."""
     tables = []
+    if result.priors:
+        tables.append((priors_table(result), PRIORS_NOTE))
+    if result.known_constants:
+        tables.append((constants_table(result), CONSTANTS_NOTE))
     if result.profiles:
         tables.append((profile_table(result), PROFILE_NOTE))
     if result.resampled:
         tables.append((bootstrap_table(result), BOOTSTRAP_NOTE))
     return tables
+
+
+def priors_table(result: Identification) -> Table:
+    """Return one row per prior: it, the recordings alone, and both together."""
+    rows = tuple(
+        (
+            p.name,
+            f"{number(p.value)} +- {number(p.uncertainty, 2)}",
+            f"{number(p.alone)} +- {number(p.alone_uncertainty, 2)}",
+            f"{number(p.posterior)} +- {number(p.posterior_uncertainty, 2)}",
+            result.parameters[p.name].unit,
+        )
+        for p in result.priors
+    )
+    return Table(("parameter", "prior", "recordings alone", "both", "unit"), rows, (1, 2, 3))
+
+
+def constants_table(result: Identification) -> Table:
+    """Return one row per uncertain constant: what it is, and the parameter it moves most."""
+    rows = []
+    for constant in result.known_constants:
+        shares = {
+            name: shift / value
+            for name, shift in constant.shifts.items()
+            if (value := result.parameters[name].value)
+        }
+        most = sorted(shares, key=lambda name: -abs(shares[name]))[:_MOVED]
+        rows.append(
+            (
+                constant.place,
+                number(constant.value),
+                f"+- {number(constant.uncertainty, 3)}",
+                ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in most) or "nothing",
+            )
+        )
+    return Table(("constant", "value", "uncertainty", "one of it moves most"), tuple(rows), (1, 2))
 
 
 def bootstrap_table(result: Identification) -> Table:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.plant.true_motion import simulate
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.result import Identification
 from rig.config.bench import load_bench

@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import spearmanr
 
-from drivers.mock.direct import record
 from drivers.mock.plant import gas_direct
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
+from drivers.mock.without_bus import record
 
 Array = NDArray[np.float64]
 

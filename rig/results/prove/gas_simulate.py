@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import yaml
 
-from drivers.mock.direct import Samples, record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import Samples, record
 from rig.common.places import replacing, write_text
 from rig.results.prove.draw import Assigned
 from rig.results.prove.excitation import CYCLE_S

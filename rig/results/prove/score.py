@@ -189,7 +189,7 @@ def worse(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def most_frequent(rows: Sequence[Row]) -> float | None:
-    """Return how often the most frequent effect would be right on every trial."""
+    """Return the share of trials in which the most frequent effect of all trials is injected."""
     if not rows:
         return None
     return Counter(row["effects"][0] for row in rows).most_common(1)[0][1] / len(rows)

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.mock.direct import Samples, record
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.without_bus import Samples, record
 from rig.results.prove.draw import Rig
 from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment
 

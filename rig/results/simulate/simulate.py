@@ -132,7 +132,8 @@ def simulate_source(
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     described_by = source / RUN_FILE if is_folder(source) else source
-    provenance = Provenance.of(0, dataset.recordings, time.perf_counter() - started, described_by)
+    seconds = time.perf_counter() - started
+    provenance = Provenance.of(0, dataset.recordings, seconds, described_by, dataset.tables)
     read = {str(path): sha256_file(path) for path in results}
     return Simulation(
         dataset,

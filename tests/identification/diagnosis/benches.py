@@ -7,9 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from drivers.mock.direct import record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import record
 from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import views

@@ -237,7 +237,7 @@ def test_a_spring_that_was_named_is_part_of_what_saturates_the_motor() -> None:
     plain = nominal_fit(campaign(hidden, 14, 6.0)[:3])
     added = (
         Added(BY_NAME["return_spring"], (), (20.0, 4.0)),
-        Added(BY_NAME["torque_saturation"], (25.0,), (1.0,)),
+        Added(BY_NAME["torque_saturation"], (25.0, 0.0), (1.0,)),
     )
     after = fit(plain.equations[0].views, "N m", plain.nominal, added, plain)
     assert after.effects[0].coefficients[0] == pytest.approx(20.0, rel=0.01), (

@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize_scalar
 
-from drivers.mock.direct import record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import record
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.rows.nominal import Nominal

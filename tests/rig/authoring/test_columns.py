@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.cli.authoring.columns import guess_channels, guess_mass, is_linear, split_unit
+from rig.sources.columns import guess_channels, guess_mass, is_linear, split_unit
 
 
 @pytest.mark.parametrize(

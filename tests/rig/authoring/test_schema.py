@@ -82,6 +82,29 @@ def accepted(kind: str, tree: Any, folder: Path) -> bool:
     return True
 
 
+SESSION = """\
+campaign: 1
+bench: {torque_constant: {value: 0.03, std: 0.003}, gear_ratio: 100}
+model: {fixed: {J: {value: 0.2, std: 0.02}, Mc: 5}}
+defaults: {channels: {time: t, current: i, motor_angle: phi}}
+recordings:
+  - {file: a.csv, start: 0, window: {from: 2}, hoisted: {mass: 2, radius: 0.1}}
+  - {file: b.csv, start: 500.5, window: [null, 20], constant_torque: -1}
+  - table: [[file, start, weight_mass], [c.csv, 900, 0]]
+    gravity: {mass: 2, length: 0.1, zero: {value: 0.1, std: 0.01}}
+"""
+
+
+def test_a_session_with_a_table_is_valid(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(SESSION)
+    load_campaign(tmp_path / "c.yaml")
+    check, tree = validator("campaign"), plain(SESSION)
+    assert [error.message for error in check.iter_errors(tree)] == []
+    assert check.is_valid({**tree, "recordings": {"table": "files.csv"}})
+    for wrong in ({"tabel": "files.csv"}, {"table": 5}, [{"table": "f.csv", "fill": "a.csv"}]):
+        assert not check.is_valid({**tree, "recordings": wrong})
+
+
 @pytest.mark.parametrize(
     ("kind", "path"), FILES, ids=lambda item: item.stem if isinstance(item, Path) else item
 )
@@ -118,7 +141,10 @@ MUTATED = (
 
 def sources() -> list[Any]:
     chosen = [(kind, path) for kind, path in FILES if path.stem in MUTATED]
-    return [(kind, plain(path.read_text())) for kind, path in chosen] + [("faults", plain(FAULTS))]
+    texts = [("faults", FAULTS), ("campaign", SESSION)]
+    return [(kind, plain(path.read_text())) for kind, path in chosen] + [
+        (kind, plain(text)) for kind, text in texts
+    ]
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import math
 import numpy as np
 
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.device import device_torque
 from drivers.mock.plant.effects.friction import WORK_SIZE, level, step_bristles, step_slipping
+from drivers.mock.plant.effects.load import device_torque
 from drivers.mock.plant.effects.motor import (
     COPPER_PER_K,
     MAGNET_PER_K,

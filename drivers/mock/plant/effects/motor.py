@@ -15,6 +15,7 @@ from drivers.mock.plant.effects.table import (
     RIPPLE_ORDER,
     RIPPLE_PHASE,
     SATURATION_KNEE,
+    SATURATION_RATIONAL,
 )
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
@@ -77,7 +78,11 @@ def flux_factor(shaft: float, e: Vector) -> float:
 def saturated(current: float, e: Vector) -> float:
     """Return the effective current for the torque under saturation, A."""
     knee = e[SATURATION_KNEE]
-    return knee * math.tanh(current / knee) if knee > 0.0 else current
+    if knee <= 0.0:
+        return current
+    if e[SATURATION_RATIONAL] > 0.0:
+        return float(current / (1.0 + (current / knee) ** 2))
+    return float(knee * math.tanh(current / knee))
 
 
 @inlined

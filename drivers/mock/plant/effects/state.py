@@ -12,7 +12,7 @@ from __future__ import annotations
     TORQUE_CURRENT,  # A, the current that makes torque
     PLAY,  # N m, hysteresis of the coupling
     BRISTLES,  # rad
-    FALLING,  # N m, friction that falls with speed, as remembered
+    FALLING,  # N m, remembered friction that falls with speed; or the remembered speed, rad/s
     GROWN,  # N m, what rest has added to the static limit
     TRAVEL,  # memory of long travel, -1 to 1
     ACCELERATION,  # rad/s^2, smoothed

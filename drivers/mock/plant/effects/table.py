@@ -18,6 +18,7 @@ from typing import NamedTuple
     RIPPLE_ORDER,
     RIPPLE_PHASE,
     SATURATION_KNEE,
+    SATURATION_RATIONAL,
     LAG_TIME,
     DEAD_TIME_VOLTAGE,
     BRUSH_VOLTAGE,
@@ -38,6 +39,7 @@ from typing import NamedTuple
     QUADRATIC_DRAG,
     STRIBECK_ALPHA,
     MEMORY_TIME,
+    MEMORY_OF_SPEED,
     DWELL_GROWTH,
     DWELL_TIME,
     PRESLIDING_STIFFNESS,
@@ -75,7 +77,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(64)
+) = range(66)
 
 
 class Parameter(NamedTuple):
@@ -105,7 +107,10 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "per_motor_turn": Parameter(RIPPLE_ORDER, 0.01, 100.0),
         "phase_rad": Parameter(RIPPLE_PHASE, *_PHASE),
     },
-    "torque_saturation": {"knee_A": Parameter(SATURATION_KNEE, 1.0, 1e4)},
+    "torque_saturation": {
+        "knee_A": Parameter(SATURATION_KNEE, 1.0, 1e4),
+        "rational": Parameter(SATURATION_RATIONAL, 0.0, 1.0, 0.0),
+    },
     "current_loop_lag": {"time_s": Parameter(LAG_TIME, 0.0, 0.02)},
     "inverter_dead_time": {"voltage_V": Parameter(DEAD_TIME_VOLTAGE, 0.0, 10.0)},
     "brush_drop": {
@@ -133,7 +138,10 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "asymmetric_viscous": {"coefficient_Nms_rad": Parameter(ASYMMETRIC_VISCOUS, -20.0, 20.0)},
     "quadratic_drag": {"coefficient_Nms2_rad2": Parameter(QUADRATIC_DRAG, 0.0, 100.0)},
     "stribeck_shape": {"alpha": Parameter(STRIBECK_ALPHA, 0.3, 6.0)},
-    "friction_memory": {"time_s": Parameter(MEMORY_TIME, 0.0, 1.0)},
+    "friction_memory": {
+        "time_s": Parameter(MEMORY_TIME, 0.0, 1.0),
+        "of_speed": Parameter(MEMORY_OF_SPEED, 0.0, 1.0, 0.0),
+    },
     "dwell_static_friction": {
         "growth_Nm": Parameter(DWELL_GROWTH, 0.0, 30.0),
         "time_s": Parameter(DWELL_TIME, 0.01, 1e4),

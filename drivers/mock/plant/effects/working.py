@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.device import load_factor
 from drivers.mock.plant.effects.friction import DRAG, LAGGED, SIDE, VISCOUS_SIDE, bristle_level
+from drivers.mock.plant.effects.load import load_factor
 from drivers.mock.plant.effects.outside import outside_sides
 from drivers.mock.plant.effects.state import (
     ACCELERATION,
@@ -61,6 +61,8 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
     if e[table.MEMORY_TIME] > 0.0:
         w[DM] = w[DMU] = 0.0
         w[LAGGED] = x[FALLING]
+        if e[table.MEMORY_OF_SPEED] > 0.0:
+            w[LAGGED] = bristle_level(abs(x[FALLING]), p, w[MOMENT])
 
 
 @inlined
@@ -70,7 +72,9 @@ def remember(
     """Advance the memory states of friction by one loop period of ``h`` seconds."""
     speed = abs(omega)
     if e[table.MEMORY_TIME] > 0.0:
-        wanted = bristle_level(speed, p, w[MOMENT])
+        wanted = omega
+        if e[table.MEMORY_OF_SPEED] == 0.0:
+            wanted = bristle_level(speed, p, w[MOMENT])
         x[FALLING] = wanted + (x[FALLING] - wanted) * math.exp(-h / e[table.MEMORY_TIME])
     if e[table.DWELL_GROWTH] != 0.0:
         # At rest, on bristles too: slower than a hundredth of the Stribeck speed.

@@ -75,7 +75,7 @@ class Curve:
 class Bound:
     """A limit over time: start times, s, and values.
 
-    ``upper`` says on which side of the curve it is.
+    ``upper`` is true for an upper limit and false for a lower limit.
     """
 
     steps: Sequence[tuple[float, float]]

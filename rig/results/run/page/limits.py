@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,10 +11,11 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.yaml_tree import DocumentError, parse
-from rig.config.bench import Bench, in_force
+from rig.config.bench import Bench, in_force, without_watch
 from rig.config.configuration import Document, Schema, validated
 from rig.config.sequence import Sequence as StageSequence
 from rig.config.sequence import approach
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.planning.first_pass import PlannedPass
 from rig.planning.limits import Limits
 from rig.planning.plan import APPROACH_SPEED_SHARE, Plan, make_plan
@@ -21,6 +23,8 @@ from rig.runs.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
 """Events that end a first pass; if a run ends in one, its limits hold to the end."""
+RUN_ATTACHMENT = "run.json"
+"""The record of a run as it was at its start."""
 _SAME = 1e-9
 """Relative difference up to which two amplitudes are equal."""
 
@@ -44,7 +48,10 @@ class Attachments:
 def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
     """Read the attached bench and sequence files."""
     try:
-        bench = in_force(_document(attachments, BENCH_ATTACHMENT, Bench))
+        bench = _document(attachments, BENCH_ATTACHMENT, Bench)
+        if _unwatched(attachments):
+            bench = without_watch(bench)
+        bench = in_force(bench)
     except InputError as error:
         return Attachments(None, None, error.problems[0])
     try:
@@ -52,6 +59,15 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
         return Attachments(bench.value, make_plan(sequence, bench, first_pass=True))
     except InputError as error:
         return Attachments(bench.value, None, error.problems[0])
+
+
+def _unwatched(attachments: Mapping[str, bytes]) -> bool:
+    """Return whether the run warned of a drive without watchdog, as its EDS file may have shown."""
+    try:
+        warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
+    except (ValueError, AttributeError):
+        return False
+    return NO_WATCHDOG in warned or GUARDED in warned
 
 
 def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema]) -> Document[Any]:

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from identification.model.units import unit_on
 from identification.recording import CHANNELS
 
-_UNIT: Final[Mapping[str, tuple[str, float]]] = {
+UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "s": ("s", 1.0),
     "sec": ("s", 1.0),
     "seconds": ("s", 1.0),
@@ -30,6 +30,9 @@ _UNIT: Final[Mapping[str, tuple[str, float]]] = {
     "deg/s": ("rad/s", math.pi / 180.0),
     "°/s": ("rad/s", math.pi / 180.0),
     "rpm": ("rad/s", math.pi / 30.0),
+    "1/min": ("rad/s", math.pi / 30.0),
+    "rev": ("rad", 2.0 * math.pi),
+    "turns": ("rad", 2.0 * math.pi),
     "m": ("m", 1.0),
     "mm": ("m", 1e-3),
     "um": ("m", 1e-6),
@@ -53,7 +56,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
     "voltage": r"u|v|volt|voltage|u_?m|u_?motor|motor_?voltage|spannung",
     "current": r"i|iq|i_?q|current|i_?meas|i_?m|i_?motor|motor_?current|cur|strom",
-    "torque": r"torque|trq|tau|m_?d|moment|drehmoment|force",
+    "torque": r"torque|trq|tau|m_?d|moment|drehmoment|force|effort",
     "motor_angle": r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor",
     "command": r"command|cmd|target|setpoint|reference|ref|desired|goal"
     r"|(pos|position|angle)_?(ref|cmd|des)",
@@ -89,7 +92,7 @@ def split_unit(name: str) -> tuple[str, str]:
     found = re.fullmatch(r"\s*(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
     if found is None:
         # "i_m" is a current of the motor: a bare m is a unit in brackets only.
-        for unit in sorted(_UNIT.keys() - {"m"}, key=len, reverse=True):
+        for unit in sorted(UNITS.keys() - {"m"}, key=len, reverse=True):
             tail = re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit)}\s*", name, re.IGNORECASE)
             tail = tail or re.fullmatch(
                 rf"\s*(.+?)[_/ ]{re.escape(unit.replace('/', '_'))}\s*", name, re.IGNORECASE
@@ -108,7 +111,7 @@ def channel_unit(channel: str, linear: bool = False) -> str:
 
 def scale_of(name: str, channel: str, linear: bool = False) -> float:
     """Return the scale to SI from the unit in a column's name; 1 without a unit."""
-    unit, scale = _UNIT.get(split_unit(name)[1], ("", 1.0))
+    unit, scale = UNITS.get(split_unit(name)[1], ("", 1.0))
     return scale if unit == channel_unit(channel, linear) else 1.0
 
 
@@ -127,10 +130,10 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
         for column, bare, stated in columns:
             word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
             # The scale of an unknown unit is unknown.
-            si, scale = _UNIT.get(stated, ("", 1.0)) if stated else (unit, 1.0)
+            si, scale = UNITS.get(stated, ("", 1.0)) if stated else (unit, 1.0)
             if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
                 continue
-            found[channel] = Guess(column, scale, stated in _UNIT)
+            found[channel] = Guess(column, scale, stated in UNITS)
             taken.add(column)
             break
     return found
@@ -139,7 +142,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
 def is_linear(names: Iterable[str]) -> bool:
     """Return whether the columns state a length or its rate, as on a linear bench."""
     return any(
-        _UNIT.get(split_unit(name)[1], ("", 1.0))[0] in ("m", "m/s") for name in names if name
+        UNITS.get(split_unit(name)[1], ("", 1.0))[0] in ("m", "m/s") for name in names if name
     )
 
 

@@ -1,8 +1,9 @@
-"""Recordings of the simulated bench without its bus: the same samples, two hundred times faster.
+"""Simulate recordings of the simulated bench without its bus: the same samples, two hundred times
+faster.
 
-In a good recording the bus only determines the timing, which is the same in every cycle: at a SYNC
-both devices latch, and the target sent with it is reached by interpolation one cycle later. Of the
-devices only their units matter.
+Without lost or late frames the bus only determines the timing, which is the same in every cycle:
+drive and encoder latch at the SYNC, and the drive interpolates to the target of that SYNC within
+the next cycle. The function `record` applies this timing and the units of the devices.
 """
 
 from __future__ import annotations

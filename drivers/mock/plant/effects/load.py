@@ -1,4 +1,6 @@
-"""Injected effects on the load: imbalance, spring and end stop; factor on the contact force."""
+"""Injected effects on the load of the joint: torque of imbalance, spring and end stop, and a factor
+on the contact force.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""Simulates machine and servo loop at a commanded angle, without bus or drive protocol.
+"""Simulate the true motion of machine and servo loop at a commanded angle, without bus or drive
+protocol.
 
-Returns the true state and the latched current and voltage, for `rig paper` and for tests.
+The result contains the true state and the latched current and voltage. `rig paper` and tests use
+this simulation.
 """
 
 from __future__ import annotations

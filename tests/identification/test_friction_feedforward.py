@@ -7,8 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from identification.model.compensation import RISE_SHARE, falls_until, feedforward, motion, pulses
 from identification.model.feedback import gains
+from identification.model.friction_feedforward import (
+    RISE_SHARE,
+    falls_until,
+    feedforward,
+    motion,
+    pulses,
+)
 from identification.model.nominal import NOMINAL
 
 PERIOD = 1e-3

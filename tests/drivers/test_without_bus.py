@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.direct import record
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.without_bus import record
 
 from .host import CYCLE_S, enabled, make_host
 

@@ -1,0 +1,105 @@
+"""The cyclic values of a CiA 402 drive in SI units, whichever objects it has for them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from itertools import chain
+from typing import Final
+
+from drivers.canopen.cia402_objects import Cyclic
+from drivers.clock import NS
+from drivers.interfaces import ServoSample
+from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
+from drivers.units import ServoScales, Unwrapper
+
+_US: Final = 1e-6
+_SPAN: Final = 8
+"""Exchanges over which a speed is taken from positions: a count a cycle is too coarse a unit."""
+_NOT_TOLD: Final = -1
+"""Place of NaN behind the values."""
+
+
+class CyclicValues:
+    """Reads what the last exchange brought.
+
+    Args:
+        channel: The drive.
+        scales: Its units.
+        told: The objects that it tells.
+        layouts: How they travel; the first two objects are state and position.
+    """
+
+    def __init__(
+        self,
+        channel: ProcessChannel,
+        scales: ServoScales,
+        told: Cyclic,
+        layouts: Sequence[PdoLayout],
+    ) -> None:
+        self._channel = channel
+        self._scales = scales
+        self._told = told
+        self._numbers = tuple(layout.number for layout in layouts)
+        addresses = chain.from_iterable(layout.objects for layout in layouts)
+        self._at: dict[ObjectAddress | None, int] = {
+            address: at for at, address in enumerate(addresses)
+        }
+        self._cycle_ns = 0
+        self._passed: deque[tuple[int, int]] = deque(maxlen=_SPAN + 1)
+        self._speed = 0.0
+        self._time = Unwrapper(1 << 32)
+
+    def begin(self, cycle_ns: int) -> None:
+        """Begin with newly mapped inputs."""
+        self._cycle_ns = cycle_ns
+        self._speed = 0.0
+        self._passed.clear()
+        self._time = Unwrapper(1 << 32)
+
+    def motion(self) -> tuple[int, int]:
+        """Return statusword and position."""
+        statusword, position, *_ = self._channel.latest(self._numbers[0])
+        return statusword, position
+
+    def sample(self, following_counts: int) -> ServoSample:
+        """Return the sample of the last exchange.
+
+        Args:
+            following_counts: Target less position, counts.
+        """
+        channel, scales, told, at = self._channel, self._scales, self._told, self._at
+        values: list[float] = []
+        for number in self._numbers:
+            values += channel.latest(number)
+        values.append(math.nan)
+        position = int(values[1])
+        time_us = channel.sync_us if told.time is None else int(values[at[told.time]])
+        return ServoSample(
+            self._time.update(time_us) * _US,
+            position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            self._change(position)
+            if told.speed is None
+            else values[at[told.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
+            values[at[told.current]] * told.current_unit_A * scales.sign,
+            values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V * scales.sign,
+            values[at.get(told.supply, _NOT_TOLD)] * scales.supply_unit_V,
+            values[at.get(told.temperature, _NOT_TOLD)] * scales.temperature_unit_C,
+            following_counts * scales.joint_rad_per_count,
+            int(values[0]),
+            channel.fresh,
+        )
+
+    def _change(self, position: int) -> float:
+        """Return the joint speed from the change of the position over the last fresh exchanges,
+        rad/s.
+        """
+        cycle, passed = self._channel.cycle, self._passed
+        if self._channel.fresh and (not passed or passed[-1][0] != cycle):
+            passed.append((cycle, position))
+            then, before = passed[0]
+            if cycle > then:
+                moved = (position - before) * self._scales.joint_rad_per_count
+                self._speed = moved * NS / ((cycle - then) * self._cycle_ns)
+        return self._speed

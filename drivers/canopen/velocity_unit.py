@@ -1,0 +1,69 @@
+"""Unit of the speed of a CiA 402 drive: what the drive says of it, and what to set for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Final
+
+from drivers.errors import ConfigurationError
+from drivers.objects import ObjectAddress, ProcessChannel, optional
+from drivers.units import ServoScales
+
+UNIT: Final[ObjectAddress] = (0x60A9, 0)
+"""SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
+RPM: Final = 2.0 * math.pi / 60.0
+"""Speed of one turn a minute, rad/s."""
+_NUMERATORS: Final[Mapping[int, float]] = {
+    0x10: 1.0,
+    0x41: math.pi / 180.0,
+    0xB4: 2.0 * math.pi,
+}
+"""Codes of CiA 303-2: radian, degree, revolution."""
+_DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
+"""Second, minute, hour."""
+_SAME: Final = 0.01
+"""Relative difference up to which two units are the same."""
+_FOUND: Final = 1.6
+"""Ratio up to which a unit found by measurement is a known one; known ones differ by far more."""
+
+
+def decode(word: int) -> float | None:
+    """Return the motor speed of one unit, rad/s, that 60A9h states; None for units without SI
+    meaning, such as counts.
+    """
+    numerator = _NUMERATORS.get(word >> 16 & 0xFF)
+    denominator = _DENOMINATORS.get(word >> 8 & 0xFF)
+    if numerator is None or denominator is None:
+        return None
+    power = word >> 24 & 0xFF
+    return numerator / denominator * 10.0 ** (power - 256 if power > 127 else power)
+
+
+def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
+    """Yield a unit that differs from the bench file."""
+    word = optional(channel.read, *UNIT) if channel.describes(*UNIT) else None
+    told = None if word is None else decode(word & 0xFFFFFFFF)
+    if word is None or told is None:
+        return
+    unit = scales.motor_speed_unit_rad_s
+    if abs(told - unit) > _SAME * told:
+        yield ConfigurationError(
+            f"unit of the speed, 60A9h: the drive says {told:.6g} rad/s "
+            f"({word & 0xFFFFFFFF:08X}h), the bench file {unit:.6g} rad/s: {_words(told, scales)}"
+        )
+
+
+def remedy(scales: ServoScales, factor: float) -> str:
+    """Return what to set where the reported speed is ``factor`` times the true one."""
+    if factor <= 0.0:
+        return "606Ch has the other sign than 6064h; correct the drive with its maker's tool"
+    return _words(scales.motor_speed_unit_rad_s / factor, scales)
+
+
+def _words(unit: float, scales: ServoScales) -> str:
+    for name, known in (("rpm", RPM), ("counts_per_s", scales.count_rad)):
+        if known / _FOUND <= unit <= known * _FOUND:
+            words = name.replace("counts_per_s", "counts per second")
+            return f"606Ch is in {words}: set servo.velocity_unit: {name}"
+    return f"set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about {unit:.2g}"

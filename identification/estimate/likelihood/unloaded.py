@@ -1,0 +1,144 @@
+"""The unloaded fit, started from several inertias until the estimating equations are solved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.estimate.inertia.estimating_equations import SOLVED, equations_chi2, solve
+from identification.estimate.likelihood.searches import STARTS, breakaway_starts, refine, spent
+from identification.filter.likelihood import Point
+from identification.model.parameters import INERTIA, MC, OMEGA_SF, SYSTEM_RISE
+
+_Free = tuple[Sequence[int], Sequence[int]]
+"""Free parameters: those that least squares estimate first, then the inertia; empty if it is
+fixed.
+"""
+_AGAIN = 2
+"""Greatest number of solutions started from the best end if no start is solved; they stop at the
+first without a gain.
+"""
+_INERTIAS = (1.0, 0.8, 0.6, 1.25)
+"""Inertias tried, over the equation error's inertia, which is biased upward by noise."""
+_FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
+"""Inertias tried if none of these is solved: in short, fast slips the equation error may give a
+fiftieth of the inertia.
+"""
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """End of a solution of the unloaded fit.
+
+    Attributes:
+        chi2: Chi-square of the estimating equations (M29).
+        point: Point at which it ended.
+    """
+
+    chi2: float
+    point: Point
+
+
+def solve_unloaded(
+    begun: Point, system: Sequence[int], inertia: Sequence[int]
+) -> tuple[Solved, tuple[float, ...]]:
+    """Solve the unloaded fit from one start after another, until the estimating equations are
+    solved.
+
+    Least squares with the inertia held lead into the basin of that inertia; the equation error's
+    inertia may be wrong by half and more.
+
+    Args:
+        begun: Point at the equation error's values.
+        system: Indices of the free parameters except the inertia.
+        inertia: Index of the inertia, if it is free.
+
+    Returns:
+        The best end, and the chi-square of every solution.
+
+    Raises:
+        numpy.linalg.LinAlgError: The instruments do not determine the parameters from any start.
+    """
+    free = system, inertia
+    both = bool(system) and bool(inertia)
+    at_system = begun.freeing(system)
+    searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
+    starts = [_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,))]
+    starts += [
+        _heavier(start, share)
+        for start in searched[:STARTS]
+        for share in _INERTIAS[: len(inertia) * 3]
+    ]
+    found: list[float] = []
+    best = _best_of(starts, free, None, found)
+    last: Solved | None = None
+    for _ in range(_AGAIN if both else 0):
+        if best is None or best is last or best.chi2 < SOLVED or spent(begun):
+            break
+        last = best
+        again = replace(best.point, noise=begun.noise)
+        best = _best_of([again], free, best, found)
+    if both and (best is None or not best.chi2 < SOLVED) and not spent(begun):
+        best = _best_of(_far(at_system), free, best, found)
+    if best is None:
+        raise np.linalg.LinAlgError("no start of the search leads to a solution")
+    return best, tuple(found)
+
+
+def _heavier(point: Point, share: float) -> Point:
+    """Return the point with its inertia multiplied by a factor."""
+    vector = point.vector.copy()
+    vector[INERTIA] *= share
+    return replace(point, vector=vector)
+
+
+def _far(point: Point) -> Iterator[Point]:
+    """Yield starts at inertias far from the equation error's, each with its likeliest breakaway
+    times.
+    """
+    for share in _FAR:
+        yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
+
+
+def _best_of(
+    starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
+) -> Solved | None:
+    """Solve from one start after another until the equations are solved; return the best end, which
+    may be ``best``.
+
+    Args:
+        starts: Starts, tried in turn.
+        free: Free parameters.
+        best: The best end so far.
+        found: Gains the chi-square of every solution.
+    """
+    for start in starts:
+        solved = _solved_from(start, free)
+        if solved is not None:
+            found.append(solved.chi2)
+            if best is None or solved.chi2 < best.chi2:
+                best = solved
+        if (best is not None and best.chi2 < SOLVED) or spent(start):
+            break
+    return best
+
+
+def _solved_from(start: Point, free: _Free) -> Solved | None:
+    """Solve the unloaded fit from one start; None where that fails."""
+    system, inertia = free
+    point = start.freeing(system)
+    try:
+        if system:
+            point = refine(point, (1.0,)).point
+        point = point.freeing((*system, *inertia))
+        if point.free:
+            point = solve(point)
+        chi2 = equations_chi2(point) if point.free else 0.0
+    except np.linalg.LinAlgError:
+        # Without a rise, as the equation error may find in slips, the Stribeck speed is
+        # undetermined.
+        return None
+    return Solved(chi2, point) if math.isfinite(chi2) else None

@@ -1,0 +1,97 @@
+"""Priors on parameters: what was known of them before, joined with what the recordings say.
+
+A prior p with standard deviation s is one more row (value - p)/s of the least squares. With the
+covariance C of the estimate x, to second order of the likelihood, the joint optimum is the update
+x + C H' (H C H' + S)^-1 (p - H x), its covariance C - C H' (H C H' + S)^-1 H C, where H picks the
+parameters with a prior and S holds their variances.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.model.parameters import STRIBECK_TERMS
+from identification.numerics.spread import Spread
+from identification.result import Prior
+
+CONTRADICTS = 2.6
+"""Standard deviations between prior and recordings above which a warning says that they disagree;
+one in a hundred is further by chance.
+"""
+_UNKNOWN = 1e8
+"""Standard deviation, over the prior's, of a parameter that the recordings do not determine."""
+
+
+def with_priors(
+    values: Mapping[str, float], spread: Spread, known: Mapping[str, tuple[float, float]]
+) -> tuple[dict[str, float], Spread, tuple[Prior, ...], tuple[str, ...]]:
+    """Return values and covariance with the priors, what each prior did, and warnings.
+
+    Args:
+        values: Estimates without priors, by name.
+        spread: Their covariance.
+        known: Parameter to prior value and standard deviation.
+    """
+    names = [n for n in known if n in spread.names]
+    warnings = [
+        f"the prior of {name} has no effect: the recordings show no such part of friction to fit"
+        for name in known
+        if name not in names
+    ]
+    if not names:
+        return dict(values), spread, (), tuple(warnings)
+    at = [spread.names.index(n) for n in names]
+    wanted, deviations = np.array([known[n] for n in names]).T
+    covariance = _finite(spread.covariance, dict(zip(at, deviations, strict=True)))
+    before = np.array([values[n] for n in spread.names])
+    sum_ = covariance[np.ix_(at, at)] + np.diag(deviations**2)
+    gain = np.linalg.solve(sum_, covariance[at]).T
+    after = before + gain @ (wanted - before[at])
+    # The same covariance in a form that keeps its digits where a prior is all that is known.
+    rest = np.eye(len(before))
+    rest[:, at] -= gain
+    left = rest @ covariance @ rest.T + gain @ np.diag(deviations**2) @ gain.T
+    found, clipped = _within(
+        {**values, **dict(zip(spread.names, map(float, after), strict=True))}, spread.names
+    )
+    warnings += clipped
+    used = []
+    for k, n in zip(at, names, strict=True):
+        value, deviation = known[n]
+        alone = math.sqrt(covariance[k, k])
+        apart = abs(value - values[n]) / math.hypot(alone, deviation)
+        if apart > CONTRADICTS:
+            warnings.append(
+                f"the prior of {n}, {value:.4g} +- {deviation:.2g}, and the recordings, "
+                f"{values[n]:.4g} +- {alone:.2g}, are {apart:.1f} standard deviations apart: one "
+                f"of them is wrong, and the values lie between"
+            )
+        used.append(Prior(n, value, deviation, values[n], alone, found[n], math.sqrt(left[k, k])))
+    # Variances that are not finite stay so where there is no prior.
+    kept = np.where(np.isfinite(spread.covariance), left, spread.covariance)
+    kept[np.ix_(at, at)] = left[np.ix_(at, at)]
+    return found, replace(spread, covariance=kept), tuple(used), tuple(warnings)
+
+
+def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarray:
+    """Return the covariance with what is not determined as wide and unrelated to the rest."""
+    made = np.array(covariance, dtype=np.float64)
+    for k in np.flatnonzero(~np.isfinite(np.diag(covariance))):
+        made[k, :] = made[:, k] = 0.0
+        made[k, k] = (_UNKNOWN * deviations.get(int(k), 1.0)) ** 2
+    return made
+
+
+def _within(values: dict[str, float], names: Sequence[str]) -> tuple[dict[str, float], list[str]]:
+    """Return values within their limits, and warnings where a prior led beyond them."""
+    found = {n: max(v, 0.0) if n in names and n != "offset" else v for n, v in values.items()}
+    for coulomb, static, _ in STRIBECK_TERMS:
+        if static in names and found[static] < found.get(coulomb, 0.0):
+            found[static] = found[coulomb]
+    beyond = [n for n in names if found[n] != values[n]]
+    words = "the priors lead beyond the limits of {}, where it is held: they contradict the rest"
+    return found, [words.format(n) for n in beyond]

@@ -1,0 +1,119 @@
+"""``rig look``: what is in a log."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options as shared
+from rig.common.errors import InputError
+
+if TYPE_CHECKING:
+    from rig.sources.look import Look
+
+
+@click.command("look")
+@click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
+@click.option("--skip-rows", type=click.IntRange(0), default=0, help="Lines before the header.")
+@click.option("--delimiter", help="One character; found from the file where not given.")
+@click.option("--decimal", type=click.Choice([".", ","]), default=".", show_default=True)
+@click.option(
+    "--campaign",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Write a first campaign file, with a comment on every key.",
+)
+@shared.result_file
+def command(
+    path: Path,
+    skip_rows: int,
+    delimiter: str | None,
+    decimal: str,
+    campaign: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Show what is in FILE: its columns, their units, ranges, steps and wraps, rate and gaps, and a
+    small picture of each. FILE is a log of any format that campaign files name, a run folder or
+    a campaign file. What a column may be is guessed from its name and unit; check it.
+
+    \b
+    Example:
+      rig look log.csv
+      rig look log.csv --campaign campaign.yaml
+    """
+    from rig.common.places import require_file, write_json
+    from rig.results.look import described, look_record
+
+    require_file(json_file, "--json")
+    read: dict[str, Any] = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal}
+    looks = _looks(path, read)
+    click.echo("\n\n".join(described(look) for look in looks))
+    if json_file is not None:
+        write_json(json_file, look_record(looks))
+    if campaign is not None:
+        _write_campaign(campaign, path, looks, read)
+
+
+def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
+    from pydantic import ValidationError
+
+    from rig.common.input_files import is_folder
+    from rig.config.campaign_sections import ReadSection
+    from rig.sources import load_source
+    from rig.sources.look import look_at_file, look_at_recording
+
+    if is_folder(path) or path.suffix.lower() in (".yaml", ".yml"):
+        return [look_at_recording(recording) for recording in load_source(path).recordings]
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    try:
+        options = ReadSection(**read)
+    except ValidationError as error:
+        raise InputError(f"--delimiter: {error.errors()[0]['msg']}") from error
+    return [look_at_file(path, options)]
+
+
+def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[str, Any]) -> None:
+    """Write the campaign file with the guesses; what is unknown has a stand-in value to change.
+
+    Raises:
+        InputError: The source is no single log, or the guesses make no valid file.
+    """
+    from rig.cli.authoring.campaign import answer, campaign_text
+    from rig.cli.authoring.campaign_questions import ASKED, NONE, DataFile
+    from rig.cli.authoring.writing import RefusedError, require_new, write_new
+    from rig.config.campaign import load_campaign
+    from rig.sources.columns import guess_mass
+
+    (look,) = looks if len(looks) == 1 else (None,)
+    if look is None or look.format == "recording":
+        raise InputError(f"--campaign: {path} is a source already; it needs no campaign file")
+    require_new(campaign, "campaign")
+    names = tuple(column.name for column in look.columns)
+    given: dict[str, Any] = {channel: NONE for channel in ASKED}
+    for channel in ASKED:
+        guess = look.guesses.get(channel)
+        if guess is not None:
+            place = int(guess.column)
+            unique = names[place] and names.count(names[place]) == 1
+            given[channel] = names[place] if unique else str(place)
+            given[f"{channel}_scale"] = guess.scale
+    file = DataFile(path, names, guess_mass(path.stem))
+    stand_in = {"moment_arm": 0.1, "lever_ratio": 1.0} if file.mass_kg else {}
+    if given["time"] == NONE:
+        stand_in["rate"] = 1000.0
+    if given["voltage"] != NONE and given["current"] == given["torque"] == NONE:
+        stand_in["resistance"] = 1.0
+    answers = answer([file], given | stand_in, None, lambda _: None)
+    told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
+    try:
+        written = write_new(
+            campaign, "campaign", campaign_text(campaign, [file], answers, told), load_campaign
+        )
+    except RefusedError as error:
+        remedy = f"name the columns: rig new campaign {campaign} {path} --current COLUMN ..."
+        raise InputError([*(f"{campaign}: {text}" for text in error.problems), remedy]) from error
+    click.echo(f"wrote {', '.join(map(str, written))}")
+    guessed = ", ".join(sorted({"torque_constant", "gear_ratio", *stand_in}))
+    click.echo(f"set the bench's constants ({guessed}) and check each channel's scale and sign")

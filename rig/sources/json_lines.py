@@ -1,0 +1,63 @@
+"""Logs of one JSON object a line."""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Sequence
+from pathlib import Path
+
+from identification.recording import Array
+from rig.common.errors import InputError
+from rig.sources.json_numbers import numbers, series
+from rig.sources.table import Table, damaged
+from rig.sources.text_layout import encoding_of, open_text
+
+
+class JsonLinesTable(Table):
+    """One column per number in the objects, named ``field``, ``field.inner`` or ``field[0]``.
+
+    A field that a line lacks is NaN there.
+
+    Raises:
+        InputError: A line is no JSON object, or no object holds a number.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._rows: list[dict[str, float]] = []
+        self._lines: list[int] = []
+        encoding = encoding_of(path)
+        try:
+            with open_text(path, "utf-8-sig" if encoding == "latin-1" else encoding) as stream:
+                for line, text in enumerate(stream, start=1):
+                    if text.strip():
+                        self._take(line, text)
+        except (OSError, EOFError, zlib.error) as error:
+            raise damaged(path, error, "check that it was copied whole") from error
+        self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
+        if not self.names:
+            raise InputError(f"{path}: no JSON object holds a number")
+
+    def _take(self, line: int, text: str) -> None:
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            if self._rows and not text.endswith("\n"):
+                self.notes = (*self.notes, f"line {line} is cut off: dropped")
+                return
+            raise InputError(
+                f"{self.path}:{line}: not JSON ({error}); write one object a line"
+            ) from error
+        if not isinstance(value, dict):
+            raise InputError(f"{self.path}:{line}: not a JSON object; write one object a line")
+        self._rows.append(dict(numbers(value, "")))
+        self._lines.append(line)
+
+    def read(self, columns: Sequence[int]) -> list[Array]:
+        """Read columns by index; see :meth:`Table.read`."""
+        return [series(self._rows, self.names[k]) for k in columns]
+
+    def place(self, row: int) -> str:
+        """Name the line of a row."""
+        return f"{self.path}:{self._lines[row]}" if row < len(self._lines) else str(self.path)

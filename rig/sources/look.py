@@ -1,0 +1,256 @@
+"""What is in a log: its columns, their units and sizes, and the rate and gaps of its time.
+
+Nothing is converted or repaired here; what the loading of a campaign would repair is only named.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from identification.recording import CHANNELS, Array, Recording
+from rig.common.errors import InputError
+from rig.config.campaign_sections import ReadSection
+from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
+from rig.sources.formats import FORMATS, open_table
+from rig.sources.repair import GAP_PERIODS
+from rig.sources.table import Table, format_of
+from rig.sources.wraps import unwrapped
+
+STRIP = 40
+"""Values of the small picture of a column."""
+FLICKER_SHARE = 0.02
+"""Share of steps to a neighbouring value and back above which a column is said to flicker."""
+_INDEX = re.compile(r"\[\d+\]$")
+_COARSE = 1000
+"""Most different values of a column whose step is looked for."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column of a log.
+
+    Attributes:
+        name: As in the file; empty without a header.
+        index: From 0.
+        channel: The canonical channel that it may hold; empty for none.
+        unit: As the file states it; empty where it states none.
+        scale: SI units per unit of the column, by its unit; 1 where unknown.
+        samples: Rows.
+        missing: Rows without a value.
+        low: Least value, NaN without values.
+        high: Greatest value.
+        step: Distance between neighbouring values of a coarse column; 0 where not found.
+        flicker: Share of steps to a neighbouring value and straight back.
+        wrap: Words on a counter that passes its end; empty for none.
+        problem: Why it cannot be read as numbers; empty where it can.
+        strip: Means of equal spans of the column, for a picture, shape (:data:`STRIP`,) at most.
+    """
+
+    name: str
+    index: int
+    channel: str
+    unit: str
+    scale: float
+    samples: int
+    missing: int
+    low: float
+    high: float
+    step: float
+    flicker: float
+    wrap: str
+    problem: str
+    strip: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time base of a log, s.
+
+    Attributes:
+        column: Index of the column of time.
+        scale: Seconds per unit of the column.
+        period: Median step.
+        low: 5th percentile of the steps.
+        high: 95th percentile of the steps.
+        gaps: Steps longer than five median periods.
+        longest: Longest step.
+        backwards: Steps below zero, after the wraps of a counter were undone.
+        repeated: Steps of zero.
+    """
+
+    column: int
+    scale: float
+    period: float
+    low: float
+    high: float
+    gaps: int
+    longest: float
+    backwards: int
+    repeated: int
+
+
+@dataclass(frozen=True)
+class Look:
+    """What is in a log.
+
+    Attributes:
+        name: Of the file or recording.
+        format: Of the file.
+        columns: In file order.
+        clock: Of the column that may be time; None without one.
+        guesses: Channel to the column that may hold it.
+        notes: What was recognised on reading.
+    """
+
+    name: str
+    format: str
+    columns: tuple[Column, ...]
+    clock: Clock | None
+    guesses: Mapping[str, Guess]
+    notes: tuple[str, ...]
+
+
+def look_at_file(path: Path, options: ReadSection) -> Look:
+    """Look at a file of any format that campaigns can name.
+
+    Raises:
+        InputError: The format is unknown, or the file cannot be read.
+    """
+    kind = format_of(path)
+    if kind not in FORMATS:
+        raise InputError(f"{path}: unknown format; readable are {', '.join(FORMATS)}")
+    try:
+        table = open_table(path, options)
+        series = _series(table)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    units = table.units or ("",) * len(table.names)
+    stated = [
+        f"{name} [{unit.strip('[]()')}]" if unit else name
+        for name, unit in zip(table.names, (*units, *[""] * len(table.names)), strict=False)
+    ]
+    # An MCAP field, a member of a struct and an element of a list are guessed by the last part of
+    # the name, without the index.
+    leaves = [_INDEX.sub("", name.rsplit(".", 1)[-1]) for name in stated]
+    guesses = {
+        channel: guess._replace(column=leaves.index(str(guess.column)))
+        for channel, guess in guess_channels(leaves).items()
+    }
+    columns = tuple(
+        _column(k, table.names[k], split_unit(leaves[k])[1], series[k], guesses)
+        for k in range(len(table.names))
+    )
+    time = guesses.get("time")
+    clock = None
+    if time is not None and isinstance(time.column, int):
+        found = series[time.column]
+        clock = _clock(time.column, found, time.scale) if isinstance(found, np.ndarray) else None
+    return Look(path.name, kind, columns, clock, guesses, table.notes)
+
+
+def look_at_recording(recording: Recording) -> Look:
+    """Look at a recording of a run folder or a campaign: its channels, in SI units."""
+    guesses = {name: Guess(k, 1.0, True) for k, name in enumerate(recording.channels)}
+    columns = tuple(
+        _column(k, name, channel_unit(name) if name in CHANNELS else "", values, guesses)
+        for k, (name, values) in enumerate(recording.channels.items())
+    )
+    clock = _clock(list(recording.channels).index("time"), recording.time, 1.0)
+    return Look(recording.name, "recording", columns, clock, guesses, recording.notes)
+
+
+def _series(table: Table) -> list[Array | str]:
+    """Read every column; one that is not numbers is the message why."""
+    every = range(len(table.names))
+    try:
+        return list(table.read(every))
+    except InputError:
+        found: list[Array | str] = []
+    for k in every:
+        try:
+            found.append(table.read([k])[0])
+        except InputError as error:
+            found.append(error.problems[0])
+    if found and all(isinstance(values, str) for values in found):
+        raise InputError(dict.fromkeys(str(values) for values in found))
+    return found
+
+
+def _column(
+    index: int, name: str, unit: str, values: Array | str, guesses: Mapping[str, Guess]
+) -> Column:
+    channel = next((c for c, guess in guesses.items() if guess.column == index), "")
+    si, scale = UNITS.get(unit, ("", 1.0))
+    if channel and si != channel_unit(channel):
+        scale = 1.0
+    nan = float("nan")
+    if isinstance(values, str):
+        return Column(name, index, channel, unit, scale, 0, 0, nan, nan, 0.0, 0.0, "", values, ())
+    known = values[np.isfinite(values)]
+    step = _step(known)
+    return Column(
+        name=name,
+        index=index,
+        channel=channel,
+        unit=unit,
+        scale=scale,
+        samples=len(values),
+        missing=len(values) - len(known),
+        low=float(known.min()) if known.size else nan,
+        high=float(known.max()) if known.size else nan,
+        step=step,
+        flicker=_flicker(known, step),
+        wrap=unwrapped(channel or "angle", values)[1],
+        problem="",
+        strip=_strip(values),
+    )
+
+
+def _step(known: Array) -> float:
+    """Return the distance of neighbouring values where all are multiples of it, else 0."""
+    levels = np.unique(known[: 1 << 20])
+    if not 2 <= len(levels) <= max(_COARSE, len(known) // 10):
+        return 0.0
+    least = float(np.min(np.diff(levels)))
+    ratio = np.diff(levels) / least
+    return least if np.all(np.abs(ratio - np.rint(ratio)) < 0.01 * np.rint(ratio)) else 0.0
+
+
+def _flicker(known: Array, step: float) -> float:
+    if step == 0.0 or len(known) < 3:
+        return 0.0
+    steps = np.rint(np.diff(known) / step)
+    back = (np.abs(steps[:-1]) == 1) & (steps[1:] == -steps[:-1])
+    share = float(np.mean(back))
+    return share if share > FLICKER_SHARE else 0.0
+
+
+def _strip(values: Array) -> tuple[float, ...]:
+    parts = np.array_split(values, min(STRIP, len(values)))
+    means = [part[np.isfinite(part)] for part in parts]
+    return tuple(float(part.mean()) if part.size else float("nan") for part in means)
+
+
+def _clock(column: int, values: Array, scale: float) -> Clock | None:
+    known = values[np.isfinite(values)]
+    if len(known) < 3:
+        return None
+    steps = np.diff(unwrapped("time", known)[0]) * scale
+    low, period, high = (float(q) for q in np.percentile(steps, [5, 50, 95]))
+    gaps = steps > GAP_PERIODS * period
+    return Clock(
+        column,
+        scale,
+        period,
+        low,
+        high,
+        int(gaps.sum()) if period > 0 else 0,
+        float(steps.max()),
+        int((steps < 0).sum()),
+        int((steps == 0).sum()),
+    )

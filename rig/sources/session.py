@@ -1,0 +1,112 @@
+"""Places recordings on the clock of their session, from declared starts or their order."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+from identification.recording import Recording
+from rig.common.errors import InputError
+from rig.common.instants import instant
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import RecordingSection
+from rig.config.configuration import Document
+
+
+@dataclass(frozen=True)
+class Read:
+    """What was read from one file.
+
+    Attributes:
+        recordings: One per piece.
+        first: First time stamp of the whole file, s.
+        last: Latest one, s.
+        section: The file's entry in the campaign.
+        index: Position of the entry in ``recordings``.
+    """
+
+    recordings: tuple[Recording, ...]
+    first: float
+    last: float
+    section: RecordingSection
+    index: int
+
+
+def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> list[Recording]:
+    """Return the recordings of all files, with their starts where the campaign states them.
+
+    Seconds are as stated; of ISO times the earliest is zero; files in an order follow one another
+    without a pause.
+
+    Raises:
+        InputError: One start or order stands for several files, or recordings overlap.
+    """
+    problems: list[str] = []
+    starts = _starts(files, document, problems)
+    placed: list[tuple[Recording, int]] = []
+    for file, start in zip(files, starts, strict=True):
+        for recording in file.recordings:
+            if start is not None:
+                begin = start + float(recording.time[0]) - file.first
+                note = f"begins {begin:.6g} s into the session"
+                if file.section.order is not None:
+                    note += "; only the order is known, pauses count as nothing"
+                recording = replace(recording, start=begin, notes=(*recording.notes, note))
+            placed.append((recording, file.index))
+    if any(start is not None for start in starts) and not problems:
+        problems += _overlaps(placed, document)
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    return [recording for recording, _ in placed]
+
+
+def _starts(
+    files: Sequence[Read], document: Document[Campaign], problems: list[str]
+) -> list[float | None]:
+    """Return when each file began, s; a file that stands in several windows began once."""
+    for name in ("start", "order"):
+        for index in dict.fromkeys(f.index for f in files):
+            same = [f for f in files if f.index == index]
+            if getattr(same[0].section, name) is not None and len(same) > 1:
+                problems.append(
+                    document.problem(
+                        ("recordings", index, name),
+                        f"one `{name}` for {len(same)} files; list them singly, each with its own",
+                    )
+                )
+    times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
+    epoch = min(times, default=None)
+    found: list[float | None] = []
+    for file in files:
+        start = file.section.start
+        if isinstance(start, str) and epoch is not None:
+            found.append((instant(start) - epoch).total_seconds())
+        else:
+            found.append(None if isinstance(start, str) else start)
+    ordered = sorted(
+        (n for n, f in enumerate(files) if f.section.order is not None),
+        key=lambda n: (files[n].section.order or 0, n),
+    )
+    clock = 0.0
+    for n in ordered:
+        found[n] = clock
+        # A period more, so that the next file's first sample comes after this one's last.
+        clock += files[n].last - files[n].first + files[n].recordings[0].period
+    return found
+
+
+def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
+    """Return a problem for each recording that begins before the one before it has ended."""
+    problems = []
+    for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
+        if other.span[0] <= one.span[1]:
+            problems.append(
+                document.problem(
+                    ("recordings", index, "start"),
+                    f"{other.name} begins at {other.span[0]:.6g} s of the session, before "
+                    f"{one.name} ends at {one.span[1]:.6g} s; correct the starts (they are of the "
+                    f"first row of a file, whatever its window)",
+                )
+            )
+    return problems

@@ -1,0 +1,110 @@
+"""Counters that begin anew: a step of a power of two in a column or in its time.
+
+Pure functions of arrays.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.recording import Array
+
+POWERS = range(8, 33)
+"""Widths of counters, bits."""
+CONVERTED_UNITS = (1e-3, 1e-6)
+"""Milli and microseconds of a 32-bit counter that the logger has converted. Shorter counters are
+not looked for in converted stamps: recordings of 4096 or 65536 samples that follow each other look
+the same.
+"""
+LEVELS = 8
+"""Least different values of a column that is read as signed; fewer may be a switched output."""
+DAY_S = 86400.0
+ORDINARY_SHARE = 0.125
+"""Largest other step beside the wraps, as a share of the modulus; with larger steps the direction
+of a step is not sure.
+"""
+TIME_PERIODS = 100.0
+"""Longest step of time over a wrap, in median periods."""
+POSITIONS = frozenset({"angle", "motor_angle"})
+TIMES = frozenset({"time", "angle_time"})
+
+
+def unwrapped(name: str, values: Array) -> tuple[Array, str]:
+    """Undo the wraps of a counter.
+
+    Args:
+        name: The channel that the column feeds.
+        values: The column as stored, shape (n,).
+
+    Returns:
+        The column, and a note; the same array and an empty note where there is no wrap.
+    """
+    if name == "enabled" or len(values) < 3:
+        return values, ""
+    if name in TIMES:
+        return _time(values)
+    finite = values[np.isfinite(values)]
+    if finite.size < 3 or np.any(finite != np.rint(finite)):
+        return values, ""
+    steps = np.diff(finite)
+    for power in POWERS:
+        modulus = float(2**power)
+        jumps = np.abs(steps) > modulus / 2
+        if not jumps.any() or not _in_window(finite, modulus):
+            continue
+        turned = steps - modulus * np.sign(steps) * jumps
+        if np.max(np.abs(turned)) > ORDINARY_SHARE * modulus:
+            continue
+        count = int(jumps.sum())
+        if name in POSITIONS:
+            return _continued(values, modulus), (
+                f"a counter of {power} bits, which passes its end {count} times: unwrapped"
+            )
+        if finite.min() >= 0 and len(np.unique(finite)) >= LEVELS:
+            signed = np.where(values >= modulus / 2, values - modulus, values)
+            return signed, (
+                f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
+                f"as unsigned ones, and was read as signed"
+            )
+    return values, ""
+
+
+def _in_window(values: Array, modulus: float) -> bool:
+    """Whether all values fit an unsigned or a signed counter of this modulus."""
+    low, high = float(values.min()), float(values.max())
+    return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
+
+
+def _continued(values: Array, modulus: float) -> Array:
+    """Return values with multiples of the modulus added, so that no step is over half of it."""
+    result = values.astype(np.float64)
+    known = np.isfinite(result)
+    steps = np.diff(result[known])
+    turns = np.concatenate(([0.0], np.cumsum(-np.rint(steps / modulus))))
+    result[known] += modulus * turns
+    return result
+
+
+def _time(values: Array) -> tuple[Array, str]:
+    if not np.all(np.isfinite(values)):
+        return values, ""
+    steps = np.diff(values)
+    back = steps < 0
+    if not back.any():
+        return values, ""
+    forward = steps[steps > 0]
+    if not forward.size:
+        return values, ""
+    longest = TIME_PERIODS * float(np.median(forward))
+    whole = bool(np.all(values == np.rint(values)))
+    candidates = [(2.0**power, f"2^{power}") for power in POWERS if whole]
+    candidates += [(2.0**32 * unit, f"2^32 x {unit:g}") for unit in CONVERTED_UNITS]
+    candidates += [(DAY_S * scale, "one day") for scale in (1.0, 1e3, 1e6)]
+    for modulus, words in candidates:
+        over = steps[back] + modulus
+        if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
+            turns = np.concatenate(([0.0], np.cumsum(back)))
+            return values + modulus * turns, (
+                f"begins anew after {words}, {int(back.sum())} times: unwrapped"
+            )
+    return values, ""

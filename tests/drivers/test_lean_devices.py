@@ -1,0 +1,370 @@
+"""Drives and encoders that have, keep or refuse what CiA leaves to their makers."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivers.canopen import velocity_unit
+from drivers.canopen.cia402_objects import cyclic, inputs
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
+from drivers.clock import SimulatedClock
+from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.interfaces import ServoState
+from drivers.mock.canopen.dictionary import SdoAbortError, key
+from drivers.mock.canopen.node import SimulatedNode
+from drivers.mock.makes import LACKS, description
+from drivers.objects import optional
+from drivers.servo_limits import NO_OPTION
+from drivers.units import EncoderScales, Unwrapper, nearest
+
+from .host import SCALES, Host, enabled, make_host, prepared
+from .test_servo import LIMITS
+
+TURN = 262144
+NO_REMOTE = 1 << 30
+
+
+def remove(node: SimulatedNode, *addresses: tuple[int, int]) -> None:
+    """Take objects from a simulated device, though its EDS has them."""
+    for address in addresses:
+        del node.objects.entries[key(*address)]
+
+
+def lock(node: SimulatedNode, *addresses: tuple[int, int]) -> None:
+    """Make objects of a simulated device read only."""
+    entries = node.objects.entries
+    for address in addresses:
+        entries[key(*address)] = dataclasses.replace(entries[key(*address)], writable=False)
+
+
+def test_what_an_identity_lacks_is_empty(host: Host) -> None:
+    remove(host.bench.drive, (0x1009, 0), (0x100A, 0), (0x1018, 4), (0x1018, 3))
+    found = host.servo.identity()
+    assert (found.vendor_id, found.product_code) == (0x7FF, 0x402)
+    assert (found.revision, found.serial_number) == (0, 0)
+    assert (found.hardware_version, found.software_version) == ("", "")
+
+
+def test_a_device_without_a_vendor_is_refused(host: Host) -> None:
+    remove(host.bench.drive, (0x1018, 1))
+    with pytest.raises(ObjectAccessError, match="1018h:01h"):
+        host.servo.identity()
+
+
+def test_only_absence_makes_an_object_optional() -> None:
+    def refuse(index: int, subindex: int) -> int:
+        raise ObjectAccessError(index, subindex, 0x08000022, "device state")
+
+    with pytest.raises(ObjectAccessError):
+        optional(refuse, 0x1018, 4)
+
+    def wrong(index: int, subindex: int) -> int:
+        raise ConfigurationError("another length")
+
+    with pytest.raises(ConfigurationError):
+        optional(wrong, 0x1018, 4)
+
+
+@pytest.mark.parametrize("before", [0, NO_REMOTE])
+def test_the_flags_of_a_cob_id_stay_as_the_device_has_them(host: Host, before: int) -> None:
+    drive = host.bench.drive
+    for index in range(0x1800, 0x1804):
+        drive.objects.values[key(index, 1)] |= before
+    enabled(host)
+    assert drive.objects.integer(0x1800, 1) == 0x181 | before
+
+
+def test_a_device_without_remote_frames_keeps_that_flag(host: Host) -> None:
+    drive = host.bench.drive
+
+    def guarded(check: Callable[[int, int], None]) -> Callable[[int, int], None]:
+        def guard(subindex: int, value: int) -> None:
+            if subindex == 1 and not value & NO_REMOTE:
+                raise SdoAbortError(0x06090030)
+            check(subindex, value)
+
+        return guard
+
+    for index in range(0x1800, 0x1804):
+        drive.objects.checks[index] = guarded(drive.objects.checks[index])
+    enabled(host)
+    host.cycles(5)
+    assert host.servo.sample().fresh
+    assert drive.objects.integer(0x1800, 1) == NO_REMOTE | 0x181
+
+
+def fix_identifiers(node: SimulatedNode, identifiers: tuple[int, ...]) -> None:
+    """Have a device with TPDOs whose identifiers are fixed and whose mapping is not."""
+    for number, identifier in enumerate(identifiers):
+        node.objects.values[key(0x1800 + number, 1)] = identifier
+        node.objects.checks[0x1A00 + number] = lambda _sub, _value: None
+    lock(node, *((0x1800 + number, 1) for number in range(len(identifiers))))
+
+
+def test_pdos_with_fixed_identifiers_are_used_where_the_device_has_them(host: Host) -> None:
+    fix_identifiers(host.bench.drive, (0x281, 0x181, 0x481, 0x381))
+    enabled(host)
+    host.cycles(25)
+    assert host.servo.sample().fresh
+    assert [*host.drive.inputs] == [0x281, 0x181, 0x481, 0x381]
+    host.servo.disable()
+    assert not host.powered[-1]
+
+
+def test_a_fixed_identifier_of_another_node_is_refused(host: Host) -> None:
+    fix_identifiers(host.bench.drive, (0x1A1, 0x281, 0x381, 0x481))
+    with pytest.raises(ConfigurationError, match="identifier 1A1h of another node, and 1800h:01h"):
+        host.servo.prepare(host.cycle_s)
+
+
+def test_the_object_that_cannot_be_mapped_is_named(host: Host) -> None:
+    remove(host.bench.drive, (0x1013, 0))
+    with pytest.raises(ObjectAccessError, match="refuses to map object 1013h:00h") as caught:
+        host.servo.prepare(host.cycle_s)
+    assert (caught.value.index, caught.value.subindex) == (0x1A01, 2)
+
+
+def test_a_limit_that_is_held_already_is_not_written(host: Host) -> None:
+    host.servo.write_limits(LIMITS)
+    lock(host.bench.drive, (0x605A, 0), (0x607D, 1), (0x6072, 0))
+    host.servo.write_limits(LIMITS)
+    other = 8 - LIMITS.quick_stop_option
+    with pytest.raises(ObjectAccessError, match="605Ah"):
+        host.servo.write_limits(dataclasses.replace(LIMITS, quick_stop_option=other))
+
+
+@pytest.mark.parametrize(("wanted_ms", "silence_s"), [(250, 1.0), (50, 0.2), (2000, 8.0)])
+def test_a_heartbeat_is_timed_by_the_period_that_the_device_holds(
+    host: Host, wanted_ms: int, silence_s: float
+) -> None:
+    drive = host.bench.drive
+    start = drive.objects.written[0x1017]
+
+    def rounded(subindex: int, value: int) -> None:
+        drive.objects.values[key(0x1017)] = wanted_ms
+        start(subindex, value)
+
+    drive.objects.written[0x1017] = rounded
+    enabled(host)
+    host.cycles(600)
+    drive._producer.stop()
+    with pytest.raises(LinkError, match=rf"\(limit {silence_s:g} s\)"):
+        host.cycles(round(silence_s / host.cycle_s) + 300)
+
+
+def test_a_device_that_sends_no_heartbeat_is_refused(host: Host) -> None:
+    drive = host.bench.drive
+    drive.objects.written[0x1017] = lambda _sub, _value: drive.objects.values.update(
+        {key(0x1017): 0}
+    )
+    with pytest.raises(ConfigurationError, match="1017h reads 0 after writing 50 ms"):
+        host.servo.prepare(host.cycle_s)
+
+
+def test_a_drive_that_waits_for_its_master_hears_it_before_its_start(host: Host) -> None:
+    drive = host.bench.drive
+    drive.objects.values[key(0x1016, 1)] = 0x7F << 16 | 100
+    drive._start_consumer()
+    heard: list[bytes] = []
+    listen, start = drive._on_heartbeat, drive._on_nmt
+
+    def hear(data: bytes) -> None:
+        heard.append(data)
+        listen(data)
+
+    def begin(data: bytes) -> None:
+        if data[0] != 1 or heard:
+            start(data)
+
+    drive._port.listen(0x77F, hear)
+    drive._port.listen(0x000, begin)
+    enabled(host)
+    host.cycles(200)
+    assert host.servo.state() is ServoState.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("make", LACKS)
+def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path: Path) -> None:
+    eds = tmp_path / "drive.eds"
+    eds.write_text(description(make))
+    host = make_host(eds=eds)
+    for index in LACKS[make]:
+        with pytest.raises((ObjectAccessError, ConfigurationError)):
+            host.drive.read(index, 1 if index in (0x60C2, 0x607D) else 0)
+    assert list(host.servo.description_refusals()) == []
+    assert list(host.servo.refusals(host.cycle_s)) == []
+    lacks = host.servo.lacks(host.cycle_s)
+    assert lacks.supply
+    assert lacks.temperature
+    host.servo.write_limits(LIMITS)
+    held = dataclasses.asdict(host.servo.read_limits())
+    for field in lacks.limits:
+        assert held[field] == NO_OPTION if field == "quick_stop_option" else math.isnan(held[field])
+    enabled(host)
+    host.cycles(600, lambda t: 0.1 * math.sin(math.pi / 1.2 * t))
+    sample = host.servo.sample()
+    assert sample.fresh
+    reading = host.bench.sampler.peek(host.clock.now_ns())
+    assert sample.motor_angle_rad == pytest.approx(100.0 * 0.1, abs=0.2)
+    assert sample.current_A == pytest.approx(reading.current_A, abs=0.5)
+    assert math.isnan(sample.supply_voltage_V)
+    assert math.isnan(sample.temperature_C)
+    assert sample.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=2e-3)
+    host.servo.disable()
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    assert host.powered[-1] is False
+
+
+def test_without_606c_the_speed_follows_from_the_position(tmp_path: Path) -> None:
+    eds = tmp_path / "drive.eds"
+    text = description("Elmo").replace("[606C]", "[506C]")
+    eds.write_text(text)
+    host = enabled(make_host(eds=eds))
+    speeds = []
+    for step in range(30):
+        host.cycles(20, lambda t, begun=0.02 * step: 0.2 * (t + begun))
+        speeds.append(host.servo.sample().velocity_rad_s)
+    assert sum(speeds[15:]) / 15 == pytest.approx(0.2, rel=0.15)
+
+
+@pytest.mark.parametrize(("makes", "alone"), [("EPOS4", True), ("Trinamic", False)])
+def test_a_drive_without_a_reaction_to_a_lost_master_has_no_watchdog(
+    tmp_path: Path, makes: str, alone: bool
+) -> None:
+    eds = tmp_path / "drive.eds"
+    eds.write_text(description(makes))
+    host = make_host(eds=eds)
+    assert host.link.has_watchdog is alone
+    assert host.servo.watch_s == (0.1 if alone else None)
+    told = Cia402Servo(host.drive, host.link, SCALES, stops_alone=True)
+    assert told.watch_s == 0.1
+
+
+def test_values_that_do_not_fit_beside_each_other_travel_in_the_next_frame() -> None:
+    def never() -> None:
+        raise AssertionError
+
+    link = CanopenLink(SimulatedClock(), never)  # type: ignore[arg-type]
+    host = make_host()
+    wide = dataclasses.replace(SCALES, current_object=(0x60F4, 0), voltage_object=(0x6064, 0))
+    layouts = inputs(cyclic(host.drive, wide), host.drive)
+    assert [layout.objects for layout in layouts] == [
+        ((0x6041, 0), (0x6064, 0)),
+        ((0x60F4, 0), (0x606C, 0)),
+        ((0x1013, 0), (0x6064, 0)),
+        ((0x6079, 0), (0x2101, 0)),
+    ]
+    assert [layout.mean for layout in layouts] == [None, (0x60F4, 0), None, None]
+    assert link.cycle == 0
+
+
+@pytest.mark.parametrize("span", [0, 0xFFFFFFFF])
+def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
+    encoder = host.bench.encoder
+    encoder.objects.values[key(0x6002)] = span
+    encoder._range = 1 << 32
+    enabled(host)
+    host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
+    assert host.encoder.sample().angle_rad == pytest.approx(-0.05, abs=2e-3)
+
+
+def test_an_encoder_of_class_1(host: Host) -> None:
+    remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
+    assert list(host.encoder.refusals(host.cycle_s)) == []
+    enabled(host)
+    host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
+    sample = host.encoder.sample()
+    assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
+    assert sample.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=2e-3)
+    wrong = Cia406Encoder(host.encoder._channel, EncoderScales(4096))
+    with pytest.raises(ConfigurationError, match="6501h says 262144 counts per turn"):
+        wrong.prepare(host.cycle_s)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("start_deg", [-0.5, 0.5])
+def test_the_first_angle_is_the_one_nearest_to_the_middle_of_the_travel(
+    host: Host, start_deg: float, sign: int
+) -> None:
+    encoder = host.bench.encoder
+    encoder.objects.values[key(0x6002)] = encoder._range = TURN
+    encoder._offset = round((180.0 + sign * start_deg) / 360.0 * TURN)
+    scales = EncoderScales(TURN, sign, offset_rad=-sign * math.pi, middle_rad=0.0)
+    mounted = Cia406Encoder(host.encoder._channel, scales)
+    assert mounted.reading() == pytest.approx(math.radians(start_deg), abs=1e-4)
+    host.servo.prepare(host.cycle_s)
+    mounted.prepare(host.cycle_s)
+    host.cycles(3)
+    assert mounted.sample().angle_rad == pytest.approx(math.radians(start_deg), abs=1e-4)
+
+
+def test_nearest_of_a_counter() -> None:
+    assert [nearest(value, 10, 0) for value in (0, 4, 5, 9)] == [0, 4, -5, -1]
+    assert nearest(3, 10, 42) == 43
+    assert Unwrapper(10, near=42).update(3) == 43
+
+
+@pytest.mark.parametrize(
+    ("word", "unit"),
+    [
+        (0x00B44700, 2 * math.pi / 60),
+        (0xFDB44700, 2e-3 * math.pi / 60),
+        (0x00B40300, 2 * math.pi),
+        (0x00100300, 1.0),
+        (0x00410300, math.pi / 180),
+        (0x00B50300, None),
+        (0, None),
+    ],
+)
+def test_the_unit_that_a_drive_states(word: int, unit: float | None) -> None:
+    found = velocity_unit.decode(word)
+    assert found == (None if unit is None else pytest.approx(unit))
+
+
+def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host) -> None:
+    class Stating:
+        label = "node 1"
+
+        def describes(self, *_: object) -> bool:
+            return True
+
+        def read(self, *_: int) -> int:
+            return 0x00B44700
+
+    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    assert str(error).endswith("606Ch is in rpm: set servo.velocity_unit: rpm")
+    rpm = dataclasses.replace(SCALES, velocity_unit_rad_s=2 * math.pi / 60)
+    assert list(velocity_unit.refusals(Stating(), rpm)) == []  # type: ignore[arg-type]
+    assert list(velocity_unit.refusals(host.drive, SCALES)) == []
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (0.0146, "606Ch is in rpm: set servo.velocity_unit: rpm"),
+        (0.0104, "606Ch is in rpm: set servo.velocity_unit: rpm"),
+        (-1.0, "606Ch has the other sign than 6064h"),
+        (0.1, "set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about 0.015"),
+    ],
+)
+def test_the_remedy_names_the_unit_that_was_found(host: Host, factor: float, words: str) -> None:
+    assert host.servo.speed_remedy(factor).startswith(words)
+
+
+def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:
+    prepared(host)
+    host.link.take_frames()
+    prepared(host)
+    written = [
+        frame
+        for frame in host.link.take_frames()
+        if frame.identifier == 0x601 and frame.data[0] >> 5 == 1
+    ]
+    assert all(frame.data[2] << 8 | frame.data[1] not in (0x60C2, 0x6007) for frame in written)

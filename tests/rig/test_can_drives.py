@@ -1,0 +1,353 @@
+"""The packaged benches of ODrive's protocol and of MIT-style motors: an independent decoder reads
+every frame of a run, and the drive ends without power wherever the run is stopped.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import cantools.database
+import pytest
+
+import rig.wiring.connect
+from drivers.can.port import REMOTE_FLAG
+from drivers.interfaces import RawFrame
+from drivers.mock.can_drives import mit_motor, odrive
+from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
+from rig.cli.entry import status
+from rig.common.phase import Phase
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.operator import AutomaticOperator
+from rig.control.sequencer import Outcome
+from rig.control.session import Inputs, execute
+from rig.planning.plan import make_plan
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import load_run
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import StopButton
+
+from .test_feedforward import result_file, tracking_rms
+
+SHORT = """\
+sequence: 1
+name: short
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.4,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
+     duration_s: 0.4, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+BENCHES = ["odrive_can", "mit_mini"]
+ENCODER = {0x000, 0x080, 0x602, 0x77F}
+"""What a run sends to the CANopen encoder: NMT, SYNC, SDO, heartbeat."""
+POWERED = {
+    Phase.FIRST_PASS, Phase.WEIGH, Phase.APPROACH, Phase.SETTLE, Phase.EXCITE, Phase.HOLD,
+    Phase.RELEASE,
+}  # fmt: skip
+
+
+@pytest.fixture
+def sequence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    monkeypatch.chdir(tmp_path)
+    Path("short.yaml").write_text(SHORT)
+    return "short.yaml"
+
+
+@pytest.fixture
+def made(monkeypatch: pytest.MonkeyPatch) -> list[SimulatedCanBench]:
+    """Keep the simulated benches that commands connect to."""
+    benches: list[SimulatedCanBench] = []
+
+    def noting(*arguments: object) -> SimulatedCanBench:
+        benches.append(simulated_can_bench(*arguments))  # type: ignore[arg-type]
+        return benches[-1]
+
+    monkeypatch.setattr(rig.wiring.connect, "simulated_can_bench", noting)
+    return benches
+
+
+def sent_to_drive(folder: str) -> list[RawFrame]:
+    return [
+        frame
+        for message in read_run(Path(folder, "recording.mcap")).messages["/frames"]
+        for frame in decode_frames(message.data)
+        if frame.sent and frame.identifier not in ENCODER
+    ]
+
+
+def run(bench: str, sequence: str) -> list[RawFrame]:
+    assert status(["run", sequence, "--yes", "--bench", bench, "--out", "run"]) == 0
+    return sent_to_drive("run")
+
+
+def test_an_odrive_gets_each_order_once_and_no_other(
+    sequence: str, made: list[SimulatedCanBench]
+) -> None:
+    frames = run("odrive_can", sequence)
+    database = cantools.database.load_file(odrive.ODRIVE_DBC)
+    story, counted = "", Counter[str]()
+    for frame in frames:
+        message = database.get_message_by_frame_id(frame.identifier & 0x7FF)
+        if frame.identifier & REMOTE_FLAG:
+            assert frame.data == b""
+            assert message.senders == ["AXIS"]
+            continue
+        assert message.senders == ["HOST"]
+        values = message.decode(frame.data, decode_choices=False)
+        counted[message.name] += 1
+        if message.name == "SetState":
+            story += {1: "I", 8: "R"}[values["State"]]
+        elif message.name == "SetMode":
+            assert values == {"Control": 3, "Input": 1}
+            story += "M"
+        elif message.name == "InputPosition":
+            assert abs(values["Position"]) * 3.6 < 6.0  # Degrees at the joint: 100 turns to one.
+            assert (values["SpeedAhead"], values["TorqueAhead"]) == (0.0, 0.0)
+        elif message.name == "SetLimits":
+            assert values["Speed"] == pytest.approx(120 / 3.6, rel=1e-6)
+            assert 24.99 < values["Current"] <= 25.0
+    assert set(counted) == {"SetState", "SetMode", "InputPosition", "SetLimits"}
+    # Off; then twice the mode, closed loop, and off again.
+    assert re.fullmatch("I+(MRI+){2}", story), story
+    drive = made[0].drive
+    assert isinstance(drive, odrive.ODriveAxis)
+    assert odrive.CLEAR not in drive.received
+    assert not drive.powered
+
+
+def test_an_mit_motor_gets_its_special_frames_only_with_orders(
+    sequence: str, made: list[SimulatedCanBench]
+) -> None:
+    frames = run("mit_mini", sequence)
+    database = cantools.database.load_file(mit_motor.MIT_DBC)
+    story = ""
+    for frame in frames:
+        assert frame.identifier == mit_motor.COMMAND
+        special = {mit_motor.ENTER: "E", mit_motor.LEAVE: "L"}.get(frame.data)
+        story += special or "T"
+        if special is None:
+            values = database.decode_message(frame.identifier, frame.data)
+            assert abs(math.degrees(values["Position"]) / 100) < 6.0
+            assert abs(values["Torque"]) < 1e-3
+            assert abs(values["Speed"]) < 0.1
+            assert values["Stiffness"] > 90
+    assert re.fullmatch("L+(E+T+L+){2}", story), re.sub(r"(.)\1+", r"\1+", story)
+    assert story.count("T") > 800
+    assert not made[0].drive.powered
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_checking_changes_nothing(
+    bench: str, made: list[SimulatedCanBench], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["check", bench]) == 0
+    assert "state of the drive: switch on disabled" in capsys.readouterr().out
+    drive = made[0].drive
+    if isinstance(drive, odrive.ODriveAxis):
+        assert all(identifier & REMOTE_FLAG for identifier in drive.received)
+    else:
+        assert isinstance(drive, mit_motor.MitMotor)
+        assert set(drive.orders) == {mit_motor.LEAVE}  # The only way to ask it.
+
+
+def stopped(bench: str, sequence: str, press: Callable[[str, Phase, StopButton], None]) -> Outcome:
+    """Run until ``press`` presses the button at the start of a phase."""
+    document, steps = load_bench(bench), load_sequence(sequence)
+    stop = StopButton()
+    inputs = Inputs(document, steps, 0, realtime=False)
+    Path("run").mkdir()
+    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
+        watched = dataclasses.replace(devices, observer=lambda name, at: press(name, at, stop))
+        _, outcome = execute(
+            inputs,
+            make_plan(steps, document),
+            watched,
+            Path("run"),
+            AutomaticOperator(),
+            stop,
+            lambda *_: None,
+        )
+    return outcome
+
+
+@pytest.mark.parametrize("stage", ["empty", "heavy"])
+@pytest.mark.parametrize("presses", [1, 2])
+@pytest.mark.parametrize(
+    "phase",
+    [
+        Phase.LOAD, Phase.PREPARE, Phase.ENABLE, Phase.APPROACH, Phase.SETTLE, Phase.EXCITE,
+        Phase.HOLD, Phase.RELEASE,
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("bench", BENCHES)
+def test_a_stop_in_any_phase_ends_without_power(
+    bench: str,
+    phase: Phase,
+    presses: int,
+    stage: str,
+    sequence: str,
+    made: list[SimulatedCanBench],
+) -> None:
+    powered = []
+
+    def press(name: str, at: Phase, stop: StopButton) -> None:
+        if (name, at) == (stage, phase):
+            powered.append(made[0].drive.powered)
+            for _ in range(presses):
+                stop.press("the test")
+
+    outcome = stopped(bench, sequence, press)
+    assert powered == [phase in POWERED]
+    assert outcome.ending is Ending.STOPPED, outcome.message
+    assert outcome.safe.verified
+    drive = made[0].drive
+    assert isinstance(drive, odrive.ODriveAxis | mit_motor.MitMotor)
+    assert not drive.powered
+    assert drive.fault_code == 0
+    last = sent_to_drive("run")[-1]
+    if last.identifier == odrive.SET_STATE:
+        assert last.data == b"\1\0\0\0"
+
+
+@pytest.mark.parametrize(
+    ("bench", "code"), [("odrive_can", odrive.NOT_CALIBRATED), ("mit_mini", 0xA)]
+)
+def test_a_fault_in_the_middle_ends_the_run_and_is_named(
+    bench: str, code: int, sequence: str, made: list[SimulatedCanBench]
+) -> None:
+    def press(name: str, at: Phase, stop: StopButton) -> None:
+        if (name, at) == ("empty", Phase.EXCITE):
+            made[0].drive.fail(code)
+
+    outcome = stopped(bench, sequence, press)
+    assert outcome.ending in (Ending.FAILED, Ending.TRIPPED)
+    assert outcome.safe.verified
+    assert "fault" in outcome.message
+    assert not made[0].drive.powered
+
+
+def test_an_odrive_in_error_is_cleared_once_where_it_is_asked_for(
+    sequence: str, made: list[SimulatedCanBench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    boot = odrive.ODriveAxis.boot
+
+    def faulty(self: odrive.ODriveAxis) -> None:
+        self.fault_code = odrive.NOT_CALIBRATED
+        boot(self)
+
+    monkeypatch.setattr(odrive.ODriveAxis, "boot", faulty)
+    options = ["--yes", "--bench", "odrive_can"]
+    assert status(["run", sequence, *options, "--out", "refused"]) == 4
+    assert status(["run", sequence, *options, "--reset-fault", "--out", "run"]) == 0
+    drives = [bench.drive for bench in made]
+    cleared = [drive.received.get(odrive.CLEAR, 0) for drive in drives]
+    assert cleared == [0, 1]
+
+
+@pytest.mark.parametrize("bench", BENCHES)
+def test_a_host_that_falls_silent_is_noticed_by_the_drive(
+    bench: str, made: list[SimulatedCanBench]
+) -> None:
+    document = load_bench(bench)
+    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
+        devices.prepare(document.value.cycle_s)
+        devices.servo.enable()
+        drive, clock = made[0].drive, made[0].clock
+        assert isinstance(drive, odrive.ODriveAxis | mit_motor.MitMotor)
+        assert drive.powered
+        clock.sleep_until_ns(clock.now_ns() + 150_000_000)
+        assert not drive.powered
+        assert drive.fault_code == drive.lost_code
+
+
+def test_an_estop_of_someone_else_shows_as_a_fault(made: list[SimulatedCanBench]) -> None:
+    document = load_bench("odrive_can")
+    with rig.wiring.connect.connect(document, 0, realtime=False) as devices:
+        devices.prepare(document.value.cycle_s)
+        devices.servo.enable()
+        made[0].bus.attach().send(odrive.ESTOP, b"")
+        clock = made[0].clock
+        clock.sleep_until_ns(clock.now_ns() + 30_000_000)
+        assert devices.servo.state().value == "fault"
+        assert devices.servo.fault().code == odrive.ESTOP_REQUESTED
+
+
+LOST = {
+    "odrive_can": [
+        odrive.HEARTBEAT, odrive.SET_STATE, odrive.SET_MODE, odrive.INPUT_POS, odrive.ESTIMATES,
+        odrive.ESTIMATES | REMOTE_FLAG, odrive.IQ, odrive.BUS, odrive.SET_LIMITS, 0x080,
+    ],
+    "mit_mini": [mit_motor.COMMAND, mit_motor.REPLY, 0x080],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", [Phase.PREPARE, Phase.ENABLE, Phase.EXCITE, Phase.RELEASE])
+@pytest.mark.parametrize("count", [1, 3, 40, 1 << 30])
+@pytest.mark.parametrize(
+    ("bench", "identifier"), [(bench, lost) for bench, found in LOST.items() for lost in found]
+)
+def test_lost_frames_never_leave_a_drive_that_follows(
+    bench: str,
+    identifier: int,
+    count: int,
+    phase: Phase,
+    sequence: str,
+    made: list[SimulatedCanBench],
+) -> None:
+    """Where the drive can no longer be reached, its own watchdog takes the power off."""
+    left = [count]
+
+    def lose(_time: int, found: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+        if found == identifier and left[0]:
+            left[0] -= 1
+            return None
+        return found, data
+
+    def press(name: str, at: Phase, stop: StopButton) -> None:
+        if (name, at) == ("empty", phase):
+            made[0].bus.frame_filters.append(lose)
+
+    outcome = stopped(bench, sequence, press)
+    drive, clock = made[0].drive, made[0].clock
+    clock.sleep_until_ns(clock.now_ns() + 150_000_000)
+    assert not drive.powered
+    assert outcome.ending in (Ending.DONE, Ending.FAILED, Ending.TRIPPED)
+    assert outcome.error is None
+    if outcome.ending is Ending.DONE:
+        assert outcome.safe.verified
+
+
+def test_an_odrive_adds_the_torque_of_feed_forward(
+    sequence: str, made: list[SimulatedCanBench]
+) -> None:
+    Path(sequence).write_text(
+        "sequence: 1\nname: slow\nstages:\n"
+        "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 0.5}],\n"
+        "     duration_s: 4}\n"
+    )
+    options = ["run", sequence, "--yes", "--bench", "odrive_can"]
+    assert status([*options, "--out", "plain"]) == 0
+    assert status([*options, "--feedforward", str(result_file()), "--out", "run"]) == 0
+    plain, fed = (load_run(Path(folder)).recordings for folder in ("plain", "run"))
+    assert all(
+        tracking_rms(one) > 1.3 * tracking_rms(other) for one, other in zip(plain, fed, strict=True)
+    )
+    database = cantools.database.load_file(odrive.ODRIVE_DBC)
+    running, added = False, []
+    for frame in sent_to_drive("run"):
+        if frame.identifier & REMOTE_FLAG:
+            continue
+        values = database.decode_message(frame.identifier, frame.data, decode_choices=False)
+        if frame.identifier == odrive.SET_STATE:
+            running = values["State"] == odrive.CLOSED_LOOP
+        elif frame.identifier == odrive.INPUT_POS:
+            added.append(values["TorqueAhead"])
+            assert running or not values["TorqueAhead"]
+    assert max(added) > 0.07 > -0.07 > min(added)  # Friction alone takes 0.068 N m at the motor.

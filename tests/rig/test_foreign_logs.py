@@ -1,0 +1,487 @@
+"""Logs as other people's tools write them: read with a word about it, or refused."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType, Writer
+
+from identification.recording import Recording
+from rig.common.errors import InputError
+from rig.config.campaign_sections import ReadSection
+from rig.sources import load_source
+from rig.sources.arrays import MatTable
+from rig.sources.delimited import DelimitedTable
+from rig.sources.logs import McapTable
+from rig.sources.parquet import ParquetTable
+
+PLAIN = ReadSection()
+N = 300
+TIME = np.arange(N) * 1e-3
+ANGLE = 0.5 * np.sin(12.0 * TIME)
+CURRENT = 2.0 * np.cos(12.0 * TIME) + 0.25 * np.sign(np.cos(12.0 * TIME))
+BENCH = "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095}\n"
+CHANNELS = "{time: t, current: i, motor_angle: m, angle: q}"
+NAMES = ("t", "i", "m", "q")
+TRUTH = np.column_stack([TIME, CURRENT, 100.0 * ANGLE, ANGLE])
+
+
+def rows_of(values: np.ndarray = TRUTH) -> list[list[str]]:
+    return [[repr(float(v)) for v in row] for row in values]
+
+
+def lines_of(delimiter: str = ",", values: np.ndarray = TRUTH) -> list[str]:
+    return [delimiter.join(row) for row in rows_of(values)]
+
+
+def load(folder: Path, text: str | bytes, channels: str = CHANNELS, read: str = "{}") -> Recording:
+    (folder / "log.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
+    return load_file(folder, "log.csv", channels, read)
+
+
+def load_file(
+    folder: Path, name: str, channels: str = CHANNELS, read: str = "{}", more: str = ""
+) -> Recording:
+    entry = f"recordings:\n  - file: {name}\n    read: {read}\n    channels: {channels}\n{more}"
+    (folder / "c.yaml").write_text(BENCH + entry, encoding="utf-8")
+    (recording,) = load_source(folder / "c.yaml").recordings
+    return recording
+
+
+def is_truth(recording: Recording) -> None:
+    np.testing.assert_array_equal(recording.channels["current"], CURRENT)
+    np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
+    np.testing.assert_array_equal(recording.channels["motor_angle"], 100.0 * ANGLE)
+    np.testing.assert_allclose(recording.time - recording.time[0], TIME, rtol=0, atol=1e-12)
+
+
+HEAD = "t,i,m,q\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "note"),
+    [
+        (HEAD + "s,A,rad,rad\n" + "\n".join(lines_of()), "taken as units: s, A, rad, rad"),
+        ((HEAD + "\n".join(lines_of())).encode("utf-16"), "text in UTF-16"),
+        ((HEAD + "\n".join(lines_of())).encode("utf-16-le"), "text in UTF-16-LE"),
+        ("\ufeff" + HEAD + "\n".join(lines_of()), None),
+        (HEAD + "\n".join(lines_of()) + "\nEOF\n", "(EOF) taken as the end"),
+        (HEAD + "\n".join(lines_of()) + "\nEOF,,,\n", "(EOF) taken as the end"),
+        (HEAD + "\n".join(lines_of()) + "\n,,,\n", "1 rows without values at the end dropped"),
+        ("t i m q\n" + "\n".join(lines_of("   ")), "columns separated by blanks"),
+        ("t,i,m,q,\n" + "\n".join(lines_of()), "fewer cells than the first line"),
+        (
+            '"t"\t"i"\t"m"\t"q"\n'
+            + "\n".join(f'"{k}"\t{line}' for k, line in enumerate(lines_of("\t"), 1)),
+            "the first cell of each row is a row name",
+        ),
+    ],
+    ids=["units", "utf16", "utf16le", "bom", "eof", "eof-cells", "commas", "blanks", "end", "R"],
+)
+def test_what_a_text_file_is_comes_out_and_is_said(
+    tmp_path: Path, text: str | bytes, note: str | None
+) -> None:
+    recording = load(tmp_path, text)
+    is_truth(recording)
+    assert [n for n in recording.notes if note and note in n] or note is None
+    assert len(recording.notes) == (note is not None)
+
+
+def test_dates_with_and_without_an_offset_are_seconds(tmp_path: Path) -> None:
+    stamps = np.datetime64("2026-02-28T23:59:59.900", "us") + (TIME * 1e6).round().astype(int)
+    for suffix in ("", "Z", "+01:00"):
+        lines = [f"{s}{suffix},{row.split(',', 1)[1]}" for s, row in zip(stamps, lines_of())]  # noqa: B905
+        recording = load(tmp_path, HEAD + "\n".join(lines))
+        is_truth(recording)
+        assert any("holds dates: read as seconds since 2026-02-28T" in n for n in recording.notes)
+
+
+def test_times_of_day_go_on_after_midnight(tmp_path: Path) -> None:
+    seconds = (86399.9 + TIME) % 86400
+    cells = [f"{int(s) // 3600:02}:{int(s) // 60 % 60:02}:{s % 60:09.6f}" for s in seconds]
+    lines = [f"{cell},{row.split(',', 1)[1]}" for cell, row in zip(cells, lines_of(), strict=True)]
+    recording = load(tmp_path, HEAD + "\n".join(lines))
+    np.testing.assert_allclose(recording.time, 86399.9 + TIME, atol=1e-9)
+    assert any("begins anew after one day" in note for note in recording.notes)
+
+
+def test_a_windows_nan_is_missing_and_does_not_end_its_row(tmp_path: Path) -> None:
+    lines = lines_of()
+    cells = lines[100].split(",")
+    lines[100] = ",".join([cells[0], "-1.#IND", *cells[2:]])
+    recording = load(tmp_path, HEAD + "\n".join(lines))
+    np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
+    assert abs(recording.channels["current"][100] - CURRENT[100]) < 0.05
+    assert any("-1.#IND taken as missing" in note for note in recording.notes)
+
+
+def test_decimal_commas_in_quotes_between_commas(tmp_path: Path) -> None:
+    stream = io.StringIO()
+    writer = csv.writer(stream, quoting=csv.QUOTE_ALL)
+    writer.writerows([[cell.replace(".", ",") for cell in row] for row in rows_of()])
+    is_truth(load(tmp_path, HEAD + stream.getvalue(), read='{decimal: ","}'))
+
+
+def test_rows_of_another_topic_are_dropped_and_counted(tmp_path: Path) -> None:
+    lines = []
+    for row in rows_of():
+        lines += [",".join([*row, ""]), f"{float(row[0]) + 4e-4!r},,,,1.0"]
+    recording = load(tmp_path, "t,i,m,q,other\n" + "\n".join(lines))
+    is_truth(recording)
+    assert recording.notes == ("300 rows with a time only, as of another topic, dropped",)
+
+
+def test_channels_of_two_topics_are_named(tmp_path: Path) -> None:
+    lines = []
+    for t, i, m, q in rows_of():
+        lines += [f"{t},{i},,", f"{float(t) + 4e-4!r},,{m},{q}"]
+    with pytest.raises(
+        InputError, match=r"`current`: 300 of 600 .*shares no row with `motor_angle`"
+    ):
+        load(tmp_path, HEAD + "\n".join(lines))
+
+
+@pytest.mark.parametrize("where", [0, 7, N - 1])
+def test_a_cell_more_than_names_is_never_read_shifted(tmp_path: Path, where: int) -> None:
+    rows = rows_of()
+    wrong = rows if where == 0 else [rows[where]]
+    for row in wrong:
+        row.insert(1, "0")
+    with pytest.raises(
+        InputError, match=rf"log\.csv:{where + 2}: 5 cells, but 4 names in the head"
+    ):
+        load(tmp_path, HEAD + "\n".join(",".join(row) for row in rows))
+
+
+def test_a_first_line_that_counts_is_a_header(tmp_path: Path) -> None:
+    channels = "{time: 0, current: 1, motor_angle: 2, angle: 3}"
+    recording = load(tmp_path, "0,1,2,3\n" + "\n".join(lines_of()), channels)
+    is_truth(recording)
+    assert "counts the columns from 0 to 3" in recording.notes[0]
+    table = tmp_path / "two.csv"
+    table.write_text("0,1\n1,2\n2,3\n")
+    np.testing.assert_array_equal(DelimitedTable(table, PLAIN).read([0])[0], [0, 1, 2])
+
+
+@pytest.mark.parametrize("bits", [8, 16, 18, 32])
+@pytest.mark.parametrize("signed", [False, True])
+def test_a_position_counter_through_its_end(tmp_path: Path, bits: int, signed: bool) -> None:
+    amplitude = 2.0 ** (bits - 1)
+    counts = np.rint(amplitude * np.sin(12.0 * TIME))
+    stored = np.mod(counts + amplitude * signed, 2.0**bits) - amplitude * signed
+    if signed:
+        stored = np.mod(counts + 2 * amplitude, 2.0**bits) - amplitude
+        counts = counts + amplitude
+    scale = 0.5 / amplitude
+    values = np.column_stack([TIME, CURRENT, stored, ANGLE])
+    channels = (
+        f"{{time: t, current: i, motor_angle: {{column: m, scale: {scale * 100}}}, angle: q}}"
+    )
+    recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
+    steps = np.diff(recording.channels["motor_angle"])
+    np.testing.assert_allclose(steps, np.diff(counts) * scale * 100, atol=1e-9)
+    assert any(f"`motor_angle`: a counter of {bits} bits" in note for note in recording.notes)
+
+
+@pytest.mark.parametrize(("bits", "scale"), [(8, 1e-3), (16, 1e-3), (18, 1e-3), (32, 1e-6)])
+def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> None:
+    ticks = np.arange(N) * round(1e-3 / scale) + 2**bits - 40 * round(1e-3 / scale)
+    values = np.column_stack([ticks % 2**bits, CURRENT, 100 * ANGLE, ANGLE])
+    channels = CHANNELS.replace("time: t", f"time: {{column: t, scale: {scale}}}")
+    recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
+    np.testing.assert_allclose(np.diff(recording.time), 1e-3, atol=1e-9)
+    assert any(f"begins anew after 2^{bits}" in note for note in recording.notes)
+
+
+def test_signed_numbers_stored_as_unsigned(tmp_path: Path) -> None:
+    raw = np.rint(1000 * CURRENT) % 2**16
+    values = np.column_stack([TIME, raw, 100 * ANGLE, ANGLE])
+    channels = CHANNELS.replace("current: i", "current: {column: i, scale: 0.001}")
+    recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
+    np.testing.assert_allclose(recording.channels["current"], CURRENT, atol=6e-4)
+    assert any("read as signed" in note for note in recording.notes)
+
+
+def test_time_that_runs_backwards_otherwise_is_refused(tmp_path: Path) -> None:
+    values = TRUTH.copy()
+    values[150:, 0] -= 0.1
+    with pytest.raises(InputError, match="time runs backwards"):
+        load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
+
+
+def test_channels_that_contradict_each_other_are_doubted(tmp_path: Path) -> None:
+    speed = np.gradient(ANGLE, TIME)
+    spike = CURRENT.copy()
+    spike[40] = 400.0
+    values = np.column_stack([TIME, np.abs(CURRENT), spike, ANGLE, speed * 30 / np.pi, speed])
+    text = "t,size,i,q,rpm,v\n" + "\n".join(lines_of(",", values))
+    notes = load(tmp_path, text, "{time: t, current: i, angle: q, velocity: rpm}").notes
+    assert any("`velocity` is 9" in n and "rpm, set its scale to 0.1047" in n for n in notes), notes
+    assert any("`current` has 1 single sample" in n and "at 0.04 s" in n for n in notes)
+    notes = load(tmp_path, text, "{time: t, current: size, angle: q, velocity: v}").notes
+    assert len(notes) == 1
+    assert "`current` keeps one sign" in notes[0]
+
+
+def test_a_load_that_pulls_one_way_is_no_doubt(tmp_path: Path) -> None:
+    values = np.column_stack([TIME, 8.0 + 3.0 * np.cos(12.0 * TIME), ANGLE])
+    text = "t,i,q\n" + "\n".join(lines_of(",", values))
+    assert load(tmp_path, text, "{time: t, current: i, angle: q}").notes == ()
+
+
+def test_a_unit_beside_si_without_a_scale_is_doubted(tmp_path: Path) -> None:
+    values = TRUTH * np.array([1, 1000, 1, 1])
+    text = HEAD + "s,mA,rad,rad\n" + "\n".join(lines_of(",", values))
+    notes = load(tmp_path, text).notes
+    assert any("`current` is in mA" in note and "set it to 0.001" in note for note in notes)
+    told = CHANNELS.replace("current: i", "current: {column: i, scale: 0.001}")
+    assert not any("is in mA" in note for note in load(tmp_path, text, told).notes)
+
+
+def test_structs_of_matlab_by_full_and_short_name(tmp_path: Path) -> None:
+    signals = np.array(
+        [([[v] for v in CURRENT], "i"), (np.column_stack([100 * ANGLE, ANGLE]), "both")],
+        dtype=[("values", object), ("label", object)],
+    )
+    out = {"out": {"time": TIME, "signals": signals}}
+    for compress in (False, True):
+        scipy.io.savemat(tmp_path / "log.mat", out, do_compression=compress)
+        full = (
+            "{time: out.time, current: 'out.signals[0].values', "
+            "motor_angle: 'out.signals[1].values[0]', angle: 'out.signals[1].values[1]'}"
+        )
+        recording = load_file(tmp_path, "log.mat", full)
+        is_truth(recording)
+        assert recording.notes == ()
+    scipy.io.savemat(tmp_path / "log.mat", {"d": dict(zip(NAMES, TRUTH.T, strict=True))})
+    recording = load_file(tmp_path, "log.mat")
+    is_truth(recording)
+    assert "`time`: 't' is column 'd.t'" in recording.notes
+
+
+def test_the_export_to_matlab_is_read_back(tmp_path: Path) -> None:
+    from rig.runs.export import export
+
+    load(tmp_path, HEAD + "\n".join(lines_of()))
+    export(load_source(tmp_path / "c.yaml"), tmp_path / "e.mat", "mat")
+    channels = "{time: time, current: current, motor_angle: motor_angle, angle: angle}"
+    names = MatTable(tmp_path / "e.mat").names
+    assert "recordings.angle" in names
+    full = channels.replace(": ", ": recordings.")
+    is_truth(load_file(tmp_path, "e.mat", full))
+
+
+def test_a_mat_file_without_arrays_says_what_it_holds(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"s": {"text": "abc"}})
+    with pytest.raises(InputError, match=r"holds no arrays of numbers, but s \(struct\)"):
+        MatTable(tmp_path / "a.mat")
+
+
+def test_a_struct_with_a_damaged_member_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"s": {"x": TIME}})
+    raw = path.read_bytes()
+    place = raw.rindex((9).to_bytes(4, "little") + TIME.nbytes.to_bytes(4, "little"))
+    path.write_bytes(raw[:place] + (14).to_bytes(4, "little") + raw[place + 4 :])
+    with pytest.raises(InputError, match="values of the impossible type 14"):
+        MatTable(path)
+
+
+FIRST_NS = 1_772_366_400_000_000_123
+
+
+def test_nanoseconds_since_1970_in_parquet(tmp_path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    parquet = importlib.import_module("pyarrow.parquet")
+    stamps = FIRST_NS + np.arange(N) * 1_000_001
+    for kind in (np.int64, np.uint64):
+        columns = dict(zip(NAMES, TRUTH.T, strict=True)) | {"t": stamps.astype(kind)}
+        parquet.write_table(arrow.table(columns), tmp_path / "log.parquet")
+        channels = CHANNELS.replace("time: t", "time: {column: t, scale: 1.0e-9}")
+        recording = load_file(tmp_path, "log.parquet", channels)
+        np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 * 1e-9)
+        np.testing.assert_array_equal(recording.channels["current"], CURRENT)
+        assert f"read as the difference to the first, {FIRST_NS}" in recording.notes[0]
+    table = arrow.table(
+        {"n": arrow.array([FIRST_NS, None, FIRST_NS - 5]), "b": [True, False, None]}
+    )
+    parquet.write_table(table, tmp_path / "log.parquet")
+    n, b = ParquetTable(tmp_path / "log.parquet").read([0, 1])
+    np.testing.assert_array_equal(n, [0, np.nan, -5])
+    np.testing.assert_array_equal(b, [1, 0, np.nan])
+
+
+def write_joint_states(path: Path, chunk: int = 1 << 20, compression: object = None) -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream, chunk_size=chunk, compression=compression or CompressionType.ZSTD)  # type: ignore[arg-type]
+        writer.start()
+        schema = writer.register_schema("JointState", "jsonschema", b"{}")
+        channel = writer.register_channel("/js", "json", schema)
+        for k in range(N):
+            when = FIRST_NS + k * 1_000_001
+            stamp = {"nanosec": when % 10**9, "sec": when // 10**9}
+            state = {
+                "header": {"stamp": stamp},
+                "position": [100.0 * ANGLE[k], ANGLE[k]],
+                "effort": [CURRENT[k]],
+                "image": [0] * 1000,
+            }
+            writer.add_message(channel, when, json.dumps(state).encode(), when)
+        writer.finish()
+
+
+STATES = (
+    "{time: /js.header.stamp, current: '/js.effort[0]', motor_angle: '/js.position[0]', "
+    "angle: '/js.position[1]'}"
+)
+
+
+def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
+    write_joint_states(tmp_path / "log.mcap")
+    assert not any("image" in name for name in McapTable(tmp_path / "log.mcap").names)
+    recording = load_file(tmp_path, "log.mcap", STATES)
+    np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 * 1e-9)
+    np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
+    np.testing.assert_array_equal(recording.channels["current"], CURRENT)
+    assert recording.notes == ()
+
+
+@pytest.mark.parametrize("share", [0.4, 0.8, 0.95])
+@pytest.mark.parametrize("chunk", [8192, 1 << 24])
+@pytest.mark.parametrize("kind", [CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD])
+def test_a_cut_off_mcap_is_read_to_its_last_whole_message(
+    tmp_path: Path, share: float, chunk: int, kind: CompressionType
+) -> None:
+    path = tmp_path / "log.mcap"
+    write_joint_states(path, chunk, kind)
+    raw = path.read_bytes()
+    path.write_bytes(raw[: int(share * len(raw))])
+    recording = load_file(tmp_path, "log.mcap", STATES)
+    count = len(recording.time)
+    # A compressor gives back whole blocks only.
+    assert 0.3 * N * share < count <= N
+    np.testing.assert_array_equal(recording.channels["angle"], ANGLE[:count])
+    assert f"cut off: read up to its last whole message, {count} messages" in recording.notes[0]
+
+
+def test_an_mcap_damaged_inside_or_cut_in_its_first_chunk_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_joint_states(path, 8192)
+    raw = bytearray(path.read_bytes())
+    raw[len(raw) // 3] ^= 0xFF
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="cannot be read"):
+        McapTable(path)
+    path.write_bytes(path.read_bytes()[:60])
+    with pytest.raises(InputError, match="cut off before its first whole message"):
+        McapTable(path)
+
+
+@st.composite
+def shapes(draw: st.DrawFn) -> tuple[bytes, bool]:
+    """A log in some tool's shape, and whether rows are shifted against the header."""
+    delimiter = draw(st.sampled_from([",", ";", "\t", "|"]))
+    rows = rows_of(TRUTH[:60])
+    shift = draw(st.sampled_from(["no", "no", "all", "one"]))
+    if shift != "no":
+        for row in rows if shift == "all" else rows[30:31]:
+            row.insert(draw(st.integers(0, 3)), "7")
+    ending = draw(st.sampled_from(["\n", "\r\n"]))
+    header = list(NAMES)
+    if draw(st.booleans()):
+        header = [f'"{name}"' for name in header]
+    head = [delimiter.join(header)]
+    if draw(st.booleans()):
+        head.append(delimiter.join(["s", "A", "rad", "rad"]))
+    tail = draw(st.sampled_from([[], ["EOF"], [delimiter * 3], [""]]))
+    if draw(st.booleans()):
+        rows = [[f'"{cell}"' for cell in row] for row in rows]
+    text = ending.join([*head, *(delimiter.join(row) for row in rows), *tail])
+    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]))
+    return text.encode(encoding), shift != "no"
+
+
+@settings(deadline=None, max_examples=150)
+@given(shapes())
+def test_any_shape_is_read_right_or_refused(
+    tmp_path_factory: pytest.TempPathFactory, shape: tuple[bytes, bool]
+) -> None:
+    raw, shifted = shape
+    path = tmp_path_factory.mktemp("shape") / "a.csv"
+    path.write_bytes(raw)
+    try:
+        table = DelimitedTable(path, PLAIN)
+        values = np.column_stack(table.read(range(4)))
+    except InputError:
+        assert shifted
+        return
+    assert table.names == NAMES
+    if shifted:
+        # Row names are the one shift that is recognised, and it is said.
+        assert any("row name" in note for note in table.notes)
+    np.testing.assert_array_equal(values, TRUTH[:60])
+
+
+def test_json_lines(tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    rows = [
+        json.dumps({"t": t, "s": {"sec": 5, "nanosec": k}, "d": {"i": i, "p": [m, q]}})
+        for k, (t, i, m, q) in enumerate(TRUTH.tolist())
+    ]
+    path.write_text("\n".join([*rows, '{"t": 0.3, "d"']))
+    channels = "{time: t, current: d.i, motor_angle: 'd.p[0]', angle: 'd.p[1]'}"
+    recording = load_file(tmp_path, "log.jsonl", channels)
+    is_truth(recording)
+    assert recording.notes == (f"line {N + 1} is cut off: dropped",)
+    path.write_text('{"t": 1}\n\n[3]\n')
+    with pytest.raises(InputError, match=r"log\.jsonl:3: not a JSON object"):
+        load_file(tmp_path, "log.jsonl", channels)
+    path.write_text('{"t": 1}\nnot\n{"t": 2}\n')
+    with pytest.raises(InputError, match=r"log\.jsonl:2: not JSON"):
+        load_file(tmp_path, "log.jsonl", channels)
+    path.write_text('{"name": "a"}\n')
+    with pytest.raises(InputError, match="no JSON object holds a number"):
+        load_file(tmp_path, "log.jsonl", channels)
+
+
+def test_npy(tmp_path: Path) -> None:
+    np.save(tmp_path / "log.npy", TRUTH)
+    is_truth(load_file(tmp_path, "log.npy", "{time: 0, current: 1, motor_angle: 2, angle: 3}"))
+    fields = np.array([tuple(row) for row in TRUTH], dtype=[(name, float) for name in NAMES])
+    np.save(tmp_path / "log.npy", fields)
+    is_truth(load_file(tmp_path, "log.npy"))
+    np.save(tmp_path / "log.npy", np.array([{}] * 3), allow_pickle=True)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_file(tmp_path, "log.npy")
+
+
+def test_recordings_that_follow_each_other_are_no_wrap(tmp_path: Path) -> None:
+    values = np.vstack([TRUTH[:256], TRUTH[:256]])
+    with pytest.raises(InputError, match="time runs backwards"):
+        load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
+
+
+def test_a_switched_output_is_not_read_as_signed(tmp_path: Path) -> None:
+    values = np.column_stack([TIME, 255.0 * (CURRENT > 0), 100 * ANGLE, ANGLE])
+    recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)))
+    assert recording.channels["current"].max() == 255.0
+
+
+def test_with_a_rate_every_row_is_a_sample(tmp_path: Path) -> None:
+    lines = [line for row in rows_of() for line in (",".join(row[1:]), ",,")]
+    path = tmp_path / "c.yaml"
+    (tmp_path / "log.csv").write_text("i,m,q\n" + "\n".join(lines))
+    channels = "{current: i, motor_angle: m, angle: q}"
+    text = f"recordings:\n  - {{file: log.csv, rate: 1000, channels: {channels}}}\n"
+    path.write_text(BENCH + text)
+    with pytest.raises(InputError, match=r"`current`: 299 of 599|`current`: 300 of 600"):
+        load_source(path)

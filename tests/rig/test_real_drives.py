@@ -1,0 +1,170 @@
+"""Benches whose drive has only the objects of a maker's EDS file, from check to a finished run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.mock.makes import LACKS, description
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.results.run.page.limits import read_attachments
+from rig.runs.mcap.reader import read_run
+from rig.wiring.bench_text import watcher_of
+from rig.wiring.connect import connect
+from rig.wiring.preflight import device_findings, require_startable
+
+SHORT = """\
+sequence: 1
+name: short
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 0.5}], duration_s: 2,
+     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0.05}
+"""
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("short.yaml").write_text(SHORT)
+    return tmp_path
+
+
+def bench(make: str, keys: str = "", packaged: str = "practical", eds: str = "") -> str:
+    """Write a bench with a drive of this make, and return its name."""
+    Path("drive.eds").write_text(eds or description(make))
+    text = resolve(packaged, "benches").read_text()
+    assert "servo: {" in text
+    Path("bench.yaml").write_text(text.replace("servo: {", f"servo: {{eds: drive.eds, {keys}", 1))
+    return "bench.yaml"
+
+
+@pytest.mark.parametrize("packaged", ["practical", "practical_serial"])
+@pytest.mark.parametrize("make", LACKS)
+def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(
+    here: Path, make: str, packaged: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = bench(make, packaged=packaged)
+    assert status(["check", name]) == 0
+    shown = capsys.readouterr().out
+    assert "verdict: good: a run would start" in shown
+    assert "not watched: supply voltage (6079h); servo.supply_object names it" in shown
+    assert "not watched: temperature (2101h)" in shown
+    assert ("not held by the drive: motor current (6073h)" in shown) is (0x6073 in LACKS[make])
+    assert ("has none" in shown) is bool({0x6072, 0x6073, 0x607F} & LACKS[make])
+    assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
+    shown = capsys.readouterr()
+    assert "not watched: supply voltage" in shown.out + shown.err
+    record = json.loads(Path("o/run.json").read_text())
+    assert (record["state"], record["de_energised"]) == ("done", True)
+    samples = read_run(here / "o/recording.mcap").samples
+    assert all(math.isnan(value) for value in samples["temperature"])
+    assert all(math.isfinite(value) for value in samples["current"])
+
+
+def test_check_lists_what_only_the_host_holds_as_json(here: Path) -> None:
+    name = bench("Faulhaber")
+    assert status(["check", name, "--json", "check.json"]) == 0
+    told = json.loads(Path("check.json").read_text())
+    assert told["not_held"] == [
+        "current_A",
+        "following_error_rad",
+        "quick_stop_option",
+        "torque_N_m",
+    ]
+    assert told["limits"]["torque_N_m"] is None
+    assert told["limits"]["quick_stop_option"] is None
+    assert told["limits"]["speed_rad_s"] > 0
+    assert told["has_watchdog"] is False
+
+
+def test_the_limits_are_those_of_a_drive_without_watchdog_unless_the_bench_says_more(
+    here: Path,
+) -> None:
+    cut = load_bench(bench("Trinamic")).value
+    assert (cut.watched, cut.limits.torque_N_m) == (False, pytest.approx(0.6 * 75))
+    assert watcher_of(cut).kind == "nobody"
+    told = load_bench(bench("Trinamic", "stops_alone: true, "))
+    assert (told.value.watched, told.value.limits.torque_N_m) == (True, 75)
+    with connect(told, 0, realtime=False) as devices:
+        assert devices.link.has_watchdog
+    assert load_bench(bench("EPOS4")).value.limits.torque_N_m == 75
+    assert not load_bench(bench("EPOS4", "stops_alone: false, ")).value.watched
+
+
+def test_the_limits_that_the_drive_has_are_still_compared_with_its_own(here: Path) -> None:
+    document = load_bench(bench("Trinamic"))
+    with connect(document, 0, realtime=False) as devices:
+        wanted = devices.servo.read_limits()
+        assert list(device_findings(devices, wanted, document.value.cycle_s)) == []
+        looser = dataclasses.replace(wanted, torque_N_m=1.1 * wanted.torque_N_m)
+        (found,) = device_findings(devices, looser, document.value.cycle_s)
+        assert "joint torque (6072h)" in found.text
+
+
+def test_objects_of_the_maker_can_be_named(here: Path) -> None:
+    keys = (
+        "current_object: [0x6077, 0], current_unit_A: 0.015, supply_object: [0x60F4, 0], "
+        "supply_unit_V: 0.5, rated_torque_object: [0x6076, 0], "
+    )
+    document = load_bench(bench("EPOS4", keys))
+    with connect(document, 0, realtime=False) as devices:
+        lacks = devices.servo.lacks(0.001)
+        assert not lacks.supply
+        assert not any("motor current (6078h)" in words for words in lacks.words)
+        devices.prepare(document.value.cycle_s)
+        for _ in range(20):
+            devices.link.exchange()
+        assert devices.servo.sample().supply_voltage_V == pytest.approx(0.0)
+
+
+def test_an_object_that_the_bench_names_must_be_there(here: Path) -> None:
+    document = load_bench(bench("EPOS4", "supply_object: [0x2200, 1], "))
+    with pytest.raises(InputError, match="2200h:01h is not in the device's EDS; the bench file"):
+        require_startable(document, date(2026, 1, 1), lambda _: None)
+
+
+@pytest.mark.parametrize(
+    ("keys", "unit"),
+    [
+        ("velocity_unit: rpm, ", 2 * math.pi / 60),
+        ("velocity_unit: counts_per_s, ", 2 * math.pi / 4096),
+        ("velocity_unit_rad_s: 0.5, ", 0.5),
+        ("", 2 * math.pi / 4096),
+    ],
+)
+def test_the_unit_of_the_speed_can_be_named(here: Path, keys: str, unit: float) -> None:
+    with connect(load_bench(bench("Elmo", keys)), 0, realtime=False) as devices:
+        servo: Any = devices.servo
+        assert servo._scales.motor_speed_unit_rad_s == pytest.approx(unit)
+
+
+def test_two_units_of_the_speed_contradict_each_other(here: Path) -> None:
+    with pytest.raises(InputError, match=r"velocity_unit rpm and velocity_unit_rad_s 0.5 are both"):
+        load_bench(bench("Elmo", "velocity_unit: rpm, velocity_unit_rad_s: 0.5, "))
+
+
+def test_a_needed_object_is_named_with_what_it_is_for(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = bench("Elmo", eds=description("Elmo").replace("[607A]", "[507A]"))
+    assert status(["check", name]) == 2
+    told = capsys.readouterr().err
+    assert "bench.yaml:" in told
+    assert "object 607Ah:00h is not in the device's EDS; every run needs it: it is" in told
+
+
+def test_the_page_of_a_run_shows_the_limits_that_were_in_force(here: Path) -> None:
+    name = bench("Trinamic")
+    assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
+    attached = read_attachments(read_run(here / "o/recording.mcap").attachments)
+    assert attached.bench is not None
+    assert attached.bench.limits.torque_N_m == pytest.approx(45)
