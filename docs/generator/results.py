@@ -36,6 +36,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:known_record",
         "rig.results.identify.record:uncertainty_record",
         "rig.results.identify.record:ladder_record",
+        "rig.results.identify.record:simulated_record",
+        "rig.results.identify.record:_constant_record",
         "rig.results.identify.record:transfer_record",
         "rig.results.identify.record:_moved_record",
         "rig.results.identify.record:comparison_record",
@@ -110,7 +112,15 @@ _INTERNAL = frozenset({"transmission", "voltage", "right"})
 """Keys of dictionaries that stay inside these functions."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig identify: identify.json": frozenset(
-        {"corrections", "compared", "ladder", "transfer", "comparison", "partial"}
+        {
+            "corrections",
+            "compared",
+            "ladder",
+            "simulated_ladder",
+            "transfer",
+            "comparison",
+            "partial",
+        }
     ),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),

@@ -7,7 +7,7 @@ Bootstrap, ch. 8). Samples within a recording are too correlated to be drawn ind
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from identification.prepare import Prepared, default_bandwidth, prepare
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from identification.simulate.closed_loop import replay
-from identification.simulate.score import compare, pooled
+from identification.simulate.score import Sums, compare, pooled
 
 REPLICATES = 100
 """Number of bootstrap draws."""
@@ -45,8 +45,9 @@ class Rung:
         result: The fit to all recordings with role ``fit``.
         train: Torque error on these, in the fit's unit.
         scored: Torque error on the recordings with role ``validate``; None without any.
-        angle: Angle error of the simulated loop on the validation recordings (without any, on the
-            fitted ones), rad (m); None without a controller.
+        angle: Rms angle error of the simulated loop on the validation recordings (without any, on
+            the fitted ones), rad (m); None without a controller.
+        angle_mae: Mean absolute angle error on the same, rad (m).
         best: Share of the draws in which this rung has the least torque error on the scored
             recordings.
     """
@@ -56,6 +57,7 @@ class Rung:
     train: Interval
     scored: Interval | None
     angle: Interval | None
+    angle_mae: Interval | None
     best: float
 
 
@@ -101,6 +103,7 @@ def climb(
         for n, draw in enumerate(draws):
             tell(f"{name}: draw {n + 1} of {replicates}", (k + n / replicates) / len(names))
             found[-1].append(redraw(*draw))
+    angles = [_angles(r, scored) if simulated else None for r in results]
     winners = np.argmin([[score.torque for score in scores] for scores in found], axis=0)
     tell("ladder", 1.0)
     return tuple(
@@ -109,10 +112,13 @@ def climb(
             result=result,
             train=_interval(result.fit.train_rms, [s.train for s in scores]),
             scored=_scored(result, scores),
-            angle=_angle(result, scored, scores) if simulated else None,
+            angle=_angle(sums, lambda s: s.angle_rms, [s.angle for s in scores]),
+            angle_mae=_angle(sums, lambda s: s.angle_mae, [s.angle_mae for s in scores]),
             best=float(np.mean(winners == k)),
         )
-        for k, (name, result, scores) in enumerate(zip(names, results, found, strict=True))
+        for k, (name, result, scores, sums) in enumerate(
+            zip(names, results, found, angles, strict=True)
+        )
     )
 
 
@@ -138,11 +144,16 @@ def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
     return None if value is None else _interval(value, [s.torque for s in scores])
 
 
+def _angles(result: Identification, prepared: Sequence[Prepared]) -> Sums:
+    return pooled(compare(p, replay(p.recording, result.fitted, result.alpha)) for p in prepared)
+
+
 def _angle(
-    result: Identification, prepared: Sequence[Prepared], scores: Sequence[Score]
-) -> Interval:
-    sums = pooled(compare(p, replay(p.recording, result.fitted, result.alpha)) for p in prepared)
-    return _interval(sums.angle_rms, [s.angle for s in scores if s.angle is not None])
+    sums: Sums | None, measure: Callable[[Sums], float], draws: Sequence[float | None]
+) -> Interval | None:
+    if sums is None:
+        return None
+    return _interval(measure(sums), [drawn for drawn in draws if drawn is not None])
 
 
 def _draw(rng: np.random.Generator, count: int) -> Indices:

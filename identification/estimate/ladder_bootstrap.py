@@ -37,12 +37,14 @@ class Score:
     Attributes:
         train: Torque error on the drawn recordings to fit, in the fit's unit.
         torque: Torque error on the drawn recordings to score.
-        angle: Angle error of the simulated loop on these, rad (m); None if it is not simulated.
+        angle: Rms angle error of the simulated loop on these, rad (m); None if it is not simulated.
+        angle_mae: Mean absolute angle error, likewise.
     """
 
     train: float
     torque: float
     angle: float | None
+    angle_mae: float | None
 
 
 class Redraw:
@@ -81,18 +83,20 @@ class Redraw:
     def __call__(self, to_fit: Indices, to_score: Indices) -> Score:
         """Fit the recordings ``to_fit`` and score those ``to_score``; both may repeat."""
         values = self._solve(to_fit)
+        angles = self._angles(to_score, values) if self._simulated else None
         return Score(
             train=fit_of([self._fitted[k] for k in to_fit], values, self._alpha).train_rms,
             torque=fit_of([self._scored[k] for k in to_score], values, self._alpha).train_rms,
-            angle=self._angle(to_score, values) if self._simulated else None,
+            angle=None if angles is None else angles.angle_rms,
+            angle_mae=None if angles is None else angles.angle_mae,
         )
 
-    def _angle(self, drawn: Indices, values: Mapping[str, float]) -> float:
+    def _angles(self, drawn: Indices, values: Mapping[str, float]) -> Sums:
         sums: dict[int, Sums] = {}
         for k in np.unique(drawn).tolist():
             p = self._scored[k]
             sums[k] = compare(p, replay(p.recording, values, self._alpha, STEP_S))
-        return pooled(sums[k] for k in drawn.tolist()).angle_rms
+        return pooled(sums[k] for k in drawn.tolist())
 
     def _solve(self, drawn: Indices) -> dict[str, float]:
         bounds = self._stage.bounds()

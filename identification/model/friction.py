@@ -55,7 +55,8 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
         height += gear * p[GEAR_RISE]
         value += gear * p[MU_GC]
     if height > 0.0:
-        x = (speed / p[OMEGA_SF]) ** p[ALPHA]
+        x = speed / p[OMEGA_SF]
+        x = x * x if p[ALPHA] == 2.0 else x ** p[ALPHA]
         part = height * math.exp(-x)
         value += part
         if speed > 0.0:

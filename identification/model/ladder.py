@@ -17,6 +17,20 @@ LADDER: Mapping[str, tuple[str, ...]] = {
 }
 """Rung to its friction terms, simplest first; a rung is added here and nowhere else."""
 
+TRANSMITTED, DIRECTIONAL = "stribeck_transmitted_load", "stribeck_directional_load"
+SIMULATED: Mapping[str, tuple[str, ...]] = {
+    "stribeck": LADDER["stribeck"],
+    "stribeck_load_dependent": LADDER["stribeck_load_dependent"],
+    TRANSMITTED: LADDER["stribeck_load_dependent"],
+    DIRECTIONAL: (*LADDER["stribeck_load_dependent"], "mu_gd"),
+}
+"""Rung to its friction terms, of the fits to the simulated angle.
+
+The load of the last two is |external - mu_gd motor torque|: with mu_gd = 1 the torque that the
+teeth transmit; a free mu_gd makes friction differ by whether the motor drives or is driven. They
+need a simulated motor torque: with the measured one as a regressor, its own errors would fit it.
+"""
+
 NOMINAL = "stribeck"
 """The paper's system load, eq. 9."""
 
@@ -28,4 +42,9 @@ def rises(rung: str) -> bool:
 
 def bears_load(rung: str) -> bool:
     """Whether friction grows with the load torque of a pendulum."""
-    return "mu_gc" in LADDER[rung]
+    return "mu_gc" in {**LADDER, **SIMULATED}[rung]
+
+
+def drive_share(rung: str) -> float:
+    """Weight mu_gd of the motor's torque in the load of a rung; its start where it is fitted."""
+    return 1.0 if rung in (TRANSMITTED, DIRECTIONAL) else 0.0

@@ -20,6 +20,10 @@ LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
 """Found by the loaded fit (eq. 15)."""
 GEAR_PARAMETERS = ("mu_gc", "mu_gs")
 """Found by the unloaded fit where friction grows with a pendulum's torque."""
+DRIVE_SHARE = "mu_gd"
+"""Weight of the drive's torque in the load that the gear carries, over that of the external
+torque.
+"""
 STRIBECK_TERMS = (
     ("Mc", "Ms", "omega_sf"),
     ("mu_c", "mu_s", "omega_sL"),
@@ -49,7 +53,7 @@ UNITS_LINEAR: Mapping[str, str] = {
 
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
 MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
-MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, STEADY, SIZE = range(10, 17)
+MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, STEADY, GEAR_DRIVE, SIZE = range(10, 18)
 """Indices in the vector.
 
 ``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) belong to a declared pendulum, ``STEADY`` is a known
@@ -90,6 +94,7 @@ def pack(values: Mapping[str, float], alpha: float) -> Array:
         if name in values:
             p[k] = values[name]
     p[MU_GC] = values.get("mu_gc", 0.0)
+    p[GEAR_DRIVE] = values.get(DRIVE_SHARE, 0.0)
     for (coulomb, static, _), k in zip(
         STRIBECK_TERMS, (SYSTEM_RISE, LOAD_RISE, GEAR_RISE), strict=True
     ):

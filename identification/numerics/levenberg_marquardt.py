@@ -40,15 +40,15 @@ class Minimum:
     steps: int
 
 
-def huber(residual: Array, threshold: float) -> Array:
-    """Return r^2/2 within the threshold and threshold (|r| - threshold/2) beyond, shape of
-    ``residual``.
+def huber(residual: Array, threshold: float | Array) -> Array:
+    """Return r^2/2 within the threshold, one for all or one each, and threshold (|r| -
+    threshold/2) beyond, shape of ``residual``.
     """
     size = np.minimum(np.abs(residual), threshold)
     return np.asarray(size * (np.abs(residual) - 0.5 * size))
 
 
-def huber_weight(residual: Array, threshold: float) -> Array:
+def huber_weight(residual: Array, threshold: float | Array) -> Array:
     """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, shape of
     ``residual``.
     """

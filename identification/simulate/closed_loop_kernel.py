@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from identification.model.friction import friction
-from identification.model.parameters import INERTIA, OFFSET, STEADY, WEIGHT, ZERO
+from identification.model.parameters import GEAR_DRIVE, INERTIA, OFFSET, STEADY, WEIGHT, ZERO
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
@@ -105,8 +105,9 @@ def closed_loop(
                 if k + 1 == len(time):
                     return
             hanging = body[STEADY] - body[WEIGHT] * math.sin(middle - body[ZERO])
+            gear = abs(hanging - body[GEAR_DRIVE] * (drive - loop[DAMPING] * w))
             w_next = next_speed(
-                w, drive + hanging - body[OFFSET], moment[k], abs(hanging), loop[DAMPING], h, body
+                w, drive + hanging - body[OFFSET], moment[k], gear, loop[DAMPING], h, body
             )
             q += 0.5 * h * (w + w_next)
             w = w_next

@@ -29,6 +29,7 @@ class Sums:
         torque_samples: Number of torque samples.
         angle_error: Sum of squares of simulated less measured angle at the recording's time stamps.
         angle_samples: Number of angle samples.
+        angle_absolute: Sum of absolute errors of the angle at these.
     """
 
     torque_error: float = 0.0
@@ -36,6 +37,7 @@ class Sums:
     torque_samples: int = 0
     angle_error: float = 0.0
     angle_samples: int = 0
+    angle_absolute: float = 0.0
 
     @property
     def torque_rms(self) -> float:
@@ -52,6 +54,11 @@ class Sums:
         """Rms angle error, rad (m)."""
         return math.sqrt(self.angle_error / max(self.angle_samples, 1))
 
+    @property
+    def angle_mae(self) -> float:
+        """Mean absolute angle error, rad (m)."""
+        return self.angle_absolute / max(self.angle_samples, 1)
+
 
 def pooled(parts: Iterable[Sums]) -> Sums:
     """Return the sums over several recordings."""
@@ -63,6 +70,7 @@ def pooled(parts: Iterable[Sums]) -> Sums:
             total.torque_samples + s.torque_samples,
             total.angle_error + s.angle_error,
             total.angle_samples + s.angle_samples,
+            total.angle_absolute + s.angle_absolute,
         )
     return total
 
@@ -84,6 +92,7 @@ def compare(prepared: Prepared, response: Response) -> Sums:
         torque_samples=len(error),
         angle_error=float(off @ off),
         angle_samples=len(off),
+        angle_absolute=float(np.sum(np.abs(off))),
     )
 
 

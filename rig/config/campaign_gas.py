@@ -50,19 +50,19 @@ class UncertainConstant(Schema):
 
     Attributes:
         value: The constant, in the unit of its key.
-        uncertainty: Its standard deviation, in the same unit.
+        std: Its standard deviation, in the same unit.
     """
 
     heading: ClassVar[str] = "uncertain constant"
     value: Constant
-    uncertainty: Constant
+    std: Constant
 
     @model_validator(mode="after")
     def _above_nothing(self) -> UncertainConstant:
-        if self.uncertainty >= self.value:
+        if self.std >= self.value:
             raise ValueError(
-                f"an uncertainty of {self.uncertainty:g} reaches to nothing from {self.value:g}; "
-                f"give a standard deviation below the value"
+                f"a standard deviation of {self.std:g} reaches to nothing from {self.value:g}; "
+                f"give one below the value"
             )
         return self
 
@@ -72,12 +72,12 @@ class UncertainNumber(Schema):
 
     Attributes:
         value: The number, in the unit of its key.
-        uncertainty: Its standard deviation, in the same unit.
+        std: Its standard deviation, in the same unit.
     """
 
     heading: ClassVar[str] = "uncertain number"
     value: float
-    uncertainty: Constant
+    std: Constant
 
 
 def measured(value: object) -> TypeGuard[Measured]:
@@ -92,7 +92,7 @@ def _form(value: object) -> str:
 def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
     if isinstance(value, float | int):
         return value
-    return Measured(value.value, value.uncertainty)
+    return Measured(value.value, value.std)
 
 
 def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:

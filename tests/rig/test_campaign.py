@@ -150,6 +150,20 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
     assert expected in line
 
 
+def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text(CONTRACT.replace("1.56", "{value: 1.56, std: 0.2}"))
+    bench = load_campaign(path).value.bench.bench()
+    assert (bench.resistance, bench.resistance_std) == (1.56, 0.2)
+    assert (bench.torque_constant, bench.torque_constant_std) == (0.03, None)
+    for wrong, expected in (
+        ("{value: 1.56, std: 0}", "std: input should be greater than 0"),
+        ("{std: 0.2}", "bench.resistance"),
+    ):
+        (line,) = problems(tmp_path, CONTRACT.replace("1.56", wrong))
+        assert expected in line
+
+
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [

@@ -13,8 +13,8 @@ from rig.cli.entry import status
 G, GEAR = 9.80665, 3.0
 CAMPAIGN = """\
 campaign: 1
-bench: {torque_constant: {value: 0.03, uncertainty: 0.001}, gear_ratio: 100}
-model: {fixed: {J: {value: 0.22, uncertainty: 0.02}}}
+bench: {torque_constant: {value: 0.03, std: 0.001}, gear_ratio: 100}
+model: {fixed: {J: {value: 0.22, std: 0.02}}}
 defaults: {channels: {time: t, current: i, angle: a}}
 recordings: {table: files.csv}
 """

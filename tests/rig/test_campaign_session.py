@@ -255,15 +255,15 @@ def test_uncertain_constants_reach_the_recordings_and_fixed_values_become_priors
 ) -> None:
     path = campaign(
         tmp_path,
-        "  - {file: a.csv, gravity: {mass: {value: 2, uncertainty: 0.1}, length: 0.1,"
-        " zero: {value: -0.2, uncertainty: 0.05}}}\n"
-        "  - {file: b.csv, stage: loaded, weight_mass: {value: 10.2, uncertainty: 0.05}}\n",
+        "  - {file: a.csv, gravity: {mass: {value: 2, std: 0.1}, length: 0.1,"
+        " zero: {value: -0.2, std: 0.05}}}\n"
+        "  - {file: b.csv, stage: loaded, weight_mass: {value: 10.2, std: 0.05}}\n",
     )
     path.write_text(
         path.read_text().replace(
             "bench: {torque_constant: 1,",
-            "model: {fixed: {Mc: {value: 5, uncertainty: 0.5}, J: 0.2}}\n"
-            "bench: {torque_constant: {value: 1, uncertainty: 0.1},",
+            "model: {fixed: {Mc: {value: 5, std: 0.5}, J: 0.2}}\n"
+            "bench: {torque_constant: {value: 1, std: 0.1},",
         )
     )
     dataset = load_source(path)
@@ -286,7 +286,7 @@ def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
         "  table: [[file, weight_mass, moment_arm], [a.csv, 2, 0.2], [b.csv, 2, null]]\n",
     )
     path.write_text(
-        path.read_text().replace("moment_arm: 0.1", "moment_arm: {value: 0.1, uncertainty: 0.01}")
+        path.read_text().replace("moment_arm: 0.1", "moment_arm: {value: 0.1, std: 0.01}")
     )
     a, b = load_source(path).recordings
     assert (a.bench.moment_arm, b.bench.moment_arm) == (0.2, 0.1)
@@ -299,10 +299,10 @@ def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("{value: 2, uncertainty: 2}", "reaches to nothing from 2"),
-        ("{value: 2}", "uncertainty: missing"),
-        ("{value: 2, std: 0.1}", "unknown key; known are"),
-        ("{value: 0, uncertainty: 0.1}", "input should be greater than 0"),
+        ("{value: 2, std: 2}", "reaches to nothing from 2"),
+        ("{value: 2}", "std: missing"),
+        ("{value: 2, uncertainty: 0.1}", "unknown key; known are"),
+        ("{value: 0, std: 0.1}", "input should be greater than 0"),
         ("text", "input should be a valid number"),
     ],
 )

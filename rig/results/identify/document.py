@@ -13,6 +13,7 @@ from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table
 from rig.results.identify.identify import Outcome
 from rig.results.identify.parameters import parameter_notes, parameter_table, pinned_notes
+from rig.results.identify.simulated_tables import simulated_notes, simulated_table
 from rig.results.identify.tables import (
     COMPARISON_NOTE,
     comparison_table,
@@ -119,6 +120,12 @@ def _warnings(results: Sequence[Identification]) -> list[Note]:
 def _extras(outcome: Outcome) -> Iterator[Extra]:
     if rungs := outcome.ladder:
         yield Extra("Ladder of friction models", ladder_table(rungs), ladder_notes(rungs))
+    if simulated := outcome.simulated:
+        yield Extra(
+            "Friction models fitted to the simulated angle",
+            simulated_table(simulated, outcome.results[0].motion),
+            simulated_notes(simulated),
+        )
     if (found := outcome.transfer) is not None:
         yield Extra("Transfer", transfer_table(found), transfer_notes(found))
 

@@ -17,6 +17,7 @@ from identification.estimate.ladder import Rung, climb
 from identification.estimate.long import identify_any_length
 from identification.estimate.paper_method.comparison import Contender, compare
 from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.prediction.simulated_ladder import SimulatedRung, climb_simulated
 from identification.estimate.transfer import Transfer, transfer
 from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
@@ -68,6 +69,7 @@ class Outcome:
         results: One result per method, in the requested order.
         provenance: Seed, inputs, time.
         ladder: All rungs of the ladder of friction models, if requested.
+        simulated: The rungs fitted to the simulated angle, if requested and simulable.
         transfer: The first result scored on other recordings, if requested.
         scored_on: Source of these recordings.
         comparison: Comparison of all estimators, if requested.
@@ -80,6 +82,7 @@ class Outcome:
     transfer: Transfer | None = None
     scored_on: Path | None = None
     comparison: tuple[Contender, ...] = ()
+    simulated: tuple[SimulatedRung, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -130,11 +133,7 @@ def identify_source(
         results = [
             _identified(dataset, method, request, warnings, progress) for method in request.methods
         ]
-    rungs: tuple[Rung, ...] = ()
-    if request.ladder:
-        rng = np.random.default_rng(request.seed)
-        with _named(source):
-            rungs = climb(dataset, bandwidth_Hz=request.bandwidth_Hz, rng=rng, progress=progress)
+    rungs, simulated = _ladders(source, dataset, request, progress)
     carried = None
     if request.score is not None and other is not None:
         progress("scoring", 0.0)
@@ -145,7 +144,29 @@ def identify_source(
     tables = {**dataset.tables, **(other.tables if other is not None else {})}
     seconds = time.perf_counter() - started
     provenance = Provenance.of(request.seed, read, seconds, described_by, tables)
-    return Outcome(dataset, tuple(results), provenance, rungs, carried, request.score)
+    return Outcome(
+        dataset,
+        tuple(results),
+        provenance,
+        rungs,
+        carried,
+        request.score,
+        simulated=simulated,
+    )
+
+
+def _ladders(
+    source: Path, dataset: Dataset, request: Request, progress: Callable[[str, float], None]
+) -> tuple[tuple[Rung, ...], tuple[SimulatedRung, ...]]:
+    """Return the rungs fitted to the torque and those fitted to the simulated angle, if asked."""
+    if not request.ladder:
+        return (), ()
+    hertz = request.bandwidth_Hz
+    with _named(source):
+        rng = np.random.default_rng(request.seed)
+        rungs = climb(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
+        rng = np.random.default_rng(request.seed)
+        return rungs, climb_simulated(dataset, bandwidth_Hz=hertz, rng=rng, progress=progress)
 
 
 def _identified(

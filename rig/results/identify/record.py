@@ -8,8 +8,10 @@ from typing import Any
 
 from identification.estimate.ladder import Interval, Rung
 from identification.estimate.paper_method.comparison import Contender
+from identification.estimate.prediction.constants import Constant
+from identification.estimate.prediction.simulated_ladder import SimulatedRung
 from identification.estimate.transfer import Moved, Transfer
-from identification.model.ladder import LADDER
+from identification.model.ladder import LADDER, SIMULATED
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.result_files import IDENTIFY_SCHEMA, Provenance, finite
 from rig.results.identify.identify import Outcome
@@ -27,6 +29,8 @@ def outcome_record(outcome: Outcome) -> dict[str, Any]:
         record["compared"] = [identification_record(r, outcome.provenance) for r in others]
     if outcome.ladder:
         record["ladder"] = ladder_record(outcome.ladder)
+    if outcome.simulated:
+        record["simulated_ladder"] = simulated_record(outcome.simulated)
     if outcome.transfer is not None:
         record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
     if outcome.comparison:
@@ -164,10 +168,48 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
             "train_rms": _interval_record(rung.train),
             "validate_rms": _interval_record(rung.scored),
             "angle_rms": _interval_record(rung.angle),
+            "angle_mae": _interval_record(rung.angle_mae),
             "best_share": rung.best,
         }
         for rung in rungs
     ]
+
+
+def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
+    """Return the record under ``simulated_ladder`` of ``rig identify --json``; angles in rad
+    (m).
+    """
+    return [
+        {
+            "friction": rung.friction,
+            "terms": list(SIMULATED[rung.friction]),
+            "motor_constants": "free" if rung.free else "declared",
+            "alpha": rung.alpha,
+            "fitted": {name: finite(value) for name, value in rung.fitted.items()},
+            "train_mae": _interval_record(rung.train),
+            "cross_validated_mae": finite(rung.crossed),
+            "validate_mae": _interval_record(rung.scored),
+            "horizon_s": finite(rung.horizon_s),
+            "best_share": rung.best,
+            "chosen": rung.chosen,
+            "tied": rung.tied,
+            "constants": {c.name: _constant_record(c) for c in rung.constants},
+        }
+        for rung in rungs
+    ]
+
+
+def _constant_record(c: Constant) -> dict[str, Any]:
+    return {
+        "unit": c.unit,
+        "declared": c.declared,
+        "prior_relative_std": finite(c.prior),
+        "value": finite(c.value),
+        "low": finite(c.low),
+        "high": finite(c.high),
+        "relative_change": finite(c.change),
+        "moved": c.moved,
+    }
 
 
 def transfer_record(found: Transfer, source: str) -> dict[str, Any]:

@@ -150,6 +150,8 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
         "90 %",
         f"angle ({small})",
         "90 %",
+        f"angle, MAE ({small})",
+        "90 %",
         "best in",
     )
     rows = [
@@ -159,11 +161,12 @@ def ladder_table(rungs: Sequence[Rung]) -> Table:
             *_cells(rung.train, 1.0),
             *_cells(rung.scored, 1.0),
             *_cells(rung.angle, scale),
+            *_cells(rung.angle_mae, scale),
             percent(100.0 * rung.best),
         )
         for rung in rungs
     ]
-    return Table(header, tuple(rows), (2, 4, 6, 8))
+    return Table(header, tuple(rows), (2, 4, 6, 8, 10))
 
 
 def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
@@ -178,8 +181,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     ]
     if first.angle is not None:
         lines.append(
-            f"Angle: error of the closed loop simulated from its command and first sample, on "
-            f"{where}."
+            f"Angle: rms and mean absolute error of the closed loop simulated from its command and "
+            f"first sample, on {where}."
         )
     return lines
 

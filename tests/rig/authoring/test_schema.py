@@ -84,14 +84,14 @@ def accepted(kind: str, tree: Any, folder: Path) -> bool:
 
 SESSION = """\
 campaign: 1
-bench: {torque_constant: {value: 0.03, uncertainty: 0.003}, gear_ratio: 100}
-model: {fixed: {J: {value: 0.2, uncertainty: 0.02}, Mc: 5}}
+bench: {torque_constant: {value: 0.03, std: 0.003}, gear_ratio: 100}
+model: {fixed: {J: {value: 0.2, std: 0.02}, Mc: 5}}
 defaults: {channels: {time: t, current: i, motor_angle: phi}}
 recordings:
   - {file: a.csv, start: 0, window: {from: 2}, hoisted: {mass: 2, radius: 0.1}}
   - {file: b.csv, start: 500.5, window: [null, 20], constant_torque: -1}
   - table: [[file, start, weight_mass], [c.csv, 900, 0]]
-    gravity: {mass: 2, length: 0.1, zero: {value: 0.1, uncertainty: 0.01}}
+    gravity: {mass: 2, length: 0.1, zero: {value: 0.1, std: 0.01}}
 """
 
 

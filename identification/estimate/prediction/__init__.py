@@ -1,0 +1,1 @@
+"""Friction fitted to the predicted angle: simulation over a horizon, up to the whole loop."""

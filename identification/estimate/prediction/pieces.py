@@ -1,0 +1,190 @@
+"""Pieces of recordings over which the angle is predicted from a measured state (M49).
+
+In a position loop the simulated angle is drawn to the command, so one piece is the whole recording.
+Driven by a measured voltage or torque alone the prediction drifts; the pieces then end about where
+the motion reverses, and each starts from the measured angle and velocity.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from identification.contact_force import contact_moment
+from identification.model.parameters import INERTIA, WEIGHT, ZERO, pack
+from identification.numerics.arrays import Array
+from identification.prepare import Prepared, joint_angle, uniform_grid
+from identification.recording import Bench, Recording, RecordingError
+from identification.simulate.closed_loop import Inputs, inputs_of, loop_of, simulate
+
+STEP_S = 2e-3
+"""Greatest integration step in a search, s; recordings sampled faster take one step a sample."""
+LEAST_SAMPLES = 20
+"""Least samples in a piece."""
+
+
+@dataclass(frozen=True)
+class Motor:
+    """Ratios of motor constants to the declared ones.
+
+    Attributes:
+        torque_constant: Ratio of Km, and of Ke, which is the same constant in SI units.
+        resistance: Ratio of R.
+    """
+
+    torque_constant: float = 1.0
+    resistance: float = 1.0
+
+    def bench(self, declared: Bench) -> Bench:
+        """Return the bench with these constants."""
+        km, ke, r = declared.torque_constant, declared.back_emf_constant, declared.resistance
+        return replace(
+            declared,
+            torque_constant=None if km is None else km * self.torque_constant,
+            back_emf_constant=None if ke is None else ke * self.torque_constant,
+            resistance=None if r is None else r * self.resistance,
+        )
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One prediction: inputs from a measured state on.
+
+    Attributes:
+        recording: The recording it is part of.
+        inputs: Inputs of the simulation, shape (n,).
+        angle: Measured angle, rad, shape (n,); the first is the initial state.
+        velocity: Initial velocity, rad/s.
+        volts: Whether ``inputs.added`` is the motor voltage; only read without a controller.
+    """
+
+    recording: Recording
+    inputs: Inputs
+    angle: Array
+    velocity: float
+    volts: bool
+
+    def predict(
+        self, values: Mapping[str, float], motor: Motor, lateness: float, alpha: float
+    ) -> Array:
+        """Return the simulated angle, rad, shape (n,).
+
+        Args:
+            values: Parameters by name, SI.
+            motor: Motor constants.
+            lateness: Time by which a logged command acts late, s.
+            alpha: Stribeck exponent.
+        """
+        bench = motor.bench(self.recording.bench)
+        inputs = self.inputs
+        if lateness:
+            command = np.interp(inputs.time - lateness, inputs.time, inputs.command)
+            inputs = replace(inputs, command=command)
+        loop = self._loop(bench)
+        body = pack(values, alpha)
+        pendulum = self.recording.pendulum
+        if pendulum is not None:
+            body[INERTIA] += pendulum.inertia
+            body[WEIGHT] = pendulum.mass * bench.gravity * pendulum.length
+            body[ZERO] = pendulum.zero
+        return simulate(body, loop, inputs, float(self.angle[0]), self.velocity, STEP_S).angle
+
+    def _loop(self, bench: Bench) -> Array:
+        controller = self.recording.controller
+        if controller is not None and "command" in self.recording.channels:
+            return loop_of(controller, replace(self.recording, bench=bench))
+        if not self.volts:
+            return np.array([0.0, 0.0, math.inf, 1.0, 0.0])
+        assert bench.resistance is not None
+        assert bench.back_emf_constant is not None
+        per_volt = bench.ampere_torque / bench.resistance
+        return np.array(
+            [0.0, 0.0, math.inf, per_volt, per_volt * bench.back_emf_constant * bench.gear_ratio]
+        )
+
+
+def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
+    """Return the pieces of a recording.
+
+    Args:
+        prepared: The recording; without a controller its velocity gives the initial states.
+        horizon: Length of a piece, s; None for the whole recording in a known loop, else
+            :func:`open_horizon`.
+
+    Raises:
+        RecordingError: The recording has no angle, or nothing drives its simulation.
+    """
+    recording = prepared.recording
+    angle = joint_angle(recording)
+    if angle is None:
+        raise RecordingError(f"{recording.name}: a prediction needs an angle to start from")
+    looped = recording.controller is not None and "command" in recording.channels
+    inputs, volts = (inputs_of(recording), False) if looped else _open_inputs(recording)
+    if horizon is None:
+        horizon = math.inf if looped else open_horizon(prepared)
+    speed = np.interp(recording.time, uniform_grid(recording), prepared.raw_velocity)
+    ends = _ends(recording.time, horizon)
+    pieces = []
+    for first, last in pairwise(ends):
+        span = slice(first, last)
+        part = Inputs(
+            inputs.time[span],
+            inputs.command[span],
+            inputs.scale[span],
+            inputs.added[span],
+            inputs.moment[span],
+        )
+        if not np.all(np.isfinite(part.added)):
+            continue
+        start = 0.0 if looped and first == 0 else float(speed[first])
+        pieces.append(Piece(recording, part, angle[span], start, volts))
+    return pieces
+
+
+def open_horizon(prepared: Prepared) -> float:
+    """Return the mean time between reversals of the velocity, s: friction, which acts against it,
+    then changes its sign about once a piece.
+    """
+    moving = prepared.velocity[prepared.used]
+    turns = int(np.sum(np.sign(moving[1:]) * np.sign(moving[:-1]) < 0.0))
+    time = prepared.recording.time
+    return float(time[-1] - time[0]) / (turns + 1)
+
+
+def _ends(time: Array, horizon: float) -> Sequence[int]:
+    """Return the first sample of each piece, and the number of samples at the end."""
+    whole = float(time[-1] - time[0])
+    count = 1 if not math.isfinite(horizon) else max(round(whole / horizon), 1)
+    count = max(min(count, len(time) // LEAST_SAMPLES), 1)
+    edges = time[0] + whole * np.arange(1, count) / count
+    return [0, *(int(k) for k in np.searchsorted(time, edges)), len(time)]
+
+
+def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
+    """Return the measured drive as inputs, and whether it is a voltage; NaN where it is off.
+
+    Raises:
+        RecordingError: No torque, current or voltage channel.
+    """
+    channels, bench, time = recording.channels, recording.bench, recording.time
+    if "torque" in channels:
+        added, volts = channels["torque"], False
+    elif "current" in channels:
+        added, volts = channels["current"] * bench.ampere_torque, False
+    elif "voltage" in channels and bench.resistance is not None:
+        added, volts = channels["voltage"], True
+        if "enabled" in channels:
+            added = np.where(channels["enabled"] < 0.5, np.nan, added)
+    else:
+        raise RecordingError(
+            f"{recording.name}: nothing drives a simulation; it needs a torque, current or voltage "
+            f"channel, or a `command` and its `controller`"
+        )
+    angle = joint_angle(recording)
+    still, ones = np.zeros(len(time)), np.ones(len(time))
+    moment = contact_moment(recording, time, still if angle is None else angle)
+    return Inputs(time, still, ones, added, moment), volts

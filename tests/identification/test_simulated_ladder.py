@@ -1,0 +1,161 @@
+"""Friction fitted to the predicted angle: known constants recovered from noisy loops, and the rungs
+ranked on another mass.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.estimate.prediction.constants import PER_VOLT
+from identification.estimate.prediction.pieces import open_horizon, pieces_of
+from identification.estimate.prediction.simulated_ladder import (
+    SimulatedRung,
+    climb_simulated,
+    predictable,
+)
+from identification.model.ladder import DIRECTIONAL, TRANSMITTED
+from identification.prepare import prepare
+from identification.recording import Dataset, Recording
+
+from .synthetic import sine
+from .voltage_lever import DECLARED, LATENESS, TRUE_KM, TRUE_R, TRUTH, lever
+
+BANDWIDTH_HZ = 8.0
+
+
+def fitted(closed: bool = True) -> tuple[Recording, ...]:
+    return tuple(
+        lever(0.4, length, seed=10 * k + n, closed=closed)
+        for k, length in enumerate((0.05, 0.08, 0.11))
+        for n in range(2)
+    )
+
+
+def aside(closed: bool = True) -> tuple[Recording, ...]:
+    return tuple(
+        lever(0.8, length, role="validate", seed=50 + k, closed=closed)
+        for k, length in enumerate((0.05, 0.11))
+    )
+
+
+def climbed(dataset: Dataset, draws: int = 6) -> dict[tuple[str, bool], SimulatedRung]:
+    rungs = climb_simulated(
+        dataset, bandwidth_Hz=BANDWIDTH_HZ, rng=np.random.default_rng(0), replicates=draws
+    )
+    return {(r.friction, r.free): r for r in rungs}
+
+
+@pytest.fixture(scope="module")
+def loops() -> dict[tuple[str, bool], SimulatedRung]:
+    return climbed(Dataset((*fitted(), *aside())))
+
+
+def test_constants_are_recovered_from_noisy_loops(
+    loops: dict[tuple[str, bool], SimulatedRung],
+) -> None:
+    found = loops[TRANSMITTED, True]
+    assert found.fitted["mu_gd"] == 1.0
+    assert found.fitted["mu_gc"] == pytest.approx(TRUTH["mu_gc"], rel=0.1)
+    assert found.fitted["mu_gs"] == pytest.approx(TRUTH["mu_gs"], rel=0.1)
+    assert found.fitted["lateness"] == pytest.approx(LATENESS, abs=1.5e-3)
+    # The noise alone has a mean absolute value of sqrt(2/pi) times its rms of 1 mrad.
+    assert found.train.value < 1.5 * math.sqrt(2.0 / math.pi) * 1e-3
+    assert found.scored is not None
+    assert found.scored.value < 2.0 * math.sqrt(2.0 / math.pi) * 1e-3
+    assert found.scored.low <= found.scored.value
+
+
+def test_a_motor_stronger_than_declared_is_reported_as_moved(
+    loops: dict[tuple[str, bool], SimulatedRung],
+) -> None:
+    found = {c.name: c for c in loops[TRANSMITTED, True].constants}
+    drive = found[PER_VOLT]
+    assert DECLARED.torque_constant is not None
+    assert DECLARED.resistance is not None
+    assert drive.declared == DECLARED.torque_constant / DECLARED.resistance
+    assert drive.value == pytest.approx(TRUE_KM / TRUE_R, rel=0.02)
+    assert drive.change == pytest.approx(0.25, abs=0.03)
+    assert drive.moved
+    assert drive.low <= TRUE_KM / TRUE_R <= drive.high
+    assert found["resistance"].prior == 0.3
+    assert not loops[TRANSMITTED, False].constants
+
+
+def test_a_stated_deviation_holds_a_constant(
+    loops: dict[tuple[str, bool], SimulatedRung],
+) -> None:
+    sure = replace(DECLARED, torque_constant_std=5e-4, resistance_std=4e-3)
+    recordings = tuple(replace(r, bench=sure) for r in fitted())
+    found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
+    constants = {c.name: c for c in found.constants}
+    assert constants["resistance"].prior == pytest.approx(1e-3)
+    assert abs(constants["resistance"].change) < 0.02
+    assert found.train.value > loops[TRANSMITTED, True].train.value
+    assert found.scored is None
+
+
+def test_the_rung_that_made_the_data_predicts_another_mass_best(
+    loops: dict[tuple[str, bool], SimulatedRung],
+) -> None:
+    scored = {key: rung.scored.value for key, rung in loops.items() if rung.scored}
+    assert scored[TRANSMITTED, True] < 0.7 * scored["stribeck_load_dependent", True]
+    assert scored["stribeck_load_dependent", True] < 0.7 * scored["stribeck", True]
+    assert scored[TRANSMITTED, True] < 0.5 * scored[TRANSMITTED, False]
+    assert sum(r.best for r in loops.values()) == pytest.approx(1.0)
+    chosen = {key for key, rung in loops.items() if rung.chosen}
+    assert {free for _, free in chosen} == {False, True}
+    assert len(chosen) == 2
+    assert next(rung for rung, free in chosen if free) in (TRANSMITTED, DIRECTIONAL)
+    assert all(r.crossed > 0.0 for r in loops.values())
+
+
+def test_a_load_that_depends_on_direction_is_recovered() -> None:
+    truth = {**TRUTH, "mu_gd": 2.0, "mu_gc": 0.08, "mu_gs": 0.14}
+    recordings = tuple(
+        lever(0.4, length, seed=10 * k + n, truth=truth)
+        for k, length in enumerate((0.05, 0.08, 0.11))
+        for n in range(2)
+    )
+    found = climbed(Dataset(recordings), draws=2)
+    assert found[DIRECTIONAL, True].fitted["mu_gd"] == pytest.approx(2.0, rel=0.15)
+    assert found[DIRECTIONAL, True].crossed < 0.9 * found[TRANSMITTED, True].crossed
+
+
+def test_a_voltage_without_its_loop_is_predicted_from_reversal_to_reversal() -> None:
+    recordings = fitted(closed=False)
+    prepared = prepare(recordings[0], BANDWIDTH_HZ)
+    pieces = pieces_of(prepared)
+    assert 0.1 < open_horizon(prepared) < 1.0
+    assert len(pieces) > 3
+    assert sum(len(p.angle) for p in pieces) == len(recordings[0].time)
+    assert pieces[1].velocity != 0.0
+    found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
+    drive = next(c for c in found.constants if c.name == PER_VOLT)
+    assert found.horizon_s < 1.0
+    assert "lateness" in found.fitted
+    assert found.fitted["lateness"] == 0.0
+    assert drive.value == pytest.approx(TRUE_KM / TRUE_R, rel=0.1)
+
+
+def test_a_loop_is_one_piece_and_a_horizon_may_be_asked_for() -> None:
+    prepared = prepare(fitted()[0], BANDWIDTH_HZ)
+    (whole,) = pieces_of(prepared)
+    assert len(whole.angle) == len(prepared.recording.time)
+    assert whole.velocity == 0.0
+    assert len(pieces_of(prepared, 1.0)) == 3
+
+
+def test_one_recording_cannot_be_cross_validated() -> None:
+    found = climbed(Dataset((lever(0.4, 0.08, duration=4.0),)), draws=2)
+    assert all(math.isnan(rung.crossed) for rung in found.values())
+    assert not any(rung.chosen or rung.tied for rung in found.values())
+
+
+def test_measured_torque_needs_no_prediction() -> None:
+    torque = sine(rate=200.0)
+    assert not predictable(torque)
+    assert not climbed(Dataset((torque,)), draws=1)
