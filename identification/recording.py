@@ -57,9 +57,6 @@ class Bench:
         gravity: Local acceleration of free fall, m/s^2.
         gas_generator: Nominal constants of the valve (Fig. 3), the pressure behind it and the gas
             generator (eq. 2 to 8); only hot firings need it.
-        torque_constant_std: Standard deviation of Km, N m/A; only fits to the predicted angle use
-            it.
-        resistance_std: Standard deviation of R, ohm, likewise.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -72,8 +69,6 @@ class Bench:
     lever_ratio: float = 10.0
     gravity: float = 9.80665
     gas_generator: GasGenerator | None = None
-    torque_constant_std: float | None = None
-    resistance_std: float | None = None
 
     @property
     def ampere_torque(self) -> float:

@@ -122,9 +122,6 @@ class BenchSection(Schema):
             for key in keys
             if (value := getattr(self, key)) is not None
         }
-        for key in ("torque_constant", "resistance"):
-            if measured(value := getattr(self, key)):
-                constants[f"{key}_std"] = value.uncertainty
         if self.gas_generator is None:
             return Bench(**constants)
         return Bench(

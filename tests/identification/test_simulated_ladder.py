@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.prediction.constants import PER_VOLT
-from identification.estimate.prediction.pieces import open_horizon, pieces_of
+from identification.estimate.prediction.pieces import Motor, open_horizon, pieces_of
 from identification.estimate.prediction.simulated_ladder import (
     SimulatedRung,
     climb_simulated,
@@ -88,8 +88,8 @@ def test_a_motor_stronger_than_declared_is_reported_as_moved(
 def test_a_stated_deviation_holds_a_constant(
     loops: dict[tuple[str, bool], SimulatedRung],
 ) -> None:
-    sure = replace(DECLARED, torque_constant_std=5e-4, resistance_std=4e-3)
-    recordings = tuple(replace(r, bench=sure) for r in fitted())
+    sure = {"bench.torque_constant": 5e-4, "bench.resistance": 4e-3}
+    recordings = tuple(replace(r, uncertainties=sure) for r in fitted())
     found = climbed(Dataset(recordings), draws=2)[TRANSMITTED, True]
     constants = {c.name: c for c in found.constants}
     assert constants["resistance"].prior == pytest.approx(1e-3)
@@ -159,3 +159,14 @@ def test_measured_torque_needs_no_prediction() -> None:
     torque = sine(rate=200.0)
     assert not predictable(torque)
     assert not climbed(Dataset((torque,)), draws=1)
+
+
+def test_a_known_constant_torque_acts_in_the_prediction() -> None:
+    recording = lever(0.4, 0.08, seed=3)
+    (piece, *_) = pieces_of(prepare(recording, BANDWIDTH_HZ))
+    pulled = replace(piece, recording=replace(recording, constant_torque=-0.01))
+    values = {"Mc": 0.01, "Ms": 0.01, "omega_sf": 1.0, "sigma_2": 0.01, "J": 0.005}
+    bare = piece.predict(values, Motor(), 0.0, 1.0)
+    as_offset = piece.predict({**values, "offset": 0.01}, Motor(), 0.0, 1.0)
+    assert np.max(np.abs(as_offset - bare)) > 1e-3
+    assert pulled.predict(values, Motor(), 0.0, 1.0) == pytest.approx(as_offset, abs=1e-9)

@@ -17,7 +17,7 @@ from identification.model.ladder import SIMULATED, bears_load, drive_share
 from identification.model.parameters import DRIVE_SHARE
 from identification.numerics.arrays import Array
 from identification.numerics.bounded_descent import Box
-from identification.recording import Bench, Model
+from identification.recording import Model, Recording
 
 CONSTANTS = ("torque_constant", "resistance")
 LATENESS = "lateness"
@@ -143,15 +143,13 @@ class Coordinates:
         return np.array([at[n] / s for n, s in self.prior.items()])
 
 
-def priors(bench: Bench) -> dict[str, float]:
+def priors(recording: Recording) -> dict[str, float]:
     """Return the standard deviation of the logarithm of each motor constant."""
-    stated = {
-        "torque_constant": (bench.torque_constant, bench.torque_constant_std),
-        "resistance": (bench.resistance, bench.resistance_std),
-    }
+    bench, stated = recording.bench, recording.uncertainties
+    declared = {"torque_constant": bench.torque_constant, "resistance": bench.resistance}
     return {
-        name: RELATIVE_STD if std is None else std / value
-        for name, (value, std) in stated.items()
+        name: stated.get(f"bench.{name}", RELATIVE_STD * value) / value
+        for name, value in declared.items()
         if value is not None
     }
 
@@ -184,7 +182,6 @@ def coordinates(
         "resistance": Axis(-1.5, 1.5, 3e-3),
         LATENESS: Axis(0.0, _LATEST * scales.period, 0.03 * scales.period),
     }
-    bench = pieces[0].recording.bench
     looped = [p.recording.controller for p in pieces if "command" in p.recording.channels]
     driven = any(p.volts for p in pieces) or any(c and c.output != "torque" for c in looped)
     names = ["Mc", "rise", "omega_sf", "sigma_2", "J"]
@@ -194,7 +191,7 @@ def coordinates(
     held = set(model.fixed) | ({"rise"} if "Ms" in model.fixed else set())
     prior = {}
     if free and driven:
-        prior = priors(bench)
+        prior = priors(pieces[0].recording)
     names = [n for n in names if n not in held] + list(prior)
     names += [LATENESS] if any(looped) else []
     return Coordinates(rung, tuple(names), axes, model, prior)

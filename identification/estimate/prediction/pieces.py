@@ -15,11 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.model.parameters import INERTIA, WEIGHT, ZERO, pack
 from identification.numerics.arrays import Array
 from identification.prepare import Prepared, joint_angle, uniform_grid
 from identification.recording import Bench, Recording, RecordingError
-from identification.simulate.closed_loop import Inputs, inputs_of, loop_of, simulate
+from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
 
 STEP_S = 2e-3
 """Greatest integration step in a search, s; recordings sampled faster take one step a sample."""
@@ -85,12 +84,7 @@ class Piece:
             command = np.interp(inputs.time - lateness, inputs.time, inputs.command)
             inputs = replace(inputs, command=command)
         loop = self._loop(bench)
-        body = pack(values, alpha)
-        pendulum = self.recording.pendulum
-        if pendulum is not None:
-            body[INERTIA] += pendulum.inertia
-            body[WEIGHT] = pendulum.mass * bench.gravity * pendulum.length
-            body[ZERO] = pendulum.zero
+        body = body_of(values, self.recording, alpha)
         return simulate(body, loop, inputs, float(self.angle[0]), self.velocity, STEP_S).angle
 
     def _loop(self, bench: Bench) -> Array:

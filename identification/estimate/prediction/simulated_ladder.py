@@ -198,7 +198,7 @@ def _problem(
 
 def _scales(prepared: Sequence[Prepared], inertia: float) -> Scales:
     recordings = [p.recording for p in prepared]
-    hung = [r.pendulum.inertia for r in recordings if r.pendulum is not None]
+    hung = [r.known_inertia for r in recordings if r.known_inertia]
     return Scales(
         torque=max(float(np.max(np.abs(p.drive_torque))) for p in prepared),
         speed=max(float(np.max(np.abs(p.velocity))) for p in prepared),
@@ -278,7 +278,10 @@ def _folds(recordings: Sequence[Recording]) -> Iterator[set[str]]:
     enough loads.
     """
     loads = {
-        r.name: 0.0 if r.pendulum is None else r.pendulum.mass * r.pendulum.length
+        r.name: (
+            0.0 if r.pendulum is None else r.pendulum.mass * r.pendulum.length,
+            r.steady_torque,
+        )
         for r in recordings
     }
     levels = sorted(set(loads.values()))

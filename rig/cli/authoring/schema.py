@@ -235,9 +235,6 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
         },
         "additionalProperties": False,
     }
-    alone = {"type": "number", "exclusiveMinimum": 0}
-    for name in ("torque_constant", "resistance"):
-        definitions["BenchSection"]["properties"][name]["anyOf"].insert(0, alone)
     channel = {"anyOf": [_SHORT_CHANNEL, {"$ref": "#/definitions/ChannelSection"}]}
     units = {**CHANNELS, ANGLE_TIME: "s"}
     channels = definitions["RecordingSection"]["properties"]["channels"]
