@@ -278,7 +278,7 @@ def _statement(
         f"{main.noise_floor_rms:.3g}"
     )
     if verdict is Verdict.NOTHING_MISSING:
-        told = f"p = {p_value:.2g}" if p_value > LEVEL else "what there is lies within the noise"
+        told = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
         said = f"nothing is missing that these recordings could show ({told}); {error}"
         return f"{said}; {_unseen(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
@@ -301,14 +301,14 @@ def _statement(
         groups = [
             " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
         ]
-        words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
+        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     return f"{words}. {change}"
 
 
 def _unseen(names: Sequence[str]) -> str:
     return (
-        f"the nominal constants would take up {', '.join(title(n) for n in names)} whole, and "
-        f"none of it be seen"
+        f"these recordings cannot show {', '.join(title(n) for n in names)}, which the nominal "
+        f"parameters can explain completely"
     )
 
 
@@ -316,7 +316,7 @@ def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> 
     warnings = []
     if unseen:
         warnings.append(
-            f"{_unseen(unseen)}; what would show it: "
+            f"{_unseen(unseen)}; an experiment that shows it: "
             f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
         )
     if not dataset.part("validate"):

@@ -155,7 +155,7 @@ def _map(axis: Axes, one: Map) -> None:
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
     axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate == "direction"))
-    sided = " against the motion" if one.against_motion else ""
+    sided = "\nagainst the motion" if one.against_motion else ""
     axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
     axis.set_title(
         f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left"

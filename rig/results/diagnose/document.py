@@ -38,9 +38,9 @@ _VERDICTS = {
 }
 _HEADLINES = {
     "nothing_missing": "Nothing is missing",
-    "named": "What was left out has a name",
-    "ambiguous": "These recordings cannot tell several names apart",
-    "outside_catalogue": "Something is missing that no name of the catalogue fits",
+    "named": "The missing physics is identified",
+    "ambiguous": "These recordings cannot distinguish several effects",
+    "outside_catalogue": "Something is missing that no effect of the catalogue explains",
 }
 _TONES: dict[str, Literal["good", "found", "open"]] = {
     "nothing_missing": "good",
@@ -144,7 +144,7 @@ def _effect(effect: Effect, found: Diagnosis) -> Section:
     if others:
         blocks.append(Paragraph(f"These recordings cannot tell it from {', '.join(others)}."))
     if effect.separating_experiment:
-        lead = "To tell them apart:" if others else "To confirm it:"
+        lead = "To distinguish them:" if others else "To confirm it:"
         blocks.append(Paragraph(effect.separating_experiment, lead))
     return Section(effect.name, tuple(blocks))
 
