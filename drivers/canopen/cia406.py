@@ -111,8 +111,8 @@ class Cia406Encoder(Encoder):
     def _modulus(self) -> int:
         """Return the range of the position in steps.
 
-        An encoder of class 1 has no 6002h, but the steps and turns of its discs; one that tells
-        nothing is taken modulo a turn, of which every range is a multiple.
+        An encoder of class 1 has no 6002h, but the steps and turns of its discs. If an encoder has
+        none of these objects, its range is taken as one turn, of which every range is a multiple.
         """
         channel, turn = self._channel, self._scales.counts_per_turn
         span = optional(channel.read, *_RANGE)

@@ -26,7 +26,7 @@ BOTH_WAYS = 0.1
 ALIKE = 1.5
 """Largest ratio of the effort in both directions that a log of sizes may show."""
 FAR = 100.0
-"""A sample this many times further from its neighbours than all others is doubted."""
+"""A sample this many times further from its neighbours than all others is reported in a note."""
 OUTLIERS = 3
 """Most samples of a channel that count as single ones."""
 _FACTORS = (

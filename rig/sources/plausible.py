@@ -35,10 +35,6 @@ order it is the same recording.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peaks above which a note suggests that the unit is a thousandth."""
-BOTH_WAYS, LEAST_BACKWARD = 0.1, 0.1
-"""Share of the highest speed that counts as motion, and the share of the time in each direction
-above which the joint moves both ways.
-"""
 RATIO_TOLERANCE = 0.05
 """Deviation of the measured from the declared gear ratio that is noted."""
 

@@ -192,6 +192,21 @@ def test_far_inertias_are_tried_where_no_near_one_solves_the_equations(
         assert np.any(np.isclose(inertias, share * inertias[0]))
 
 
+def test_a_fit_whose_passes_are_used_up_starts_no_further_search(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = []
+
+    def unsolved(start: Point, *_given: object) -> unloaded.Solved:
+        begun.append(start)
+        return unloaded.Solved(2.0 * unloaded.SOLVED, start)
+
+    monkeypatch.setattr(unloaded, "_solved_from", unsolved)
+    monkeypatch.setattr(searches, "MOST_PASSES", 1)
+    identify(Dataset((beginning(practical_pair[0], FEWER_S),)))
+    assert len(begun) == 1
+
+
 def test_a_recording_without_breakaways_leaves_the_others_their_refinement(
     practical_pair: tuple[Recording, Recording],
 ) -> None:

@@ -19,7 +19,7 @@ def test_friction_that_lags_by_its_level_or_by_its_speed(of_speed: float) -> Non
     found = diagnose(Dataset(campaign(hidden, 5, 12.0), Model()))
     assert [e.name for e in found.effects] == ["friction_memory"]
     parameters = found.effects[0].parameters
-    assert parameters["time_s"].value == pytest.approx(TIME_S, rel=0.15)
+    assert parameters["time_s"].value == pytest.approx(TIME_S, rel=0.05)
     assert parameters["of_speed"].value == of_speed
     assert parameters["of_speed"].low == parameters["of_speed"].high == of_speed
 
