@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from rig.results.prove.excitation import experiments
 
 LIKE: Mapping[str, frozenset[str]] = {
