@@ -38,6 +38,10 @@ _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
+_GREATEST_CHANGE = 10.0
+"""Greatest change of an error, in standard deviations, or of a logarithm of its deviation, over
+one step of a finite difference.
+"""
 _TIE_STEP_S = 1e-6
 """Step of a breakaway time for the slope of the torque there."""
 _LONGEST_SHIFT_S = _SHIFTS_S[-1]
@@ -197,12 +201,15 @@ class Point:
         self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x over the deviations, and d log deviations / d x."""
-        errors, widening = self._sensitivities(x)
-        return self._arrow(errors / deviations[:, None]), self._arrow(widening)
+        errors, widening = self._sensitivities(x, deviations)
+        return self._arrow(errors), self._arrow(widening)
 
-    def _sensitivities(self, x: Array) -> tuple[Array, Array]:
-        """Return d errors / d x and d log deviations / d x, shape (r, p + 1) each; the last column
-        is of the breakaway time of the row's segment.
+    def _sensitivities(self, x: Array, deviations: Array) -> tuple[Array, Array]:
+        """Return d errors / d x over the deviations, and d log deviations / d x, shape (r, p + 1)
+        each; the last column is of the breakaway time of the row's segment.
+
+        They are bounded as finite differences would be: in stick-slip an error depends irregularly
+        on the parameters, and its slope says nothing of a step.
         """
         p, times, seeds = self.parameters(x), self.times(x), self._seeds(x)
         errors, widening = self.filter.sensitivities(p, times, self.noise, seeds)
@@ -211,7 +218,11 @@ class Point:
         limits = [static_slopes(seeds[:, :START], m) for m in self.motions]
         offsets = [m.table[:, DIRECTION, None] * seeds[:, OFFSET] for m in self.motions]
         ties = -np.concatenate(limits) - np.concatenate(offsets) + along[:, None] * seeds[:, START]
-        return np.concatenate([errors, ties]), np.concatenate([widening, np.zeros_like(ties)])
+        steps = PARAMETER_STEP * np.maximum(np.abs(x[: len(self.free)]), _LEAST_SCALE)
+        bound = _GREATEST_CHANGE / np.append(steps, _TIME_STEP)
+        slopes = np.concatenate([errors, ties]) / deviations[:, None]
+        widening = np.concatenate([widening, np.zeros_like(ties)])
+        return np.clip(slopes, -bound, bound), np.clip(widening, -bound, bound)
 
     def _seeds(self, x: Array) -> Array:
         """Return the derivatives of all parameters with respect to each free one, and of the
@@ -287,8 +298,7 @@ class Weighted:
         differences; ``here`` are the residuals at ``x``.
         """
         if self.step == PARAMETER_STEP:
-            slopes, _ = self.point._sensitivities(x)
-            return self.point._arrow(slopes / self.deviations[:, None])
+            return self.point._arrow(self.point._sensitivities(x, self.deviations)[0])
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )

@@ -65,6 +65,10 @@ _DH, _DB, _DC, _DG = (_STATES + WIDTH * k for k in range(SEEDS, SEEDS + 4))
 _SIZE = _STATES + (SEEDS + 4) * WIDTH
 
 Samples = tuple[Array, Array, Array, Array, Array, Array, Array]
+_MOST = 1e60
+"""Greatest tangent after a sample. Where friction falls, tangents of a joint that sticks and slips
+may grow without bound; a tangent that overflows would make all later ones undefined.
+"""
 Slopes = tuple[float, ...]
 Gains = tuple[float, ...]
 Covariance = tuple[float, ...]
@@ -372,6 +376,8 @@ def _correct_block(
         t[_P13 + d] = d13 * kept + p13 * d_kept
         t[_P11 + d] = d11 * kept + p11 * d_kept
         t[_P12 + d] = d12 * kept + p12 * d_kept
+    for k in range(_STATES):
+        t[k] = min(max(t[k], -_MOST), _MOST)
 
 
 @inlined
