@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from identification.filter.kalman import innovations
 from identification.filter.noise import Noise
-from identification.filter.sensitivity import seeded, sensitivities
 from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
 from identification.filter.segments import Motion
+from identification.filter.sensitivity import sensitivities
+from identification.filter.tangents import seeded
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Model

@@ -14,16 +14,13 @@ from numpy.typing import NDArray
 from identification.filter.experiment import Experiment, Filter, Heads
 from identification.filter.noise import Noise
 from identification.filter.segment_table import DIRECTION
-from identification.filter.sensitivity import SEEDS, START
 from identification.filter.segments import Motion
+from identification.filter.static_limit import static_crossings, static_limit, static_slopes
+from identification.filter.tangents import SEEDS, START
 from identification.model.parameters import (
     ALPHA,
-    LOAD_RISE,
     LOGARITHMIC,
-    MC,
-    MU_C,
     OFFSET,
-    SYSTEM_RISE,
 )
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
@@ -222,7 +219,7 @@ class Point:
         bound = _GREATEST_CHANGE / np.append(steps, _TIME_STEP)
         slopes = np.concatenate([errors, ties]) / deviations[:, None]
         widening = np.concatenate([widening, np.zeros_like(ties)])
-        return np.clip(slopes, -bound, bound), np.clip(widening, -bound, bound)
+        return _bounded(slopes, bound), _bounded(widening, bound)
 
     def _seeds(self, x: Array) -> Array:
         """Return the derivatives of all parameters with respect to each free one, and of the
@@ -387,21 +384,6 @@ class Searched(NamedTuple):
     iterations: int
 
 
-def static_limit(p: Array, m: Motion) -> Array:
-    """Return the static limit Ms + F_P L1 mu_s (M3) at each breakaway, N m, shape (m,)."""
-    return np.asarray(p[MC] + p[SYSTEM_RISE] + m.breakaway_moment * (p[MU_C] + p[LOAD_RISE]))
-
-
-def static_slopes(seeds: Array, m: Motion) -> Array:
-    """Return the derivative of the static limit (M3) at each breakaway in each direction of the
-    parameters, N m, shape (m, d); ``seeds`` of shape (d, parameters).
-    """
-    load = (seeds[:, MU_C] + seeds[:, LOAD_RISE])[None] * m.breakaway_moment[:, None]
-    return np.asarray((seeds[:, MC] + seeds[:, SYSTEM_RISE])[None] + load)
-
-
-def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
-    """Return when the torque first reaches the static limit at each breakaway, s, one array per
-    recording.
-    """
-    return tuple(m.static_crossing(static_limit(p, m)) for m in motions)
+def _bounded(slopes: Array, bound: Array) -> Array:
+    """Return slopes within a bound for each column; zero where undefined, shape (r, d)."""
+    return np.asarray(np.clip(np.nan_to_num(slopes, nan=0.0), -bound, bound))

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from identification.filter.kalman import (
     ANGLE,
     CORRELATED,
@@ -19,433 +17,16 @@ from identification.filter.kalman import (
     LEAST_SPEED,
     STAYING,
     WHITE,
-    State,
-    corrected,
     reading_at_rest,
     slip_variance,
 )
 from identification.filter.segment_table import DIRECTION, FIRST, LAST, TORQUE_RATE
-from identification.model.friction import NEGLIGIBLE
-from identification.model.parameters import (
-    ALPHA,
-    INERTIA,
-    LOAD_RISE,
-    MC,
-    MU_2,
-    MU_C,
-    OFFSET,
-    OMEGA_SF,
-    OMEGA_SL,
-    SIGMA_2,
-    SYSTEM_RISE,
-)
+from identification.filter.tangents import begun, correct, forgotten, predict, slopes_of_reading
+from identification.model.parameters import INERTIA
 from identification.numerics.arrays import Array
-from identification.numerics.compiled import compiled, inlined
-
-START = OFFSET + 1
-"""Column of the seeds for the breakaway time; the columns before it are parameters."""
-SEEDS = START + 1
-"""Columns of the seeds."""
-WIDTH = 8
-"""Directions of one block; a constant, so that the compiler takes several in one instruction."""
-_ANGLE, _OMEGA, _P11, _P12, _P22, _HIDDEN, _P13, _P23, _P33 = (WIDTH * k for k in range(9))
-"""First place of each derivative of the state in the flat array of tangents."""
-_STATES = 9 * WIDTH
-_MC, _RISE, _OMEGA_SF, _SIGMA_2, _INERTIA = (
-    _STATES + WIDTH * k for k in (MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA)
-)
-_MU_C, _LOAD_RISE, _OMEGA_SL, _MU_2, _OFFSET, _START = (
-    _STATES + WIDTH * k for k in (MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET, START)
-)
-"""First places of the seeds in the same array: within one array the compiler knows that no two of
-them overlap.
-"""
-_DH, _DB, _DC, _DG = (_STATES + WIDTH * k for k in range(SEEDS, SEEDS + 4))
-"""First places of what the third state takes from the first two, in the same array."""
-_SIZE = _STATES + (SEEDS + 4) * WIDTH
+from identification.numerics.compiled import compiled
 
 Samples = tuple[Array, Array, Array, Array, Array, Array, Array]
-_MOST = 1e60
-"""Greatest tangent after a sample. Where friction falls, tangents of a joint that sticks and slips
-may grow without bound; a tangent that overflows would make all later ones undefined.
-"""
-Slopes = tuple[float, ...]
-Gains = tuple[float, ...]
-Covariance = tuple[float, ...]
-
-
-@inlined
-def _falling_slopes(
-    speed: float, omega_s: float, alpha: float, variance: float
-) -> tuple[float, float, float, float, float, float, float]:
-    """Return expected value and slope of exp(-(speed/omega_s)^alpha) (M15), and derivatives.
-
-    Returns:
-        Value, slope; the value's derivatives with respect to speed, variance and omega_s; the
-        slope's with respect to speed and omega_s.
-    """
-    within = omega_s * omega_s
-    x = speed * speed / within
-    if alpha != 2.0:
-        x = (speed / omega_s) ** alpha
-    if x >= NEGLIGIBLE:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    rate = x / (speed * speed)
-    part = math.exp(-x)
-    x_speed, x_omega = alpha * x / speed, -alpha * x / omega_s
-    curved = part * alpha * rate
-    curved_speed = curved * ((alpha - 2.0) / speed - x_speed)
-    curved_omega = curved * (-alpha / omega_s - x_omega)
-    spread, spread_variance, spread_omega = variance, 1.0, 0.0
-    if variance >= within:
-        spread, spread_variance, spread_omega = within, 0.0, 2.0 * omega_s
-    bend = alpha * x - alpha + 1.0
-    return (
-        part + 0.5 * spread * curved * bend,
-        -curved * speed,
-        -part * x_speed + 0.5 * spread * (curved_speed * bend + curved * alpha * x_speed),
-        0.5 * spread_variance * curved * bend,
-        -part * x_omega
-        + 0.5 * spread_omega * curved * bend
-        + 0.5 * spread * (curved_omega * bend + curved * alpha * x_omega),
-        -curved_speed * speed - curved,
-        -curved_omega * speed,
-    )
-
-
-@inlined
-def _friction_slopes(
-    speed: float, variance: float, moment: float, p: Array
-) -> tuple[float, float, Slopes]:
-    """Return expected friction, N m, its slope (M15), and their derivatives.
-
-    Args:
-        speed: Magnitude of the mean speed, rad/s.
-        variance: Variance of the speed, (rad/s)^2.
-        moment: Contact moment F_P L1, N m.
-        p: Vector of :mod:`identification.model.parameters`.
-
-    Returns:
-        Friction; slope; and the derivatives: friction's with respect to speed and variance, the
-        slope's with respect to speed; friction's with respect to dM, omega_sf and sigma_2, the
-        slope's with respect to dM and omega_sf; friction's with respect to mu_c, dmu, omega_sL and
-        mu_2, the slope's with respect to dmu, omega_sL and mu_2.
-    """
-    own, own_slope, f_s, f_v, f_o, g_s, g_o = _falling_slopes(
-        speed, p[OMEGA_SF], p[ALPHA], variance
-    )
-    rise = p[SYSTEM_RISE]
-    force = p[MC] + p[SIGMA_2] * speed + rise * own
-    grade = p[SIGMA_2] + rise * own_slope
-    force_speed, force_variance = p[SIGMA_2] + rise * f_s, rise * f_v
-    grade_speed, force_omega, grade_omega = rise * g_s, rise * f_o, rise * g_o
-    load, load_slope, load_omega, load_slope_omega = 0.0, 0.0, 0.0, 0.0
-    if moment > 0.0:
-        load, load_slope, f_s, f_v, f_o, g_s, g_o = _falling_slopes(
-            speed, p[OMEGA_SL], p[ALPHA], variance
-        )
-        rise = moment * p[LOAD_RISE]
-        force += moment * (p[MU_C] + p[MU_2] * speed) + rise * load
-        grade += moment * p[MU_2] + rise * load_slope
-        force_speed += moment * p[MU_2] + rise * f_s
-        force_variance += rise * f_v
-        grade_speed += rise * g_s
-        load_omega, load_slope_omega = rise * f_o, rise * g_o
-    return (
-        force,
-        grade,
-        (
-            force_speed,
-            force_variance,
-            grade_speed,
-            own,
-            force_omega,
-            speed,
-            own_slope,
-            grade_omega,
-            moment,
-            moment * load,
-            load_omega,
-            moment * speed,
-            moment * load_slope,
-            load_slope_omega,
-            moment,
-        ),
-    )
-
-
-@compiled
-def _step(t: Array, friction: Slopes, gains: Gains, covariance: Covariance) -> None:
-    """Step the tangents of angle, speed and their covariance (M16, M17).
-
-    Args:
-        t: Tangents and seeds of one block, shape (_SIZE,).
-        friction: Derivatives of friction and of its slope, of :func:`_friction_slopes`.
-        gains: Of :func:`_predict`.
-        covariance: Of :func:`_predict`.
-    """
-    f_s, f_v, g_s, f_dm, f_of, f_s2, g_dm, g_of, f_mc, f_dl, f_ol, f_m2, g_dl, g_ol, g_m2 = friction
-    slow, side, push, c, half_j, half_g, c_j, c_half, growth_half, moving, h, path = gains[:12]
-    h_start, half_start, c_start, push_start = gains[12:]
-    p11_b, b, p22, growth, middle, twice, q, missing, q_j, q_start, half_h = covariance
-    for d in range(WIDTH):
-        start, inertia = t[_START + d], t[_INERTIA + d]
-        rise, omega_sf, sigma_2 = t[_RISE + d], t[_OMEGA_SF + d], t[_SIGMA_2 + d]
-        load_rise, omega_sl, mu_2 = t[_LOAD_RISE + d], t[_OMEGA_SL + d], t[_MU_2 + d]
-        d12, d22, ds = t[_P12 + d], t[_P22 + d], slow * t[_OMEGA + d]
-        d_force = f_s * ds + f_v * d22 + t[_MC + d]
-        d_force += f_dm * rise + f_of * omega_sf + f_s2 * sigma_2
-        d_force += f_mc * t[_MU_C + d] + f_dl * load_rise + f_ol * omega_sl + f_m2 * mu_2
-        d_grade = g_s * ds + g_dm * rise + g_of * omega_sf + sigma_2
-        d_grade += g_dl * load_rise + g_ol * omega_sl + g_m2 * mu_2
-        d_push = push_start * start + side * (t[_HIDDEN + d] - t[_OFFSET + d]) - d_force
-        d_half = half_start * start + half_j * inertia + half_g * d_grade
-        dc = c_start * start + c_j * inertia + c_half * d_half
-        d_free = ds + push * dc + c * d_push
-        d_after = moving * d_free
-        d_growth = growth_half * d_half
-        dh = h_start * start
-        db = half_h * d_growth + 0.5 * (1.0 + growth) * dh
-        dq = q_start * start + q_j * inertia
-        t[_ANGLE + d] += side * 0.5 * (dh * path + h * (ds + d_after))
-        t[_OMEGA + d] = side * d_after
-        t[_P11 + d] += (
-            p11_b * db + 2.0 * b * d12 + b * b * d22 + (h * h * dq + 2.0 * q * h * dh) / 3.0
-        )
-        t[_P12 + d] = (
-            d_growth * middle + growth * (d12 + p22 * db + b * d22) + 0.5 * (h * dq + q * dh)
-        )
-        t[_P22 + d] = (
-            twice * d_growth + growth * growth * d22 + dq - 2.0 * missing * (d_free - d_after)
-        )
-        t[_DH + d], t[_DB + d], t[_DC + d], t[_DG + d] = dh, db, dc, d_growth
-
-
-@compiled
-def _step_hidden(
-    t: Array, hidden: tuple[float, float, float], gains: tuple[float, float, float, float]
-) -> None:
-    """Step the tangents of the correlated torque noise, after :func:`_step`.
-
-    Args:
-        t: Tangents and seeds of one block, shape (_SIZE,).
-        hidden: Covariances of the noise with angle and speed, and its variance, before the step.
-        gains: Length of the step, s, and the values b, c and growth of :func:`_predict`.
-    """
-    p13, p23, p33 = hidden
-    h, b, c, growth = gains
-    a = 0.5 * h * c
-    along = p13 + b * p23 + a * p33
-    twice = 2.0 * growth * p23 + c * p33
-    for d in range(WIDTH):
-        db, dc, d_growth = t[_DB + d], t[_DC + d], t[_DG + d]
-        da = 0.5 * (t[_DH + d] * c + h * dc)
-        d13, d23, d33 = t[_P13 + d], t[_P23 + d], t[_P33 + d]
-        d_along = d13 + db * p23 + b * d23 + da * p33 + a * d33
-        d_twice = 2.0 * (d_growth * p23 + growth * d23) + dc * p33 + c * d33
-        # p11 grows by 2 a (p13 + b p23) + a^2 p33 = a (2 along - a p33).
-        t[_P11 + d] += da * (2.0 * along - a * p33) + a * (2.0 * d_along - da * p33 - a * d33)
-        t[_P12 + d] += a * (d_growth * p23 + growth * d23) + growth * p23 * da
-        t[_P12 + d] += dc * along + c * d_along
-        t[_P22 + d] += dc * twice + c * d_twice
-        t[_P13 + d] = d_along
-        t[_P23 + d] = d_growth * p23 + growth * d23 + dc * p33 + c * d33
-
-
-@inlined
-def _predict(
-    state: State,
-    tangents: Array,
-    times: tuple[float, float, float, float],
-    drive: tuple[float, float, float, float, float, float],
-    p: Array,
-) -> State:
-    """Return the state after one integration step (M16, M17), and step its tangents too.
-
-    Args:
-        state: Before.
-        tangents: Tangents and seeds, shape (b, _SIZE).
-        times: Length of the step, s; its middle, from the middle of the period, s; and their
-            derivatives with respect to the breakaway time.
-        drive: Torque, N m; its rate, N m/s; contact moment, N m; inertia, kg m^2; direction of
-            motion; growth of the speed's variance, (rad/s)^2/s.
-        p: Vector of :mod:`identification.model.parameters`.
-    """
-    angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
-    h, centre, h_start, centre_start = times
-    torque, slope, moment, inertia, side, noise_rate = drive
-    inverse = 1.0 / inertia
-    speed = max(side * omega, LEAST_SPEED)
-    force, grade, friction = _friction_slopes(speed, p22, moment, p)
-    push = side * (torque + slope * centre - p[OFFSET] + hidden) - force
-    half = -0.5 * h * inverse * grade
-    share = 1.0 / max(1.0 - half, 0.5)
-    c = h * inverse * share
-    after = speed + c * push
-    missing = max(LEAST_SPEED - after, 0.0)
-    after += missing
-    growth = min((1.0 + half) * share, 3.0)
-    b = 0.5 * h * (1.0 + growth)
-    q = noise_rate * h
-    middle = p12 + b * p22
-    share_half = share * share if 1.0 - half > 0.5 else 0.0
-    growing = 1.0 if (1.0 + half) * share < 3.0 else 0.0
-    gains = (
-        side if side * omega > LEAST_SPEED else 0.0,
-        side,
-        push,
-        c,
-        -half * inverse,
-        -0.5 * h * inverse,
-        -c * inverse,
-        h * inverse * share_half,
-        growing * (share + (1.0 + half) * share_half),
-        0.0 if missing > 0.0 else 1.0,
-        h,
-        speed + after,
-        h_start,
-        -0.5 * h_start * inverse * grade,
-        h_start * inverse * share,
-        side * slope * centre_start,
-    )
-    covariance = (
-        2.0 * middle,
-        b,
-        p22,
-        growth,
-        middle,
-        2.0 * growth * p22,
-        q,
-        missing,
-        -2.0 * q * inverse,
-        noise_rate * h_start,
-        0.5 * h,
-    )
-    for block in range(len(tangents)):
-        _step(tangents[block], friction, gains, covariance)
-        if p33 > 0.0:
-            _step_hidden(tangents[block], (p13, p23, p33), (h, b, c, growth))
-    angle += side * h * 0.5 * (speed + after)
-    p11 += 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
-    p12 = growth * middle + 0.5 * q * h
-    p22 = growth * growth * p22 + q + missing * missing
-    if p33 > 0.0:
-        a = 0.5 * h * c
-        along = p13 + b * p23 + a * p33
-        p11 += 2.0 * a * (p13 + b * p23) + a * a * p33
-        p12 += growth * a * p23 + c * along
-        p22 += c * (2.0 * growth * p23 + c * p33)
-        p13 = along
-        p23 = growth * p23 + c * p33
-    return angle, side * after, p11, p12, p22, hidden, p13, p23, p33
-
-
-@compiled
-def _correct_block(
-    t: Array, state: State, error: float, variance: float, news: tuple[float, float], side: float
-) -> None:
-    """Correct the tangents of one block by a reading (M19); arguments as for :func:`_correct`."""
-    _, omega, p11, p12, _, _, p13, _, _ = state
-    new, new_start = news
-    g1, g2, g3, less = p11 / variance, p12 / variance, p13 / variance, new * (2.0 - new)
-    kept, inverse = 1.0 - less * g1, 1.0 / variance
-    missing = max(LEAST_SPEED - side * (omega + new * g2 * error), 0.0)
-    moving = 0.0 if missing > 0.0 else 1.0
-    for d in range(WIDTH):
-        d_new = new_start * t[_START + d]
-        d_less = 2.0 * d_new * (1.0 - new)
-        d11, d12, d13 = t[_P11 + d], t[_P12 + d], t[_P13 + d]
-        d_error = -t[_ANGLE + d]
-        d1, d2, d3 = (
-            (d11 - g1 * d11) * inverse,
-            (d12 - g2 * d11) * inverse,
-            (d13 - g3 * d11) * inverse,
-        )
-        d_kept = -d_less * g1 - less * d1
-        d_free = t[_OMEGA + d] + d_new * g2 * error + new * (d2 * error + g2 * d_error)
-        t[_ANGLE + d] += d_new * g1 * error + new * (d1 * error + g1 * d_error)
-        t[_OMEGA + d] = moving * d_free
-        t[_P22 + d] -= (
-            2.0 * missing * side * (1.0 - moving) * d_free
-            + d_less * g2 * p12
-            + less * (d2 * p12 + g2 * d12)
-        )
-        t[_HIDDEN + d] += d_new * g3 * error + new * (d3 * error + g3 * d_error)
-        t[_P33 + d] -= d_less * g3 * p13 + less * (d3 * p13 + g3 * d13)
-        t[_P23 + d] -= d_less * g3 * p12 + less * (d3 * p12 + g3 * d12)
-        t[_P13 + d] = d13 * kept + p13 * d_kept
-        t[_P11 + d] = d11 * kept + p11 * d_kept
-        t[_P12 + d] = d12 * kept + p12 * d_kept
-    for k in range(_STATES):
-        t[k] = min(max(t[k], -_MOST), _MOST)
-
-
-@inlined
-def _correct(
-    state: State,
-    tangents: Array,
-    error: float,
-    variance: float,
-    news: tuple[float, float],
-    unsure: float,
-    side: float,
-) -> State:
-    """Return the state after a reading (M19), and correct its tangents too.
-
-    Args:
-        state: Before.
-        tangents: Tangents and seeds, shape (b, _SIZE).
-        error: Innovation, rad.
-        variance: Its variance, rad^2.
-        news: Share of the period since the breakaway, and its derivative with respect to the
-            breakaway time.
-        unsure: Variance added to the speed's, (rad/s)^2.
-        side: Direction of motion.
-    """
-    for block in range(len(tangents)):
-        _correct_block(tangents[block], state, error, variance, news, side)
-    return corrected(state, error, variance, news[0], unsure, side)
-
-
-@compiled
-def _begun(tangents: Array, p22_inertia: float, speed: float, follows: bool) -> None:
-    """Set the tangents at the start of a segment.
-
-    Args:
-        tangents: Tangents and seeds.
-        p22_inertia: Derivative of the speed's variance with respect to the inertia.
-        speed: Speed at the end of the segment before, rad/s.
-        follows: Whether the segment continues the one before.
-    """
-    for t in tangents:
-        for d in range(WIDTH):
-            omega = t[_OMEGA + d]
-            for k in range(d, _STATES, WIDTH):
-                t[k] = 0.0
-            t[_P22 + d] = p22_inertia * t[_INERTIA + d]
-            if follows:
-                t[_OMEGA + d] = omega
-                t[_P22 + d] = 2.0 * speed * omega
-
-
-@compiled
-def _forgotten(tangents: Array, kept: float) -> None:
-    """Let the tangents of the correlated torque noise decay over a period to a share ``kept``."""
-    for t in tangents:
-        for d in range(WIDTH):
-            t[_HIDDEN + d] *= kept
-            t[_P13 + d] *= kept
-            t[_P23 + d] *= kept
-            t[_P33 + d] *= kept * kept
-
-
-@compiled
-def _told(tangents: Array, variance: float, error: Array, deviation: Array) -> None:
-    """Fill the derivatives of one innovation and of its log standard deviation, shape (d,) each."""
-    for j in range(len(error)):
-        t, d = tangents[j // WIDTH], j % WIDTH
-        error[j] = -t[_ANGLE + d]
-        deviation[j] = 0.5 * t[_P11 + d] / variance
 
 
 @compiled
@@ -471,7 +52,8 @@ def sensitivities(
         extra_inertia: Known inertia added to J, kg m^2.
         noise: Noise vector, shape (5,); held.
         p: Vector of :mod:`identification.model.parameters`.
-        tangents: Workspace with the seeds of d directions, from :func:`seeded`.
+        tangents: Tangents and seeds of d directions, of
+            :func:`identification.filter.tangents.seeded`.
         errors: rad per unit of the direction, shape (n, d); samples outside segments are left
             unchanged.
         deviations: Per unit of the direction, shape (n, d).
@@ -490,12 +72,12 @@ def sensitivities(
             omega = side * LEAST_SPEED
             period = time[first] - time[first - 1]
             p22 = slip_variance(noise[WHITE], period, segments[j, TORQUE_RATE], inertia)
-            _begun(tangents, -2.0 * p22 / inertia, 0.0, False)
+            begun(tangents, -2.0 * p22 / inertia, 0.0, False)
         else:
             begin = time[first - 1]
             omega = omega if ended == first else 0.0
             p22 = omega * omega
-            _begun(tangents, 0.0, omega, ended == first)
+            begun(tangents, 0.0, omega, ended == first)
         for k in range(first, last):
             start = max(begin, time[k - 1])
             if start >= time[k]:
@@ -508,7 +90,7 @@ def sensitivities(
                 kept = math.exp(-period / noise[CORRELATION_TIME])
                 hidden, p13, p23 = kept * hidden, kept * p13, kept * p23
                 p33 = kept * kept * p33 + (1.0 - kept * kept) * noise[CORRELATED] ** 2
-                _forgotten(tangents, kept)
+                forgotten(tangents, kept)
             moved = 1.0 if begin > time[k - 1] else 0.0
             h = (time[k] - start) / steps[k]
             state = (here, omega, p11, p12, p22, hidden, p13, p23, p33)
@@ -518,28 +100,11 @@ def sensitivities(
             for i in range(int(steps[k])):
                 left = moved * (1.0 - (i + 0.5) / steps[k])
                 times = (h, centre + i * h, -moved / steps[k], left)
-                state = _predict(state, tangents, times, drive, p)
+                state = predict(state, tangents, times, drive, p)
             variance = state[2] + noise[ANGLE]
-            _told(tangents, variance, errors[k], deviations[k])
+            slopes_of_reading(tangents, variance, errors[k], deviations[k])
             news = ((time[k] - start) / period, -moved / period)
-            here, omega, p11, p12, p22, hidden, p13, p23, p33 = _correct(
+            here, omega, p11, p12, p22, hidden, p13, p23, p33 = correct(
                 state, tangents, angle[k] - state[0], variance, news, unsure[k], side
             )
         ended = last
-
-
-def seeded(seeds: Array) -> Array:
-    """Return the workspace of :func:`sensitivities` for directions.
-
-    Args:
-        seeds: Directions, shape (d, SEEDS): derivative of each parameter, and in column ``START``
-            that of all breakaway times.
-    """
-    blocks = -(-len(seeds) // WIDTH)
-    padded = np.zeros((blocks * WIDTH, SEEDS))
-    padded[: len(seeds)] = seeds
-    out = np.zeros((blocks, _SIZE))
-    out[:, _STATES:_DH] = (
-        padded.reshape(blocks, WIDTH, SEEDS).transpose(0, 2, 1).reshape(blocks, -1)
-    )
-    return out
