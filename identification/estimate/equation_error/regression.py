@@ -36,7 +36,7 @@ def samples_in_motion(prepared: Sequence[Prepared]) -> int:
 
 def _moving(p: Prepared) -> BoolArray:
     """Return whether each sample is used and in motion, shape (n,)."""
-    return p.used & (p.velocity != 0.0)
+    return np.asarray(p.used & (p.velocity != 0.0))
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
