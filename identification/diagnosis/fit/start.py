@@ -47,7 +47,7 @@ explained.
 
 def common_bandwidth(recordings: Sequence[Recording]) -> float:
     """Return the common bandwidth of all errors, Hz: the least of the recordings' default
-    bandwidths, or the least greater one at which enough samples are in motion.
+    bandwidths, or the least greater one at which each stage has enough samples in motion.
 
     Motion that reverses faster than the filter's length leaves no sample in steady motion.
     """
@@ -55,7 +55,12 @@ def common_bandwidth(recordings: Sequence[Recording]) -> float:
     greatest = SHARE_OF_RATE / max(r.period for r in recordings)
     tried = least
     while tried <= greatest:
-        if samples_in_motion([prepare(r, tried) for r in recordings]) >= LEAST_MOTION:
+        prepared = [prepare(r, tried) for r in recordings]
+        stages = {r.stage for r in recordings}
+        if all(
+            samples_in_motion([p for p in prepared if p.recording.stage == stage]) >= LEAST_MOTION
+            for stage in stages
+        ):
             return tried
         tried *= BANDWIDTH_STEP
     return least

@@ -106,4 +106,7 @@ def test_quick_reversals_raise_the_bandwidth(frequency_Hz: float) -> None:
     found = common_bandwidth([recording])
     assert usual < found < 500.0 / 6.0
     assert samples_in_motion([prepare(recording, found)]) >= LEAST_MOTION
-    assert common_bandwidth([sine(rate=500.0)]) == default_bandwidth(sine(rate=500.0))
+    slow = sine(rate=500.0)
+    assert common_bandwidth([recording, slow]) == min(usual, default_bandwidth(slow))
+    assert common_bandwidth([recording, replace(slow, stage="loaded")]) == found
+    assert common_bandwidth([slow]) == default_bandwidth(slow)
