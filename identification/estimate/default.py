@@ -12,6 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.equation_error.regression import (
     Stage,
     loaded_stage,
@@ -36,7 +37,7 @@ from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.progress import Progress, silent
-from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Convergence, Identification, Profile, Resampled
 
@@ -57,7 +58,7 @@ def identify(
         dataset: Recordings and the declared model; ``validate`` recordings are scored once at the
             end.
         bandwidth_Hz: Bandwidth of torque and regressors; None chooses the least of the recordings'
-            default bandwidths.
+            default bandwidths, or a greater one if the motion needs it.
         rng: Random generator for the simulated replicates and the bootstrap; None for seed 0.
         progress: Called with the name of a step and the share done.
         profile: Whether to compute profile likelihoods as well, which takes several times as long.
@@ -74,7 +75,7 @@ def identify(
     if not fitted:
         raise RecordingError("no recording has role 'fit'; at least one is needed")
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in fitted)
+        bandwidth_Hz = common_bandwidth(fitted)
     tell("unloaded", 0.0)
     every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
     active = [p for p in every if p.recording.role == "fit"]

@@ -13,11 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import identify
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.ladder_bootstrap import Indices, Redraw, Score
 from identification.model.ladder import LADDER, bears_load
 from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
-from identification.prepare import Prepared, default_bandwidth, prepare
+from identification.prepare import Prepared, prepare
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from identification.simulate.closed_loop import replay
@@ -85,7 +86,7 @@ def climb(
     to_fit = _to_fit(dataset)
     to_score = dataset.part("validate") or to_fit
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+        bandwidth_Hz = common_bandwidth(to_fit)
     fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
     simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import by_load, solve_stages
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.ladder import REPLICATES, Interval
 from identification.estimate.prediction.constants import Constant, constants
 from identification.estimate.prediction.coordinates import (
@@ -34,7 +35,7 @@ from identification.model.parameters import DRIVE_SHARE
 from identification.numerics.arrays import Array
 from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
-from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare
+from identification.prepare import Prepared, joint_angle, prepare
 from identification.recording import Dataset, Recording
 
 ONE_SIDED = 1.645
@@ -176,7 +177,7 @@ def _problem(
     to_fit = dataset.part("fit")
     to_score = dataset.part("validate") or to_fit
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+        bandwidth_Hz = common_bandwidth(to_fit)
     active = [prepare(r, bandwidth_Hz) for r in to_fit]
     aside = [prepare(r, bandwidth_Hz) for r in to_score]
     values = {

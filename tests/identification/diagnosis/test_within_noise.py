@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import common_bandwidth
 from identification.diagnosis.rows.equations import least_noise
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.score.significance import LEVEL, beyond_noise
 from identification.diagnosis.selection.search import _Case, _tested
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
 from identification.prepare import default_bandwidth, prepare
 from identification.signals import quantum
