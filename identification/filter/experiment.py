@@ -1,6 +1,4 @@
-"""Recordings that are fitted together, and the filter that runs over all of their motion
-segments.
-"""
+"""Recordings that are fitted together, and the Kalman filter that runs over their segments."""
 
 from __future__ import annotations
 
@@ -22,26 +20,29 @@ from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Model
 
 _FORGOTTEN = math.pi**2 / 3.0
-"""Exponent of the share of the quantisation error that is the same in every reading despite noise
-of the angle (M20). Averaged over noise of variance v, the first harmonic of that error falls by
-exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit
-Theory 3 (1956) 266).
+"""Exponent of the share of the quantisation error that is the same in all readings despite noise of
+the angle (M20). Averaged over noise of variance v, the first harmonic of the quantisation error
+falls by exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the squared encoder step (Widrow, IRE
+Trans. Circuit Theory 3 (1956) 266).
 """
 _LEAST_SHARED = 30000.0
-"""Integration steps above which a second thread saves time."""
+"""Number of integration steps above which a second thread saves time."""
 
 _Part = list[tuple[int, slice]]
-"""A subset of the segments: pairs of recording number and rows of its table."""
+"""A subset of the segments: pairs of the number of a recording and rows of the table of its
+segments.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """The first samples of every segment, which alone feel where its breakaway time is.
+    """The first samples of every segment; the breakaway time affects no later sample of the
+    segment.
 
     Attributes:
-        tables: Tables of segments that end there, one per recording, shape (m, 4).
-        inside: Whether a sample is among them, one array per recording.
-        rows: Whether an innovation is among them, shape (r - m,).
+        tables: Tables of segments that end after these samples, one per recording, shape (m, 4).
+        inside: Whether a sample is among these first samples, one array per recording.
+        rows: Whether an innovation belongs to one of these first samples, shape (r - m,).
     """
 
     tables: tuple[Array, ...]
@@ -55,7 +56,8 @@ class Experiment:
 
     Attributes:
         motions: Recordings with their segments.
-        statics: Fixed static levels: index of the Coulomb level, index of the rise, value.
+        statics: Fixed static levels, each as index of the Coulomb level, index of the rise, and
+            value.
     """
 
     motions: tuple[Motion, ...]
@@ -63,7 +65,9 @@ class Experiment:
 
     @classmethod
     def of(cls, motions: Sequence[Motion], model: Model) -> Experiment:
-        """Return the experiment of these recordings with the static levels that a model fixes."""
+        """Return the experiment of these recordings, with the static levels that the declared model
+        fixes.
+        """
         statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
         return cls(tuple(motions), tuple(statics))
 
@@ -74,7 +78,7 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Segment of every residual, over all recordings, ties last, shape (r,)."""
+        """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
         inside = [self._owners(m, j) for j, m in enumerate(self.motions)]
         return np.concatenate([*inside, np.arange(self.breakaways)])
 
@@ -100,7 +104,7 @@ class Experiment:
         return np.asarray(np.arange(len(inside)) - starts[inside])
 
     def heads(self, samples: int) -> Heads:
-        """Return the first ``samples`` of every segment that starts from rest."""
+        """Return the first ``samples`` samples of every segment that starts from rest."""
         tables, inside = [], []
         for m in self.motions:
             table, mask = m.table.copy(), np.zeros(len(m.time), dtype=bool)
@@ -116,8 +120,8 @@ class Experiment:
 
     @cached_property
     def matching_count(self) -> Array:
-        """Number of matching half cycles of every residual's segment, itself included, shape
-        (r,).
+        """Number of matching half cycles of every residual's segment, including the segment itself,
+        shape (r,).
         """
         counts = np.concatenate(
             [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
@@ -126,16 +130,17 @@ class Experiment:
 
 
 class Filter:
-    """Runs the Kalman filter over all recordings of an experiment, in buffers of its own.
+    """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    Between runs it keeps only their number; each run returns copies. Not thread-safe.
+    Between runs a filter keeps nothing but the number of runs; each run returns copies. A filter is
+    not thread-safe.
 
     Args:
         experiment: The recordings.
 
     Attributes:
         experiment: The recordings.
-        evaluations: Runs so far.
+        evaluations: Number of runs so far.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -157,8 +162,8 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle.
-            heads: First samples of the segments; only these are filtered and returned. None for
-                whole segments.
+            heads: First samples of the segments; only these samples are filtered and returned. None
+                for whole segments.
         """
         motions = self.experiment.motions
         tables = [m.table for m in motions] if heads is None else heads.tables
@@ -176,8 +181,8 @@ class Filter:
         return _joined(self._errors, inside), _joined(self._deviations, inside)
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
-        """Return the filtered correlated noise of the torque, N m, one array per recording;
-        meaningful inside segments. Arguments as in :meth:`run`.
+        """Return the filtered correlated noise of the torque, N m, one array per recording; only
+        the values inside segments are meaningful. The arguments are those of :meth:`run`.
         """
         self.run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
@@ -220,7 +225,7 @@ def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:
     """Split the segments into two sets of about equal computing time.
 
     The second set is empty where a second thread would not save time. A segment that does not start
-    from rest continues the one before it and stays with it.
+    from rest continues the segment before it, and both stay in one set.
     """
     costs = [
         [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]]
