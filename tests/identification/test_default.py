@@ -150,7 +150,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     result = identify(Dataset((recording,)))
     (warning,) = result.warnings
     assert "values are those of the equation error at" in warning
-    assert "ask for a torque noise of" in warning
+    assert "imply a torque noise of" in warning
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
 
@@ -362,7 +362,7 @@ def test_a_drive_without_torque_is_refused(method: Callable[..., Identification]
     idle = sine()
     idle = replace(idle, channels={**idle.channels, "torque": np.zeros(len(idle.time))})
     with pytest.raises(
-        RecordingError, match="sine: the drive's torque is zero wherever the joint moves"
+        RecordingError, match="sine: the drive's torque is zero in all samples with motion"
     ):
         method(Dataset((idle,)), rng=np.random.default_rng(0))
 

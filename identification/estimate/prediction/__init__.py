@@ -1,1 +1,3 @@
-"""Friction fitted to the predicted angle: simulation over a horizon, up to the whole loop."""
+"""Fits friction models to the angle that a simulation predicts, over a horizon or a whole
+recording.
+"""
