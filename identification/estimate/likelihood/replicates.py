@@ -68,8 +68,7 @@ def likelihood_bias(
     settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Bias | None:
-    """Return the bias of the likelihood at a point (M35); the inertia has none, because it solves
-    its estimating equation.
+    """Return the bias of the likelihood at a point (M35), without that of the inertia.
 
     None where the experiment cannot be simulated: the recordings do not show the drive loop, a load
     is not a weight, or the filter diverges on the replicates.
@@ -77,8 +76,7 @@ def likelihood_bias(
     Args:
         joint: The estimate.
         names: Names of the fitted parameters.
-        rng: Random generator from which the generator of the noise is spawned; the stream of
-            ``rng`` does not advance.
+        rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
         settings: Number of noise series, and criteria for repeating or dropping them.
         progress: Called with every pair of replicates.
     """
