@@ -178,8 +178,7 @@ class CanopenNode:
         """
         for error in refusal(self._packed, *_PRODUCER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs it: with it this program detects that the "
-                "device is lost"
+                f"{error}; every run needs it: with it this program detects that the device is lost"
             ) from error
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
             plan(self._dictionary, self.label, direction, layouts)

@@ -99,7 +99,8 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
         ),
         (
             [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs it: it switches",
+            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs it: "
+            "it switches",
         ),
     ],
     ids=[
