@@ -244,7 +244,7 @@ def test_a_current_without_sign_is_refused_and_one_that_looks_so_is_noted(tmp_pa
         tmp_path, "  - {file: a.csv, channels: {current: {column: m, unsigned: true}}}\n"
     )
     assert "channels.current.unsigned: a magnitude of the current has no sign" in text
-    assert "map `voltage` with bench.resistance" in text
+    assert "add `voltage` with bench.resistance" in text
     a, b = load(tmp_path, "  - {file: a.csv}\n  - {file: b.csv}\n")
     assert any("keeps one sign while the joint moves both ways" in note for note in a.notes)
     assert b.notes == ()
@@ -299,7 +299,7 @@ def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("{value: 2, std: 2}", "reaches to nothing from 2"),
+        ("{value: 2, std: 2}", "is not below the value 2"),
         ("{value: 2}", "std: missing"),
         ("{value: 2, uncertainty: 0.1}", "unknown key; known are"),
         ("{value: 0, std: 0.1}", "input should be greater than 0"),
