@@ -233,7 +233,7 @@ def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             yield (
                 ("recordings", index, "role"),
                 "a loaded recording to validate, but none to fit, so that its working load would "
-                "be unknown; fit a loaded recording, or fix {', '.join(LOAD_PARAMETERS)}",
+                f"be unknown; fit a loaded recording, or fix {', '.join(LOAD_PARAMETERS)}",
             )
 
 

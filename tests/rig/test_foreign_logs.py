@@ -244,7 +244,7 @@ def test_a_unit_beside_si_without_a_scale_is_doubted(tmp_path: Path) -> None:
     values = TRUTH * np.array([1, 1000, 1, 1])
     text = HEAD + "s,mA,rad,rad\n" + "\n".join(lines_of(",", values))
     notes = load(tmp_path, text).notes
-    assert any("`current` is in mA" in note and "set it to 0.001" in note for note in notes)
+    assert any("`current` is in mA" in note and "set the scale to 0.001" in note for note in notes)
     told = CHANNELS.replace("current: i", "current: {column: i, scale: 0.001}")
     assert not any("is in mA" in note for note in load(tmp_path, text, told).notes)
 

@@ -372,7 +372,7 @@ def test_a_run_folder_goes_to_its_own_reader(
 
 
 def test_sources_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a folder without run\.json"):
+    with pytest.raises(InputError, match=r"the folder has no run\.json"):
         load_source(tmp_path)
     (tmp_path / "a.csv").write_text("1,2\n")
     with pytest.raises(InputError, match="describe recordings made elsewhere in a campaign file"):
