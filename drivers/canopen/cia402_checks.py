@@ -85,29 +85,13 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
                 f"not monitored: temperature ({temperature}); servo.temperature_object names it",
             ),
             (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
-            (
-                told.time,
-                "no time stamp (1013h): the time of a sample is this computer's time of the SYNC",
-            ),
-            (
-                told.speed,
-                "no motor speed (606Ch): the speed is computed from the change of the position",
-            ),
+            (told.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
+            (told.speed, "no motor speed (606Ch): computed from the change of the position"),
             (
                 told.current if scales.current_object or told.current != objects.TORQUE else None,
                 "no motor current (6078h): the current is computed from the torque 6077h",
             ),
-            *(
-                (
-                    channel.describes(*rated) or None,
-                    f"not checked: {what} ({_name(rated)}), the unit of the drive's values is a "
-                    "thousandth of it; read it with the maker's tool",
-                )
-                for what, rated in (
-                    ("rated current", scales.rated_current_object),
-                    ("rated torque", scales.rated_torque_object),
-                )
-            ),
+            *_rated_values(channel, scales),
             (
                 channel.describes(*objects.CYCLE) or None,
                 f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
@@ -123,6 +107,21 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
         if there is None
     ]
     return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
+
+
+def _rated_values(
+    channel: ProcessChannel, scales: ServoScales
+) -> Iterator[tuple[bool | None, str]]:
+    """Yield for each rated value whether the drive has its object, None if not, and a text."""
+    for what, rated in (
+        ("rated current", scales.rated_current_object),
+        ("rated torque", scales.rated_torque_object),
+    ):
+        yield (
+            channel.describes(*rated) or None,
+            f"not checked: {what} ({_name(rated)}), the unit of the drive's values is a "
+            "thousandth of it; read it with the maker's tool",
+        )
 
 
 def _name(address: tuple[int, int]) -> str:

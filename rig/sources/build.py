@@ -57,12 +57,11 @@ def build(
         index: Position of the entry in ``recordings``.
 
     Returns:
-        One recording per piece without gaps, with all corrections in its notes, and the time span
-        of the whole file, including the part outside the window.
+        One recording per piece without gaps, with its corrections as notes, and the time span of
+        the whole file, also outside the window.
 
     Raises:
-        InputError: A column is missing, the window contains no sample, or the data cannot be used;
-            the message states file and row.
+        InputError: A column or a sample in the window is missing, or the data cannot be used.
     """
     unsure = document.value.bench.uncertainties()
     if section.moment_arm is not None:

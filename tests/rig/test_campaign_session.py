@@ -137,7 +137,10 @@ def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:
         ("  - {file: a.csv, start: 2026-05-04}\n", "not an ISO time with date and time of day"),
         ("  - {file: [a.csv, b.csv], start: 0}\n", "one `start` for 2 files"),
         ("  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 10}\n", "before a ends at 29.99 s"),
-        ("  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n", "give each recording its own"),
+        (
+            "  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n",
+            "give each recording its own",
+        ),
     ],
 )
 def test_clocks_that_cannot_be_are_refused(tmp_path: Path, recordings: str, words: str) -> None:

@@ -29,14 +29,12 @@ def simulate(
 
     Args:
         machine: The simulated machine.
-        command: Vectorised function of time that returns the commanded joint angle; it should be 0
-            at time 0, because the machine starts at angle 0.
+        command: Vectorised function of time that returns the joint angle; 0 at time 0.
         duration_s: Length of the simulation, s.
         rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
         weight_kg: Mass on the lever.
         contact_force_N: Contact force F_P, instead of a weight.
-        burning: Whether a gas generator loads the valve, instead of weight and contact force; it
-            burns steadily at the first angle.
+        burning: Whether a gas generator, steady at the first angle, loads the valve instead.
         rng: Random generator; needed only if the machine has current noise.
 
     Returns:
