@@ -1,5 +1,4 @@
-"""The default identification method: equation error first, then maximum likelihood
-(docs/method.md).
+"""The default identification method: equation error, then maximum likelihood (docs/method.md).
 
 Variable projection solves the equation error. Prediction errors then refine the values, if the
 acceptance tests pass.

@@ -1,6 +1,4 @@
-"""Bootstrap of the friction ladder: fits a friction model to drawn recordings and scores it on
-others.
-"""
+"""Bootstrap of the friction ladder: fits a friction model to drawn recordings and scores it."""
 
 from __future__ import annotations
 

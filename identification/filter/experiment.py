@@ -31,7 +31,7 @@ _LEAST_SHARED = 30000.0
 """Number of integration steps above which a second thread saves time."""
 
 COST_OF_SENSITIVITIES = 3
-"""Passes of the filter that a pass with sensitivities takes."""
+"""Time of a pass with sensitivities, in passes without."""
 
 _Part = list[tuple[int, slice]]
 """A subset of the segments: pairs of the number of a recording and rows of the table of its
@@ -194,7 +194,7 @@ class Filter:
         Args:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
-            noise: Noise of torque and angle; held.
+            noise: Noise of torque and angle, which is constant.
             seeds: Directions, shape (d, :data:`identification.filter.sensitivity.SEEDS`).
         """
         motions = self.experiment.motions
@@ -218,7 +218,7 @@ class Filter:
 
     @staticmethod
     def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
-        """Do both halves of the work, the second one in another thread if there is one."""
+        """Do both halves of the work, the second half in another thread unless it is empty."""
         one, other = halves
         if not other:
             return work(one)
@@ -249,7 +249,7 @@ class Filter:
 
 
 def _levels(m: Motion, noise: Noise) -> Array:
-    """Return the noise of a recording as the kernels take it, shape (5,)."""
+    """Return the noise of a recording as the noise vector of the compiled kernels, shape (5,)."""
     variance = m.angle_variance + noise.angle**2
     staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
     return np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])

@@ -1,6 +1,4 @@
-"""Residuals of the likelihood and their derivatives: prediction errors and breakaway ties (M22,
-M23).
-"""
+"""Residuals of the likelihood and their derivatives: prediction errors and ties (M22, M23)."""
 
 from __future__ import annotations
 
@@ -36,11 +34,11 @@ PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
 _GREATEST_CHANGE = 10.0
-"""Greatest change of an error, in standard deviations, or of a logarithm of its deviation, over
+"""Greatest change of an error, in standard deviations, or of the logarithm of its deviation, over
 one step of a finite difference.
 """
 _TIE_STEP_S = 1e-6
-"""Step of a breakaway time for the slope of the torque there."""
+"""Step of a breakaway time for the slope of the torque at the breakaway."""
 _LONGEST_SHIFT_S = _SHIFTS_S[-1]
 _UNFELT = 1e-6
 """Change of a residual, in standard deviations, below which a shift of the breakaway time counts as
@@ -222,7 +220,7 @@ class Point:
         return _bounded(slopes, bound), _bounded(widening, bound)
 
     def _seeds(self, x: Array) -> Array:
-        """Return the derivatives of all parameters with respect to each free one, and of the
+        """Return the derivatives of all parameters with respect to each free parameter, and of the
         breakaway times with respect to their common shift, shape (p + 1, SEEDS).
         """
         seeds = np.zeros((len(self.free) + 1, SEEDS))
@@ -391,5 +389,5 @@ class Searched(NamedTuple):
 
 
 def _bounded(slopes: Array, bound: Array) -> Array:
-    """Return slopes within a bound for each column; zero where undefined, shape (r, d)."""
+    """Return the slopes limited to a bound for each column, zero where undefined, shape (r, d)."""
     return np.asarray(np.clip(np.nan_to_num(slopes, nan=0.0), -bound, bound))

@@ -1,5 +1,4 @@
-"""Throat area and impacted area of the swinging gate valve (Fig. 3) as functions of the valve
-angle.
+"""Throat area and impacted area of the gate valve (Fig. 3) as functions of the valve angle.
 
 A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an
 opening of diameter D. The covered part of the opening is the impacted area A_s, the rest is the

@@ -1,5 +1,4 @@
-"""Levenberg-Marquardt method on the normal equations, for a Huber cost or the corresponding
-likelihood.
+"""Levenberg-Marquardt method on the normal equations, for a Huber cost or a likelihood.
 
 The trust-region solvers of common libraries decompose the whole Jacobian, here of 40 000 rows and a
 few dozen columns, at every step; the normal equations take a fraction of that time. Marquardt, J.

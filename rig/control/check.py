@@ -1,5 +1,4 @@
-"""Reads identities, values and limits of a bench for ``rig check``, and judges if a run would
-start.
+"""Reads identities, values and limits of a bench, and judges if a run would start (``rig check``).
 
 The module writes nothing to the devices, and energises and moves nothing.
 """

@@ -1,6 +1,4 @@
-"""Builds a simulated bench with an ODrive or MIT-style drive and a CANopen joint encoder on one
-bus.
-"""
+"""Builds a simulated bench with an ODrive or MIT-style drive and a CANopen joint encoder."""
 
 from __future__ import annotations
 

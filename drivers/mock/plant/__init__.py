@@ -1,3 +1,1 @@
-"""The simulated machine (motor, gear, friction, load); independent of the model that is fitted to
-it.
-"""
+"""The simulated machine (motor, gear, friction, load), independent of the fitted model."""

@@ -1,3 +1,1 @@
-"""Equation-error method (M7-M10): start values from torque equations, their covariance, noise
-floor.
-"""
+"""Equation-error method (M7-M10): start values from torque equations, covariance, noise floor."""

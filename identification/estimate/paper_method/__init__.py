@@ -1,3 +1,1 @@
-"""The identification method of the paper (genetic algorithm), and a comparison of optimisers with
-it.
-"""
+"""The identification method of the paper (genetic algorithm), and a comparison of optimisers."""

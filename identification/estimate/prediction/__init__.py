@@ -1,3 +1,1 @@
-"""Fits friction models to the angle that a simulation predicts, over a horizon or a whole
-recording.
-"""
+"""Fits friction models to the simulated angle, over a horizon or a whole recording."""

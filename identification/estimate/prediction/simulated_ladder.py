@@ -1,6 +1,4 @@
-"""Fits the ladder of friction models to the simulated angle, motor constants fixed or free
-(M48-M51).
-"""
+"""Fits the ladder of friction models to the simulated angle of recordings (M48-M51)."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Describes correlated parameters of an estimate as text, with the combinations that are
-determined.
+"""Describes correlated parameters of an estimate as text, with their determined combinations.
 
 The text lists each strongly correlated pair with the combination of the two that the recordings
 determine, and the least determined combination of all parameters.

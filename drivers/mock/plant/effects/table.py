@@ -1,5 +1,4 @@
-"""Table of the injectable effects of the catalogue: parameters, ranges, places in the effect
-vector.
+"""Table of the injectable effects of the catalogue: parameters, ranges, places in a vector.
 
 All sizes are at the joint, after the gear, unless the name of a parameter states otherwise. Effects
 that are in no catalogue are in :mod:`drivers.mock.plant.effects.outside`.
