@@ -51,8 +51,9 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
     unit = scales.motor_speed_unit_rad_s
     if abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the speed, 60A9h: the drive says {told:.6g} rad/s "
-            f"({word & 0xFFFFFFFF:08X}h), the bench file {unit:.6g} rad/s: {_words(told, scales)}"
+            f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s "
+            f"({word & 0xFFFFFFFF:08X}h), the bench file states {unit:.6g} rad/s: "
+            f"{_words(told, scales)}"
         )
 
 

@@ -162,7 +162,8 @@ class _Binder:
             self._names.report(
                 (*place, "scale"),
                 f"with the factor {signal.factor:g} and offset {signal.offset:g} of signal "
-                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct it, or the DBC",
+                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct the scale, or "
+                "the DBC",
             )
             return None
         return BoundQuantity(key, signal, gain, bias, quantity.wraps_after)

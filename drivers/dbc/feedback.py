@@ -60,7 +60,7 @@ class Feedback:
         """Return the limits that the drive reports next.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         reported = self._channel.wiring.reported.values()
         for message in sorted({held.message for held in reported}):
@@ -110,7 +110,7 @@ class Feedback:
         report the value.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         quantity = self._inputs.get(name)
         if quantity is None:
@@ -122,7 +122,7 @@ class Feedback:
         """Wait for the next valid frame of a message.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         slot = self._channel.slot(name)
         refused = slot.refused

@@ -71,7 +71,7 @@ class DbcServo(Servo):
         """Return the identity from the bench file and from the frames of the drive.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         told = self._drive.identity
         return Identity(
@@ -86,7 +86,7 @@ class DbcServo(Servo):
         """Wait for the drive's next status frame and return its state.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
             StateError: The map does not contain the status value.
         """
         self._feedback.fault_code()
@@ -110,7 +110,7 @@ class DbcServo(Servo):
         them.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         return dbc_limits.decode(self._feedback.limits(), self._drive)
 
@@ -134,7 +134,7 @@ class DbcServo(Servo):
         Raises:
             ConfigurationError: The drive reports another value than the written one, or a limit
                 that was set with the maker's tool is tighter, so that the drive would stop first.
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         wanted = dbc_limits.encode(limits, self._drive)
         settable = self._wiring.limits

@@ -377,7 +377,7 @@ class NearBreakaways:
 
 
 class Searched(NamedTuple):
-    """End of a search.
+    """End point of a search, and the number of its steps.
 
     Attributes:
         point: End point of the search.

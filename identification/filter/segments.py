@@ -37,11 +37,15 @@ FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is averaged."""
 LEAST_RISE = 0.1
-"""Least rate of rise of a segment, over the median of the recording; noise hides a smaller rate."""
+"""Least rate of rise of a segment, relative to the median of the recording; noise hides a smaller
+rate.
+"""
 STALLED = 0.01
 """Share of the greatest speed below which a segment counts as almost stopping."""
 UNSURE = 0.1
-"""Standard deviation added to the speed where a segment almost stops, over the greatest speed."""
+"""Standard deviation that is added to the speed where a segment almost stops, relative to the
+greatest speed.
+"""
 ALIKE = 0.1
 """Greatest difference in displacement between two matching half cycles at any time, relative to the
 longer displacement (M11).

@@ -33,10 +33,11 @@ PULSE = (1.0, -0.5, -0.5)
 Three cycles are the shortest pulse with a rest.
 """
 _PULSE_SPEEDS = 2.0
-"""Speed that a pulse gives the inertia without friction, over the speed up to which friction falls.
+"""Speed to which a pulse accelerates the inertia without friction, relative to the speed up to
+which friction falls.
 """
 _PULSE_END = 1.5
-"""Commanded speed at which pulses fade, over the speed up to which friction falls."""
+"""Commanded speed at which pulses fade, relative to the speed up to which friction falls."""
 _GRID_POINTS = 2000
 _GRID_SPAN = 4.0
 """Speed, in Stribeck speeds, beyond which the friction of eq. 9 and 13 rises again."""

@@ -48,7 +48,7 @@ from identification.numerics.compiled import compiled
 ) = range(7)
 
 REFERENCE_PRESSURE = 1e6
-"""Pa; r = a p^n has a in mm/s where p is in MPa."""
+"""Unit of the pressure in r = a p^n, Pa: the burning coefficient a belongs to p in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
 """Integration step over the time in which the outflow would empty the chamber."""

@@ -117,7 +117,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("host", "hangs"): Kind("the control loop pauses", "s", 0.5),
     ("host", "clock_step"): Kind("the control clock jumps", "s", 1.0),
     ("host", "recorder_fails"): Kind("writing the recording raises an input/output error"),
-    ("disk", "full"): Kind("no file can become longer"),
+    ("disk", "full"): Kind("writing to files fails, as on a full disk"),
     ("operator", "stop"): Kind("Ctrl-C"),
     ("operator", "unanswered"): Kind(
         "the prompt's input ends without an answer, after this long", "s", 0.0

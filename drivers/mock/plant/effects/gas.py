@@ -32,7 +32,7 @@ from drivers.mock.plant.parts.compiled import Vector, inlined
     HIDDEN_SIZE,
 ) = range(15)
 
-# Indices after those of the nominal state.
+# Indices of the state of the effects, after those of the nominal state.
 (
     WEB,  # m, burnt since ignition
     COOLED,  # share of the flame temperature that the gas has lost
