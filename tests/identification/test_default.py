@@ -232,7 +232,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert wrong.noise.torque > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
     assert refusal(right, 1.0, 1.0) == ""
-    assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
+    assert "imply a torque noise" in refusal(wrong, 1.0, 1.0)
     assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
     assert "at a lower likelihood than its start (deviance +20)" in refusal(
         replace(right, likelihood_drop=20.0), 1.0, 1.0
