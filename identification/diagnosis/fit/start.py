@@ -12,6 +12,7 @@ from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
 from identification.estimate.default import free_names, solve_stages
+from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
 from identification.model.ladder import LADDER, bears_load
 from identification.prepare import default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
@@ -26,7 +27,13 @@ In simulated trials in which an injected effect masked the fall the ratio was 0.
 fall can gain a few per cent.
 """
 GREATEST_BANDWIDTH_HZ = 25.0
-"""Greatest bandwidth; above it effects add hardly any signal, but noise."""
+"""Greatest bandwidth, as far as enough samples are in motion; above it effects add hardly any
+signal, but noise.
+"""
+BANDWIDTH_STEP = 1.25
+"""Ratio of bandwidths that are tried one after another."""
+SHARE_OF_RATE = 1.0 / 6.0
+"""Greatest bandwidth that is tried, over the sampling rate."""
 UNBURDENED: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
@@ -40,9 +47,23 @@ explained.
 
 def common_bandwidth(recordings: Sequence[Recording]) -> float:
     """Return the common bandwidth of all errors, Hz: the least of the recordings' default
-    bandwidths.
+    bandwidths, or the least greater one at which each stage has enough samples in motion.
+
+    Motion that reverses faster than the filter's length leaves no sample in steady motion.
     """
-    return min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in recordings))
+    least = min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in recordings))
+    greatest = SHARE_OF_RATE / max(r.period for r in recordings)
+    tried = least
+    while tried <= greatest:
+        prepared = [prepare(r, tried) for r in recordings]
+        stages = {r.stage for r in recordings}
+        if all(
+            samples_in_motion([p for p in prepared if p.recording.stage == stage]) >= LEAST_MOTION
+            for stage in stages
+        ):
+            return tried
+        tried *= BANDWIDTH_STEP
+    return least
 
 
 def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:

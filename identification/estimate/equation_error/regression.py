@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.model.friction import stribeck_shape
 from identification.model.ladder import LADDER, bears_load, rises
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.bounded_least_squares import Design
 from identification.prepare import Prepared
 from identification.recording import Model, RecordingError
@@ -31,14 +31,24 @@ def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
     return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
 
 
+def samples_in_motion(prepared: Sequence[Prepared]) -> int:
+    """Return the number of samples in motion that a fit uses, over all recordings."""
+    return sum(int(np.sum(_moving(p))) for p in prepared)
+
+
+def _moving(p: Prepared) -> BoolArray:
+    """Return whether each sample is used and in motion, shape (n,)."""
+    return np.asarray(p.used & (p.velocity != 0.0))
+
+
 def require_motion(prepared: Sequence[Prepared]) -> None:
     """Check that a stage has moving samples with nonzero torque.
 
     Raises:
         RecordingError: Too few samples are in motion, or the drive's torque is zero in all of them.
     """
-    moving = [p.used & (p.velocity != 0.0) for p in prepared]
-    count = sum(int(np.sum(rows)) for rows in moving)
+    moving = [_moving(p) for p in prepared]
+    count = samples_in_motion(prepared)
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
         raise RecordingError(
