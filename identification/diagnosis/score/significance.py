@@ -155,19 +155,27 @@ def beyond_noise(joint: Joint) -> set[str]:
     return {
         e.name
         for e in joint.equations
-        if float(np.mean(joint.residual[joint.stack.part(e.name)] ** 2)) > NOISE
+        if float(np.mean(joint.residual[joint.stack.part(e.name)] ** 2)) > NOISE * level(e)
         or most_of_one(joint, e) > EXCESS_OF_ONE
     }
 
 
 def most_of_one(joint: Joint, equation: Equation) -> float:
-    """Return the mean square that a fit leaves of an equation over the noise's, in the recording
-    with most of it.
+    """Return the mean square that a fit leaves of an equation over that of the recording's own
+    noise, in the recording with most of it.
     """
     rows = joint.residual[joint.stack.part(equation.name)]
     return max(
-        float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
+        float(np.mean(rows[equation.owner == index] ** 2)) / equation.own.get(index, 1.0)
+        for index in np.unique(equation.owner).tolist()
     )
+
+
+def level(equation: Equation) -> float:
+    """Return the mean square of an equation's noise over all rows, each with its recording's own
+    noise, over the square of the equation's noise.
+    """
+    return float(np.mean([equation.own.get(index, 1.0) for index in equation.owner.tolist()]))
 
 
 def excess(joint: Joint, only: str = "") -> float:
@@ -188,11 +196,15 @@ def excess(joint: Joint, only: str = "") -> float:
             continue
         rows = joint.stack.part(equation.name)
         powers = np.minimum(np.abs(joint.residual[rows]), RARE) ** 2
-        chances.append(_beyond(powers, EXCESS))
+        chances.append(_beyond(powers, EXCESS * level(equation)))
         chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
         if equation.name == "torque":
             chances += [
-                _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views
+                _beyond(
+                    powers[equation.owner == v.index],
+                    EXCESS_OF_ONE * equation.own.get(v.index, 1.0),
+                )
+                for v in equation.views
             ]
     return min([1.0, *(len(chances) * chance for chance in chances)])
 
