@@ -16,7 +16,7 @@ from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSe
 from rig.config.configuration import Document, Loc, nearest
 from rig.runs.alignment import aligned
 from rig.sources.contradictions import doubts, unit_row_doubts
-from rig.sources.formats import open_table
+from rig.sources.formats import Table, open_table
 from rig.sources.plausible import (
     gear_finding,
     sign_errors,
@@ -33,7 +33,6 @@ from rig.sources.repair import (
     fill_missing,
 )
 from rig.sources.session import Read
-from rig.sources.table import Table
 from rig.sources.wraps import unwrapped
 
 Rows = NDArray[np.intp]

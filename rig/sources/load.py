@@ -20,9 +20,8 @@ from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
-from rig.sources.formats import FORMATS
+from rig.sources.formats import FORMATS, format_of
 from rig.sources.session import Read, on_session_clock
-from rig.sources.table import format_of
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:

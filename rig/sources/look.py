@@ -16,9 +16,8 @@ from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
 from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
-from rig.sources.formats import FORMATS, open_table
+from rig.sources.formats import FORMATS, Table, format_of, open_table
 from rig.sources.repair import GAP_PERIODS
-from rig.sources.table import Table, format_of
 from rig.sources.wraps import unwrapped
 
 STRIP = 40

@@ -19,10 +19,10 @@ from identification.recording import Recording
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
 from rig.sources import load_source
-from rig.sources.arrays import MatTable
-from rig.sources.delimited import DelimitedTable
-from rig.sources.logs import McapTable
-from rig.sources.parquet import ParquetTable
+from rig.sources.formats.arrays import MatTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.parquet import ParquetTable
 
 PLAIN = ReadSection()
 N = 300

@@ -18,12 +18,11 @@ from mcap.writer import Writer
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.config.campaign_sections import ReadSection
-from rig.sources.arrays import MatTable, NpzTable
-from rig.sources.delimited import DelimitedTable
-from rig.sources.formats import open_table
-from rig.sources.logs import McapTable
-from rig.sources.parquet import ParquetTable
-from rig.sources.table import format_of
+from rig.sources.formats import format_of, open_table
+from rig.sources.formats.arrays import MatTable, NpzTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.parquet import ParquetTable
 
 PLAIN = ReadSection()
 
@@ -297,7 +296,7 @@ def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def refuse(name: str) -> object:
         raise ImportError(name)
 
-    monkeypatch.setattr("rig.sources.parquet.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.parquet.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"pip install loadrig\[parquet\]"):
         ParquetTable(tmp_path / "a.parquet")
 

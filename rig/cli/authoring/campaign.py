@@ -29,8 +29,7 @@ from rig.config.campaign_sections import (
     RecordingSection,
 )
 from rig.sources.columns import guess_channels, guess_mass
-from rig.sources.formats import FORMATS, open_table
-from rig.sources.table import format_of
+from rig.sources.formats import FORMATS, format_of, open_table
 from rig.terminal.prompt import Asker
 
 

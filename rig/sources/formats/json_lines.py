@@ -9,9 +9,9 @@ from pathlib import Path
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.json_numbers import numbers, series
-from rig.sources.table import Table, damaged
-from rig.sources.text_layout import encoding_of, open_text
+from rig.sources.formats.json_numbers import numbers, series
+from rig.sources.formats.table import Table, damaged
+from rig.sources.formats.text_layout import encoding_of, open_text
 
 
 class JsonLinesTable(Table):

@@ -11,7 +11,7 @@ import numpy as np
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.table import Table, damaged, open_binary
+from rig.sources.formats.table import Table, damaged, open_binary
 
 
 class ParquetTable(Table):

@@ -15,8 +15,8 @@ import scipy.io
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.mat_elements import check_elements
-from rig.sources.table import Table, damaged, open_binary
+from rig.sources.formats.mat_elements import check_elements
+from rig.sources.formats.table import Table, damaged, open_binary
 
 _DAMAGED = (
     scipy.io.matlab.MatReadError,

@@ -19,8 +19,8 @@ import numpy as np
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_sections import ReadSection
-from rig.sources.table import Table, damaged
-from rig.sources.text_layout import (
+from rig.sources.formats.table import Table, damaged
+from rig.sources.formats.text_layout import (
     BLANKS,
     DAY_NS,
     END_MARKS,

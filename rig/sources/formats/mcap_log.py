@@ -15,9 +15,9 @@ from zstandard import ZstdError
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.cut_off import until_cut
-from rig.sources.json_numbers import Stamp, numbers, series
-from rig.sources.table import Table, damaged, open_binary
+from rig.sources.formats.cut_off import until_cut
+from rig.sources.formats.json_numbers import Stamp, numbers, series
+from rig.sources.formats.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
 # lz4 raises RuntimeError; a damaged length field may request more memory than available.

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rig.config.campaign_sections import ReadSection
-from rig.sources.arrays import MatTable, NpyTable, NpzTable
-from rig.sources.delimited import DelimitedTable
-from rig.sources.json_lines import JsonLinesTable
-from rig.sources.logs import McapTable
-from rig.sources.parquet import ParquetTable
-from rig.sources.table import Table, format_of
+from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.json_lines import JsonLinesTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.parquet import ParquetTable
+from rig.sources.formats.table import Table, format_of
 
 FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "csv": DelimitedTable,

@@ -1,0 +1,8 @@
+"""File formats of recordings made elsewhere: one reader per format, behind one interface."""
+
+from __future__ import annotations
+
+from rig.sources.formats.registry import FORMATS, open_table
+from rig.sources.formats.table import Table, format_of
+
+__all__ = ["FORMATS", "Table", "format_of", "open_table"]
