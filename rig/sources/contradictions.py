@@ -49,10 +49,7 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
         unit = table.units[place].strip("[]() ")
         si, size = UNITS.get(unit.lower(), ("", 1.0))
         if size != 1.0 and name in CHANNELS and si == CHANNELS[name]:
-            yield (
-                f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set it to "
-                f"{size:.10g}"
-            )
+            yield (f"`{name}` is in {unit} by the file, but its scale is 1: set it to {size:.10g}")
 
 
 def _index(names: tuple[str, ...], column: str) -> int | None:

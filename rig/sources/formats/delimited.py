@@ -78,7 +78,7 @@ class DelimitedTable(Table):
         )
         self._lay_out(head)
         if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
-            self._note("the last skipped line already holds numbers: check read.skip_rows")
+            self.note("the last skipped line already holds numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
         """Find header, units, row names and columns of dates in the first lines."""
@@ -98,18 +98,18 @@ class DelimitedTable(Table):
         self._skip = line if has_header else line - 1
         self._first_row = 0
         if self._encoding != "latin-1":
-            self._note(f"text in {self._encoding.upper()}")
+            self.note(f"text in {self._encoding.upper()}")
         if self._delimiter == BLANKS:
-            self._note("columns separated by blanks")
+            self.note("columns separated by blanks")
         if counted:
-            self._note(
+            self.note(
                 f"line {line} counts the columns from 0 to {len(cells) - 1}: taken as the header"
             )
         while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
             at, words = rows.pop(0)
             self.units = tuple(word.strip(' "\t') for word in words)
             self._skip = at
-            self._note(f"line {at} below the names taken as units: {', '.join(self.units)[:80]}")
+            self.note(f"line {at} below the names taken as units: {', '.join(self.units)[:80]}")
         self._has_header = has_header
         self._find_row_names(head, rows)
         self._find_dates(rows)
@@ -124,7 +124,7 @@ class DelimitedTable(Table):
         lines = dict(head)
         if all(_names_its_row(lines[at], row[0]) for at, row in rows):
             self._first_row = 1
-            self._note("the first cell of each row is a row name, which the header does not count")
+            self.note("the first cell of each row is a row name, which the header does not count")
 
     def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
         self._zero: dict[int, int] = {}
@@ -136,13 +136,9 @@ class DelimitedTable(Table):
                 what, since = (
                     ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
                 )
-                self._note(
+                self.note(
                     f"column {self._name(column)} holds {what}: read as seconds since {since}"
                 )
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes = (*self.notes, text)
 
     def _row_of_numbers(self, text: str, width: int) -> bool:
         cells = split(text, self._delimiter)
@@ -232,9 +228,9 @@ class DelimitedTable(Table):
                     )
                 yield self._number(cells[column + self._first_row], line, column)
         if empty:
-            self._note(f"{len(empty)} rows without values at the end dropped")
+            self.note(f"{len(empty)} rows without values at the end dropped")
         if short:
-            self._note(f"{short} rows have fewer cells than the first line: read from the left")
+            self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
         """Note the line that says where the file ends.
@@ -247,7 +243,7 @@ class DelimitedTable(Table):
                 f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
                 f"the line"
             )
-        self._note(f"line {line} ({mark}) taken as the end of the file")
+        self.note(f"line {line} ({mark}) taken as the end of the file")
 
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
         """Refuse cells beyond the header; return whether the row is shorter than it.
@@ -278,7 +274,7 @@ class DelimitedTable(Table):
         text = self._pointed(text)
         if is_empty(text):
             if "#" in text or "(" in text:
-                self._note(f"cells such as {text[:20]} taken as missing")
+                self.note(f"cells such as {text[:20]} taken as missing")
             return float("nan")
         if is_number(text) and column not in self._zero:
             return float(text)

@@ -10,6 +10,7 @@ from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.json_lines import JsonLinesTable
 from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.mdf import MdfTable
 from rig.sources.formats.parquet import ParquetTable
 from rig.sources.formats.table import Table, format_of
 
@@ -19,6 +20,8 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "txt": DelimitedTable,
     "mat": lambda path, _: MatTable(path),
     "mcap": lambda path, _: McapTable(path),
+    "mf4": MdfTable,
+    "mdf": MdfTable,
     "parquet": lambda path, _: ParquetTable(path),
     "npz": lambda path, _: NpzTable(path),
     "npy": lambda path, _: NpyTable(path),
