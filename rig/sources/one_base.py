@@ -18,6 +18,8 @@ SLOWER, FASTER = 0.9, 1.5
 """Ratio of both rates below which a note says that the course between samples is a guess, and above
 which it says that samples are left out.
 """
+EDGE_PERIODS = 1e-6
+"""A row this far outside of another base counts as at its edge, periods: rounding of the stamps."""
 HELD = frozenset({"enabled"})
 """Channels that keep their value until the next sample."""
 
@@ -114,7 +116,8 @@ def _interpolated(
         apart = wide[after - 1] > GAP_PERIODS * float(np.median(wide))
         apart &= (at > stamps[after - 1]) & (at < stamps[after])
         result = np.where(apart, np.nan, result)
-    return result, (at >= stamps[0]) & (at <= stamps[-1])
+    slack = EDGE_PERIODS * (float(np.median(np.diff(at))) if len(at) > 1 else 0.0)
+    return result, (at >= stamps[0] - slack) & (at <= stamps[-1] + slack)
 
 
 def _words(base: Base, wanted: Base, name: str) -> str:

@@ -13,6 +13,7 @@ from rig.sources.formats.mcap_log import McapTable
 from rig.sources.formats.mdf import MdfTable
 from rig.sources.formats.parquet import ParquetTable
 from rig.sources.formats.table import Table, format_of
+from rig.sources.formats.tdms import TdmsTable
 
 FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "csv": DelimitedTable,
@@ -22,6 +23,7 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "mcap": lambda path, _: McapTable(path),
     "mf4": MdfTable,
     "mdf": MdfTable,
+    "tdms": TdmsTable,
     "parquet": lambda path, _: ParquetTable(path),
     "npz": lambda path, _: NpzTable(path),
     "npy": lambda path, _: NpyTable(path),
