@@ -349,7 +349,7 @@ def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
     write_joint_states(tmp_path / "log.mcap")
     assert not any("image" in name for name in McapTable(tmp_path / "log.mcap").names)
     recording = load_file(tmp_path, "log.mcap", STATES)
-    np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 * 1e-9)
+    np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 / 1e9)
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
     np.testing.assert_array_equal(recording.channels["current"], CURRENT)
     assert recording.notes == ()

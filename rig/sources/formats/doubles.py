@@ -46,6 +46,8 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
         return np.ascontiguousarray(values, np.float64), ""
     if kind in "Mm":
         return _seconds(values)
+    if values.dtype.names is not None and set(values.dtype.names) == {"real", "imag"}:
+        raise NotNumbersError("complex numbers")
     words = {"c": "complex numbers", "S": "text", "U": "text", "O": "text or objects"}
     raise NotNumbersError(words.get(kind, f"of the type {values.dtype}"))
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from rig.config.campaign_sections import ReadSection
 from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
 from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.hdf5 import Hdf5Table, is_hdf5
+from rig.sources.formats.json_file import JsonTable
 from rig.sources.formats.json_lines import JsonLinesTable
 from rig.sources.formats.mcap_log import McapTable
 from rig.sources.formats.mdf import MdfTable
@@ -19,7 +22,9 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "csv": DelimitedTable,
     "tsv": DelimitedTable,
     "txt": DelimitedTable,
-    "mat": lambda path, _: MatTable(path),
+    "mat": lambda path, _: Hdf5Table(path) if _is_hdf5(path) else MatTable(path),
+    "h5": lambda path, _: Hdf5Table(path),
+    "hdf5": lambda path, _: Hdf5Table(path),
     "mcap": lambda path, _: McapTable(path),
     "mf4": MdfTable,
     "mdf": MdfTable,
@@ -27,10 +32,19 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "parquet": lambda path, _: ParquetTable(path),
     "npz": lambda path, _: NpzTable(path),
     "npy": lambda path, _: NpyTable(path),
+    "json": JsonTable,
     "jsonl": lambda path, _: JsonLinesTable(path),
     "ndjson": lambda path, _: JsonLinesTable(path),
 }
 """File extension, without dot and without ``.gz``, to reader."""
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether a MATLAB file is of version 7.3; what cannot be read is left to its reader."""
+    try:
+        return is_hdf5(path)
+    except (EOFError, zlib.error):
+        return False
 
 
 def open_table(path: Path, options: ReadSection) -> Table:

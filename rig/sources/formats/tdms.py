@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -266,4 +266,5 @@ def _stamp_seconds(stamps: Any) -> Array:
     first = fractions[0]
     over = np.where(fractions >= first, fractions - first, first - fractions).astype(np.float64)
     rest = np.where(fractions >= first, over, -over) * _FRACTION_S
-    return (seconds - seconds[0]).astype(np.float64) + rest
+    whole: Array = (seconds - seconds[0]).astype(np.float64)
+    return cast(Array, whole + rest)
