@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
@@ -11,6 +12,7 @@ from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.common.instants import iso_time
+from rig.common.text import stored_path
 from rig.config.campaign_gas import (
     Constant,
     GasGeneratorSection,
@@ -280,23 +282,52 @@ class ControllerSection(Schema):
 
 
 class ReadSection(Schema):
-    """How to read a delimited text file; other formats need nothing.
+    """How to read a delimited text file or CAN traffic; other formats need nothing.
 
     Attributes:
         delimiter: One character; found from the first line where not given.
         skip_rows: Lines before the header, or before the first row of numbers where there is no
             header.
         decimal: What separates the decimals.
+        dbc: DBC file of recorded CAN traffic, or a list of them, relative to the campaign file.
+        bench: Bench file instead, whose map of the drive's and encoder's frames is used: its
+            columns are channels in SI units. Relative to the campaign file, or the name of a
+            packaged bench.
+        bus: The bus whose frames are used, as the file names it (`can0`, `1`); all where left out.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     skip_rows: int = Field(default=0, ge=0)
     decimal: Literal[".", ","] = "."
+    dbc: str | Annotated[tuple[str, ...], Field(min_length=1)] | None = None
+    bench: str | None = None
+    bus: str | int | None = None
+
+    @property
+    def dbc_files(self) -> tuple[str, ...]:
+        """The DBC files as written."""
+        return (self.dbc,) if isinstance(self.dbc, str) else self.dbc or ()
+
+    def beside(self, folder: Path) -> ReadSection:
+        """Return these options with the names of files relative to a folder."""
+        named = tuple(str(folder / stored_path(name)) for name in self.dbc_files)
+        bench = self.bench
+        if bench is not None and Path(bench).suffix:
+            bench = str(folder / stored_path(bench))
+        return self.model_copy(update={"dbc": named or None, "bench": bench})
+
+    @property
+    def other_files(self) -> tuple[Path, ...]:
+        """The files that are read beside the recording."""
+        bench = (Path(self.bench),) if self.bench and Path(self.bench).suffix else ()
+        return (*map(Path, self.dbc_files), *bench)
 
     @model_validator(mode="after")
     def _told_apart(self) -> ReadSection:
         if self.delimiter == self.decimal == ",":
             raise ValueError("delimiter and decimal are both a comma; numbers cannot be told apart")
+        if self.dbc is not None and self.bench is not None:
+            raise ValueError("dbc and bench are both given; a bench has its own map, name one")
         return self
 
 

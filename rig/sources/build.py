@@ -66,7 +66,7 @@ def build(
         bench = replace(bench, moment_arm=float(section.moment_arm))
         unsure.pop("bench.moment_arm", None)
     try:
-        table = open_table(file, section.read)
+        table = open_table(file, section.read.beside(document.path.parent))
         channels, unread, found = read_channels(table, section, document, index)
         digest = sha256_file(file)
     except OSError as error:

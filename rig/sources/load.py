@@ -89,7 +89,10 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     named = iter(_distinct_names([r for one in read for r in one.recordings]))
     files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
     recordings = tuple(on_session_clock(files, document))
-    tables = {str(file): sha256_file(file) for file in document.other_files()}
+    others = dict.fromkeys(document.other_files())
+    for section in campaign.recordings:
+        others |= dict.fromkeys(section.read.beside(document.path.parent).other_files)
+    tables = {str(file): sha256_file(file) for file in others}
     return Dataset(recordings, campaign.model.model(), tables)
 
 

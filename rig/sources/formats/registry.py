@@ -18,6 +18,19 @@ from rig.sources.formats.parquet import ParquetTable
 from rig.sources.formats.table import Table, format_of
 from rig.sources.formats.tdms import TdmsTable
 
+
+def _can(path: Path, options: ReadSection) -> Table:
+    # Imported here, as it needs the drivers, which other formats don't.
+    from rig.sources.formats.can_traffic import CanTable
+
+    return CanTable(path, options)
+
+
+def _mdf(path: Path, options: ReadSection) -> Table:
+    """Open a measurement, or the frames of its bus logging where their meaning is given."""
+    return _can(path, options) if options.dbc or options.bench else MdfTable(path, options)
+
+
 FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "csv": DelimitedTable,
     "tsv": DelimitedTable,
@@ -26,8 +39,12 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "h5": lambda path, _: Hdf5Table(path),
     "hdf5": lambda path, _: Hdf5Table(path),
     "mcap": lambda path, _: McapTable(path),
-    "mf4": MdfTable,
-    "mdf": MdfTable,
+    "log": _can,
+    "asc": _can,
+    "blf": _can,
+    "trc": _can,
+    "mf4": _mdf,
+    "mdf": _mdf,
     "tdms": TdmsTable,
     "parquet": lambda path, _: ParquetTable(path),
     "npz": lambda path, _: NpzTable(path),
