@@ -17,13 +17,14 @@ from rig.config.configuration import Document
 from rig.runs.alignment import aligned
 from rig.sources.channels import read_channels
 from rig.sources.contradictions import doubts, unit_row_doubts
-from rig.sources.formats import Table, open_table
+from rig.sources.formats import Table
 from rig.sources.plausible import (
     gear_finding,
     sign_errors,
     unit_hints,
     value_errors,
 )
+from rig.sources.readers import open_table
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,

@@ -20,7 +20,8 @@ from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
-from rig.sources.formats import FORMATS, format_of
+from rig.sources.formats import format_of
+from rig.sources.readers import FORMATS
 from rig.sources.session import Read, on_session_clock
 
 

@@ -14,9 +14,10 @@ import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
+from rig.config.campaign_columns import ReadSection
 from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
-from rig.sources.formats import FORMATS, Table, format_of, open_table
+from rig.sources.formats import Table, format_of
+from rig.sources.readers import FORMATS, open_table
 from rig.sources.repair import GAP_PERIODS
 from rig.sources.wraps import unwrapped
 

@@ -17,12 +17,13 @@ from mcap.writer import Writer
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
-from rig.config.campaign_sections import ReadSection
-from rig.sources.formats import format_of, open_table
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats import format_of
 from rig.sources.formats.arrays import MatTable, NpzTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.mcap_log import McapTable
 from rig.sources.formats.parquet import ParquetTable
+from rig.sources.readers import open_table
 
 PLAIN = ReadSection()
 

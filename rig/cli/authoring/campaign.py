@@ -21,15 +21,11 @@ from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
 from rig.config.bench import Constants
 from rig.config.campaign import Campaign
-from rig.config.campaign_sections import (
-    BenchSection,
-    ChannelSection,
-    ModelSection,
-    ReadSection,
-    RecordingSection,
-)
+from rig.config.campaign_columns import ChannelSection, ReadSection
+from rig.config.campaign_sections import BenchSection, ModelSection, RecordingSection
 from rig.sources.columns import guess_channels, guess_mass
-from rig.sources.formats import FORMATS, format_of, open_table
+from rig.sources.formats import format_of
+from rig.sources.readers import FORMATS, open_table
 from rig.terminal.prompt import Asker
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from rig.sources.formats.registry import FORMATS, open_table
 from rig.sources.formats.table import Table, format_of
 
-__all__ = ["FORMATS", "Table", "format_of", "open_table"]
+__all__ = ["Table", "format_of"]

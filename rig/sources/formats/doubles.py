@@ -16,6 +16,12 @@ EXACT = 2**53
 """Integers up to this size are doubles without rounding."""
 _LARGEST = 2**63 - 1
 _UNIT_S = {"D": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
+
+
+def seconds_per(unit: str) -> float | None:
+    """Return the seconds in a unit of time as files write it; None for another unit."""
+    return _TIME_UNITS.get(unit.strip().lower())
 
 
 class NotNumbersError(Exception):

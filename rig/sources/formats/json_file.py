@@ -11,7 +11,7 @@ from typing import Any
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
+from rig.config.campaign_columns import ReadSection
 from rig.sources.formats.json_numbers import number, numbers, parse, series
 from rig.sources.formats.table import Table, damaged
 from rig.sources.formats.text_layout import encoding_of, open_text

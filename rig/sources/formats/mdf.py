@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from drivers.plain_file import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.columns import UNITS
-from rig.sources.formats.doubles import NotNumbersError, as_doubles
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import NotNumbersError, as_doubles, seconds_per
 from rig.sources.formats.library import heard, library, quiet_ends
 from rig.sources.formats.table import Table, damaged, open_binary
 
@@ -135,9 +134,9 @@ class MdfTable(Table):
                     f"{_MASTERS.get(channel.sync_type, 'something else')}, not over time"
                 )
                 return None
-            si, scale = UNITS.get(str(channel.unit or "s").lower(), ("", 1.0))
+            scale = seconds_per(str(channel.unit or "s"))
             values = self._values(mdf, _Channel(group, index, None), channel.name)
-            return values * scale if si == "s" else values
+            return values if scale is None else values * scale
 
     def _values(self, mdf: Any, where: _Channel, name: str) -> Array:
         signal = mdf.get(group=where.group, index=where.place, ignore_invalidation_bits=True)

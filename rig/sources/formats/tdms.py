@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.columns import UNITS
-from rig.sources.formats.doubles import NotNumbersError, as_doubles
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import NotNumbersError, as_doubles, seconds_per
 from rig.sources.formats.library import heard, library, quiet_ends
 from rig.sources.formats.table import Table, damaged, open_binary
 
@@ -227,9 +226,8 @@ def _waveform(channel: Any) -> _Waveform | None:
         offset = float(properties.get("wf_start_offset", 0.0))
     except (KeyError, TypeError, ValueError):
         return None
-    unit = str(properties.get("wf_xunit_string", "") or "s").lower()
-    si, scale = UNITS.get(unit, ("", 1.0))
-    if not (math.isfinite(increment) and math.isfinite(offset)) or increment <= 0 or si != "s":
+    scale = seconds_per(str(properties.get("wf_xunit_string", "") or "s"))
+    if not (math.isfinite(increment) and math.isfinite(offset)) or increment <= 0 or scale is None:
         return None
     start = properties.get("wf_start_time")
     known = hasattr(start, "second_fractions")

@@ -11,9 +11,9 @@ import pytest
 import scipy.io.matlab
 
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.formats import open_table
+from rig.config.campaign_columns import ReadSection
 from rig.sources.formats.hdf5 import Hdf5Table
+from rig.sources.readers import open_table
 from tests.rig.formats.campaigns import ANGLE, CURRENT, TIME, N, load_file, same
 
 CHANNELS = "{time: t, current: i, angle: q}"

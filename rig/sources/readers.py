@@ -1,4 +1,4 @@
-"""Selects the reader of a file by its extension."""
+"""Chooses the reader of a file by its extension."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from rig.config.campaign_sections import ReadSection
+from rig.config.campaign_columns import ReadSection
 from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
 from rig.sources.formats.delimited import DelimitedTable
 from rig.sources.formats.hdf5 import Hdf5Table, is_hdf5
@@ -21,7 +21,7 @@ from rig.sources.formats.tdms import TdmsTable
 
 def _can(path: Path, options: ReadSection) -> Table:
     # Imported here, as it needs the drivers, which other formats don't.
-    from rig.sources.formats.can_traffic import CanTable
+    from rig.sources.can_traffic import CanTable
 
     return CanTable(path, options)
 

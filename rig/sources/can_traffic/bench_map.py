@@ -27,8 +27,8 @@ from rig.config.bench import Bench, load_bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path
-from rig.sources.formats.can_traffic.dbc_map import messages_of
-from rig.sources.formats.can_traffic.layout import BusMessage, BusSignal, little_endian
+from rig.sources.can_traffic.dbc_map import messages_of
+from rig.sources.can_traffic.layout import BusMessage, BusSignal, little_endian
 from rig.wiring.connect import eds_path, encoder_scales, servo_scales
 
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}

@@ -2,6 +2,6 @@
 
 from __future__ import annotations
 
-from rig.sources.formats.can_traffic.table import CanTable
+from rig.sources.can_traffic.table import CanTable
 
 __all__ = ["CanTable"]

@@ -11,11 +11,11 @@ import numpy as np
 from drivers.can.port import EXTENDED_FLAG, hexadecimal
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.formats.can_traffic.bench_map import messages_of_bench
-from rig.sources.formats.can_traffic.dbc_map import messages_of
-from rig.sources.formats.can_traffic.frames import Frames, Key, read_traffic
-from rig.sources.formats.can_traffic.layout import BusMessage, BusSignal, Mask
+from rig.config.campaign_columns import ReadSection
+from rig.sources.can_traffic.bench_map import messages_of_bench
+from rig.sources.can_traffic.dbc_map import messages_of
+from rig.sources.can_traffic.frames import Frames, Key, read_traffic
+from rig.sources.can_traffic.layout import BusMessage, BusSignal, Mask
 from rig.sources.formats.table import Table
 
 STAMPS = "time"

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from drivers.can.port import EXTENDED_FLAG
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.formats.can_traffic.text_lines import FILTERS, Lines
+from rig.sources.can_traffic.text_lines import FILTERS, Lines
 from rig.sources.formats.library import heard, library, quiet_ends
 from rig.sources.formats.table import damaged, format_of, open_binary
 from rig.sources.formats.text_layout import encoding_of, open_text

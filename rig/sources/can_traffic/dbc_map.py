@@ -9,7 +9,7 @@ from drivers.can.port import EXTENDED_FLAG
 from drivers.dbc.file import load_dbc
 from drivers.errors import ConfigurationError
 from rig.common.errors import InputError
-from rig.sources.formats.can_traffic.layout import (
+from rig.sources.can_traffic.layout import (
     MOST_BITS,
     BusMessage,
     BusSignal,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.recording import Array
-from rig.sources.formats.can_traffic.frames import Frames
+from rig.sources.can_traffic.frames import Frames
 from rig.sources.formats.doubles import as_doubles
 
 MOST_BITS = 64
