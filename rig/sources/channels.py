@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from identification.recording import Array
@@ -39,15 +41,7 @@ def read_channels(
     for base in dict.fromkeys(_base(table, column) for column in columns.values()):
         wanted = sorted({c for c in columns.values() if _base(table, c) == base})
         data |= zip(wanted, table.read(wanted), strict=True)
-    raw: dict[str, Array] = {}
-    for name, column in columns.items():
-        scale = table.counts.get(column)
-        values = data[column]
-        raw[name], note = (
-            unwrapped(name, values) if scale is None else unwrapped_counts(name, values, scale)
-        )
-        notes += [f"`{name}`: {note}"] if note else []
-    raw, left_out, joined = _joined(table, columns, raw)
+    raw, left_out, found = on_one_time(table, columns, data)
     lengths = {name: len(values) for name, values in raw.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
@@ -57,7 +51,36 @@ def read_channels(
     channels = {name: _to_si(values, section.channels[name]) for name, values in raw.items()}
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
-    return channels, left_out, notes + joined
+    return channels, left_out, notes + found
+
+
+def on_one_time(
+    table: Table, columns: Mapping[str, int], data: Mapping[int, Array]
+) -> tuple[dict[str, Array], int, list[str]]:
+    """Unwrap counters, and bring the channels to the time base of the column of time.
+
+    Args:
+        table: The opened file.
+        columns: Channel to column.
+        data: Column to its values, each of its own time base.
+
+    Returns:
+        Channels in the units of the file, the rows of the file left out before them, and notes.
+
+    Raises:
+        InputError: The columns cannot share their rows.
+    """
+    raw: dict[str, Array] = {}
+    notes: list[str] = []
+    for name, column in columns.items():
+        scale = table.counts.get(column)
+        values = data[column]
+        raw[name], note = (
+            unwrapped(name, values) if scale is None else unwrapped_counts(name, values, scale)
+        )
+        notes += [f"`{name}`: {note}"] if note else []
+    raw, left_out, joined = _joined(table, columns, raw)
+    return raw, left_out, notes + joined
 
 
 def _columns(
@@ -89,7 +112,7 @@ def _base(table: Table, column: int) -> int:
 
 
 def _joined(
-    table: Table, columns: dict[str, int], raw: dict[str, Array]
+    table: Table, columns: Mapping[str, int], raw: dict[str, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
     """Bring channels of several time bases to that of the column of time.
 

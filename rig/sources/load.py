@@ -21,7 +21,7 @@ from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
 from rig.sources.formats import format_of
-from rig.sources.readers import FORMATS
+from rig.sources.readers import FORMATS, unknown_format
 from rig.sources.session import Read, on_session_clock
 
 
@@ -162,11 +162,7 @@ def _files(
                     )
                 )
             elif format_of(file) not in FORMATS:
-                problems.append(
-                    document.problem(
-                        loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}"
-                    )
-                )
+                problems.append(document.problem(loc, f"{file.name}: {unknown_format(file)}"))
             else:
                 yield loc, file
 

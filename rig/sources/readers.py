@@ -54,6 +54,26 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "ndjson": lambda path, _: JsonLinesTable(path),
 }
 """File extension, without dot and without ``.gz``, to reader."""
+_FOREIGN: Mapping[str, str] = {
+    "bag": "a bag of ROS 1; convert it to MCAP with: mcap convert",
+    "db3": "a bag of ROS 2; convert it to MCAP with: ros2 bag convert",
+    "xlsx": "a workbook; save its sheet as CSV",
+    "xls": "a workbook; save its sheet as CSV",
+    "ods": "a workbook; save its sheet as CSV",
+    "lvm": "a text file of LabVIEW; name it .txt, and skip its head with read.skip_rows",
+    "dat": "of many makers; name a text file .csv, an MDF file .mdf",
+    "pkl": "a pickle, which may run code when it is opened; save it as CSV, Parquet or npz",
+    "feather": "an Arrow file; save it as Parquet",
+    "nc": "netCDF; name one of version 4, which is HDF5, .h5",
+}
+"""Extensions of files that are not read, to what they are and the remedy."""
+
+
+def unknown_format(path: Path) -> str:
+    """Return the message on a file whose extension names no format that is read."""
+    words = _FOREIGN.get(format_of(path))
+    hint = f" ({words})" if words else ""
+    return f"unknown format{hint}; readable are {', '.join(FORMATS)}"
 
 
 def _is_hdf5(path: Path) -> bool:
