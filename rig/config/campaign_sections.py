@@ -287,8 +287,8 @@ class RecordingSection(Schema):
     """One entry of `recordings`; may stand for several files.
 
     Attributes:
-        file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
-            npy, mcap, jsonl or parquet; text files may be gzipped.
+        file: File name or glob relative to the campaign file, or a list of them, of any format of
+            the reference of file formats; all may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         moment_arm: Radius L1 at which this contact force acts, m; the bench's where not given.

@@ -54,7 +54,7 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "ndjson": lambda path, _: JsonLinesTable(path),
 }
 """File extension, without dot and without ``.gz``, to reader."""
-_FOREIGN: Mapping[str, str] = {
+FOREIGN: Mapping[str, str] = {
     "bag": "a bag of ROS 1; convert it to MCAP with: mcap convert",
     "db3": "a bag of ROS 2; convert it to MCAP with: ros2 bag convert",
     "xlsx": "a workbook; save its sheet as CSV",
@@ -71,7 +71,7 @@ _FOREIGN: Mapping[str, str] = {
 
 def unknown_format(path: Path) -> str:
     """Return the message on a file whose extension names no format that is read."""
-    words = _FOREIGN.get(format_of(path))
+    words = FOREIGN.get(format_of(path))
     hint = f" ({words})" if words else ""
     return f"unknown format{hint}; readable are {', '.join(FORMATS)}"
 

@@ -123,7 +123,7 @@ def test_traffic_is_looked_at_with_a_dbc_and_its_campaign_loads(
     arguments = ["look", str(path), "--dbc", str(tmp_path / "bus.dbc"), "--campaign", str(campaign)]
     assert status(arguments) in (None, 0)
     assert "time is Motion.time, 1000" in capsys.readouterr().out
-    assert "dbc: ../bus.dbc" in campaign.read_text()
+    assert 'dbc: "../bus.dbc"' in campaign.read_text()
     dataset = load_source(campaign)
     assert len(dataset.recordings[0].time) == N
     assert any(name.endswith("bus.dbc") for name in dataset.tables)
