@@ -13,6 +13,7 @@ from typing import Any, BinaryIO, cast
 
 import can
 import can.io
+import can.io.blf
 import numpy as np
 from numpy.typing import NDArray
 
@@ -26,6 +27,7 @@ from rig.sources.formats.text_layout import encoding_of, open_text
 
 _DAMAGED = (
     can.CanError,
+    can.io.blf.BLFParseError,
     ArithmeticError,
     AttributeError,
     EOFError,

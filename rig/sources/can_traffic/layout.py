@@ -98,8 +98,10 @@ class BusSignal:
         bits = self.bits(frames)[rows]
         if self.real:
             unsigned, kind = _FLOATS[self.width]
-            raw = bits.astype(unsigned).view(kind).astype(np.float64)
-            return raw * self.factor + self.offset, ""
+            # The bits of a float may be any, also no number.
+            with np.errstate(over="ignore", invalid="ignore"):
+                raw = bits.astype(unsigned).view(kind).astype(np.float64)
+                return raw * self.factor + self.offset, ""
         whole: NDArray[np.uint64] | NDArray[np.int64] = bits
         if self.signed:
             shift = np.uint64(MOST_BITS - self.width)

@@ -314,11 +314,13 @@ def _names_its_row(line: str, cell: str) -> bool:
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
-    """Return number (from 1) and text of the first lines with content; ``skip`` lines were read
-    before.
+    """Return number (from 1) and text of the first lines with content, without
+    comments and the line that says where the file ends; ``skip`` lines were read before.
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
+        if found and (text.strip().lower() in END_MARKS or not without_comment(text)):
+            continue
         if text.strip().lstrip("\ufeff"):
             found.append((line, utf8(text)))
             if len(found) == _HEAD_LINES:

@@ -54,14 +54,13 @@ class _Heard(logging.Handler):
 def heard(logger: str) -> Iterator[list[str]]:
     """Keep the warnings of a library off the terminal; yields a list that is filled at the end."""
     log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
-    before = log.propagate
-    log.addHandler(handler)
-    log.propagate = False
+    propagate, handlers = log.propagate, log.handlers
+    # Some libraries have handlers of their own, which print.
+    log.propagate, log.handlers = False, [handler]
     try:
         yield found
     finally:
-        log.removeHandler(handler)
-        log.propagate = before
+        log.propagate, log.handlers = propagate, handlers
         found += [text if n == 1 else f"{text} ({n} times)" for text, n in handler.words.items()]
 
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -103,7 +104,8 @@ class MdfTable(Table):
         zipped = self.path.suffix.lower() == ".gz"
         said: list[str] = []
         try:
-            with heard("asammdf") as said, quiet_ends():
+            # asammdf prints what it was doing when it fails.
+            with heard("asammdf") as said, quiet_ends(), redirect_stdout(io.StringIO()):
                 source: Any = open_binary(self.path) if zipped else str(self.path)
                 with self._asammdf.MDF(source) as mdf:
                     yield mdf
