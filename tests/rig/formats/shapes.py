@@ -7,9 +7,9 @@ Each property takes a drawn log and a folder; ``tests/long/log_shapes.py`` runs 
 from __future__ import annotations
 
 import json
-import random
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import can
@@ -19,7 +19,6 @@ from asammdf import MDF, Signal
 from cantools.database.can import Database, Message
 from cantools.database.can.signal import Signal as BusSignal
 from cantools.database.conversion import BaseConversion
-from hypothesis import strategies as st
 from nptdms import ChannelObject, TdmsWriter
 
 from rig.common.errors import InputError
@@ -33,11 +32,9 @@ ODD = (0.0, -0.0, 1e-300, 1e300, 0.1, 1 / 3, 1e22, 5e-324)
 KINDS = ("i1", "u1", "<i2", ">i2", "<u4", ">i4", "<i8", "<u8", "<f4", ">f4", "<f8", ">f8")
 
 
-@st.composite
-def frames_of_numbers(draw: st.DrawFn) -> dict[str, list[float]]:
+def frames_of_numbers(rng: Random) -> dict[str, list[float]]:
     """Columns of one length, by name."""
-    names = draw(st.lists(st.sampled_from(NAMES), min_size=2, max_size=4, unique=True))
-    rng = random.Random(draw(st.integers(0, 2**32 - 1)))
+    names = rng.sample(NAMES, rng.randint(2, 4))
     rows = rng.randint(2, 8)
 
     def number() -> float:
@@ -49,19 +46,15 @@ def frames_of_numbers(draw: st.DrawFn) -> dict[str, list[float]]:
     return {n: [number() for _ in range(rows)] for n in names}
 
 
-@st.composite
-def arrays(draw: st.DrawFn) -> dict[str, np.ndarray]:
+def arrays(rng: Random) -> dict[str, np.ndarray]:
     """Columns of one length and of many types, by name."""
-    names = draw(
-        st.lists(st.sampled_from(NAMES[:3] + NAMES[6:]), min_size=1, max_size=3, unique=True)
-    )
-    rows = draw(st.integers(2, 12))
-    seed = draw(st.integers(0, 2**32 - 1))
-    rng = np.random.default_rng(seed)
+    names = rng.sample(NAMES[:3] + NAMES[6:], rng.randint(1, 3))
+    rows = rng.randint(2, 12)
+    noise = np.random.default_rng(rng.getrandbits(32))
     found = {}
     for name in names:
-        kind = np.dtype(draw(st.sampled_from(KINDS)))
-        raw = rng.integers(0, 256, rows * kind.itemsize, dtype=np.uint8).tobytes()
+        kind = np.dtype(rng.choice(KINDS))
+        raw = noise.integers(0, 256, rows * kind.itemsize, dtype=np.uint8).tobytes()
         values = np.frombuffer(raw, kind).copy()
         if kind.kind == "f":
             values[~np.isfinite(values)] = 0.5
@@ -87,46 +80,43 @@ def as_float(values: np.ndarray) -> np.ndarray:
     return values.astype(np.float64)
 
 
-@st.composite
-def csv_logs(draw: st.DrawFn) -> tuple[bytes, dict[str, list[float]], dict[str, Any], bool]:
+def csv_logs(rng: Random) -> tuple[bytes, dict[str, list[float]], dict[str, Any], bool]:
     """A text file in some tool's shape, its truth, read options, and whether it was spoiled."""
-    truth = draw(frames_of_numbers())
-    delimiter = draw(st.sampled_from([",", ";", "\t", "|", " "]))
-    decimal = draw(st.sampled_from([".", ".", ","])) if delimiter != "," else "."
-    style = draw(st.sampled_from(["{!r}", "{:.17g}", "{:.17e}"]))
+    truth = frames_of_numbers(rng)
+    delimiter = rng.choice([",", ";", "\t", "|", " "])
+    decimal = rng.choice([".", ".", ","]) if delimiter != "," else "."
+    style = rng.choice(["{!r}", "{:.17g}", "{:.17e}"])
     names = [n.replace(" ", "_") for n in truth] if delimiter == " " else list(truth)
     rows = [
         [style.format(v).replace(".", decimal) for v in row]
         for row in zip(*truth.values(), strict=True)
     ]
-    spoiled = draw(st.sampled_from(["no", "no", "no", "more", "fewer", "word", "late"]))
-    place = draw(st.integers(0, len(rows) - 1))
+    spoiled = rng.choice(["no", "no", "no", "more", "fewer", "word", "late"])
+    place = rng.randint(0, len(rows) - 1)
     if spoiled == "more":
-        rows[place].insert(draw(st.integers(0, len(names))), "7")
+        rows[place].insert(rng.randint(0, len(names)), "7")
     elif spoiled == "fewer":
-        rows[place].pop(draw(st.integers(0, len(names) - 1)))
+        rows[place].pop(rng.randint(0, len(names) - 1))
     elif spoiled == "word":
-        rows[place][draw(st.integers(0, len(names) - 1))] = draw(
-            st.sampled_from(["ERR", "1.2.3", "12 34", "#"])
-        )
-    quoted = draw(st.booleans())
+        rows[place][rng.randint(0, len(names) - 1)] = rng.choice(["ERR", "1.2.3", "12 34", "?"])
+    quoted = rng.random() < 0.5
     if quoted:
         rows = [[f'"{cell}"' for cell in row] for row in rows]
         names = [f'"{name}"' for name in names]
-    gap = delimiter * draw(st.integers(1, 3)) if delimiter == " " else delimiter
+    gap = delimiter * rng.randint(1, 3) if delimiter == " " else delimiter
     lines = [gap.join(names)]
-    if draw(st.booleans()) and delimiter != " ":
+    if rng.random() < 0.5 and delimiter != " ":
         lines.append(gap.join(["s", "A", "rad", "-"][: len(names)]))
     lines += [gap.join(row) for row in rows]
     if spoiled == "late":
         lines += ["EOF", gap.join(["9"] * len(names))]
     else:
-        lines += draw(st.sampled_from([[], [""], ["EOF"], ["# end"]]))
-    skip = draw(st.integers(0, 2))
+        lines += rng.choice([[], [""], ["EOF"], ["# end"]])
+    skip = rng.randint(0, 2)
     lines = ["; made by a tool"] * skip + lines
-    ending = draw(st.sampled_from(["\n", "\r\n"]))
-    text = ending.join(lines) + draw(st.sampled_from(["", ending]))
-    encoding = draw(st.sampled_from(["utf-8", "utf-8-sig", "utf-16", "latin-1"]))
+    ending = rng.choice(["\n", "\r\n"])
+    text = ending.join(lines) + rng.choice(["", ending])
+    encoding = rng.choice(["utf-8", "utf-8-sig", "utf-16", "latin-1"])
     clean = {name.strip('"'): values for name, values in zip(names, truth.values(), strict=True)}
     return text.encode(encoding), clean, {"skip_rows": skip, "decimal": decimal}, spoiled != "no"
 
@@ -150,35 +140,32 @@ def csv_property(
     return True
 
 
-@st.composite
-def json_logs(draw: st.DrawFn) -> tuple[str, str, dict[str, list[float]]]:
+def json_logs(rng: Random) -> tuple[str, str, dict[str, list[float]]]:
     """Text, extension and truth of a JSON log."""
-    truth = draw(frames_of_numbers())
-    if draw(st.booleans()):
-        name = draw(st.sampled_from(sorted(truth)))
-        base = draw(st.integers(0, 2**62))
+    truth = frames_of_numbers(rng)
+    if rng.random() < 0.5:
+        name = rng.choice(sorted(truth))
+        base = rng.randint(0, 2**62)
         truth[name] = [base + k for k in range(len(truth[name]))]
     names, rows = list(truth), list(map(list, zip(*truth.values(), strict=True)))
     records = [dict(zip(names, row, strict=True)) for row in rows]
-    if draw(st.booleans()):
+    if rng.random() < 0.5:
         return "\n".join(map(json.dumps, records)), "jsonl", truth
     labels = [str(k) for k in range(len(rows))]
-    value: Any = draw(
-        st.sampled_from(
-            [
-                records,
-                dict(truth),
-                [names, *rows],
-                {"columns": names, "index": labels, "data": rows},
-                {n: dict(zip(labels, v, strict=True)) for n, v in truth.items()},
-                dict(zip(labels, records, strict=True)),
-            ]
-        )
+    value: Any = rng.choice(
+        [
+            records,
+            dict(truth),
+            [names, *rows],
+            {"columns": names, "index": labels, "data": rows},
+            {n: dict(zip(labels, v, strict=True)) for n, v in truth.items()},
+            dict(zip(labels, records, strict=True)),
+        ]
     )
-    beside = draw(st.sampled_from([None, {"by": "me"}, [1], "text", {"limits": [1, 2, 3]}]))
-    if draw(st.booleans()):
+    beside = rng.choice([None, {"by": "me"}, [1], "text", {"limits": [1, 2, 3]}])
+    if rng.random() < 0.5:
         value = {"meta": beside, "run": {"log": value}}
-    return json.dumps(value, indent=draw(st.sampled_from([None, 1]))), "json", truth
+    return json.dumps(value, indent=rng.choice([None, 1])), "json", truth
 
 
 def json_property(case: tuple[str, str, dict[str, list[float]]], folder: Path) -> bool:
@@ -195,20 +182,19 @@ def json_property(case: tuple[str, str, dict[str, list[float]]], folder: Path) -
     return True
 
 
-@st.composite
-def bus_logs(draw: st.DrawFn) -> tuple[Database, list[can.Message]]:
+def bus_logs(rng: Random) -> tuple[Database, list[can.Message]]:
     """A DBC made by cantools, and frames of random bytes for it."""
     messages = []
-    for number in range(draw(st.integers(1, 2))):
-        size = draw(st.sampled_from([1, 2, 4, 8, 8, 8, 64]))
-        extended = draw(st.booleans())
+    for number in range(rng.randint(1, 2)):
+        size = rng.choice([1, 2, 4, 8, 8, 8, 64])
+        extended = rng.random() < 0.5
         selectors: list[str] = []
         signals = []
-        count = draw(st.integers(1, min(4, size)))
+        count = rng.randint(1, min(4, size))
         # Each signal has bytes of its own.
         for k in range(count):
             area = (size * k // count, size * (k + 1) // count)
-            signals.append(draw(bus_signals(f"S{k}", area, selectors)))
+            signals.append(bus_signals(rng, f"S{k}", area, selectors))
             if signals[-1].is_multiplexer:
                 selectors.append(signals[-1].name)
         messages.append(
@@ -223,17 +209,16 @@ def bus_logs(draw: st.DrawFn) -> tuple[Database, list[can.Message]]:
             )
         )
     frames = []
-    seed = draw(st.integers(0, 2**32 - 1))
-    rng = np.random.default_rng(seed)
-    cut = draw(st.booleans())
-    for k in range(draw(st.integers(1, 60))):
-        message = messages[int(rng.integers(len(messages)))]
-        length = message.length if not cut else int(rng.integers(0, message.length + 1))
+    noise = np.random.default_rng(rng.getrandbits(32))
+    cut = rng.random() < 0.5
+    for k in range(rng.randint(1, 60)):
+        message = messages[int(noise.integers(len(messages)))]
+        length = message.length if not cut else int(noise.integers(0, message.length + 1))
         if length > 8:
             length = max(n for n in (8, 12, 16, 20, 24, 32, 48, 64) if n <= length)
-        data = rng.integers(0, 256, length, dtype=np.uint8)
+        data = noise.integers(0, 256, length, dtype=np.uint8)
         if length:
-            data[0] &= int(rng.choice([0xFF, 0x01, 0x03]))
+            data[0] &= int(noise.choice([0xFF, 0x01, 0x03]))
         frames.append(
             can.Message(
                 timestamp=k * 1e-3,
@@ -247,36 +232,31 @@ def bus_logs(draw: st.DrawFn) -> tuple[Database, list[can.Message]]:
     return Database(messages, strict=False), frames
 
 
-@st.composite
-def bus_signals(
-    draw: st.DrawFn, name: str, area: tuple[int, int], selectors: list[str]
-) -> BusSignal:
+def bus_signals(rng: Random, name: str, area: tuple[int, int], selectors: list[str]) -> BusSignal:
     size = area[1] - area[0]
-    order = draw(st.sampled_from(["little_endian", "big_endian"]))
-    real = draw(st.sampled_from([False, False, True])) and size >= 4
+    order = rng.choice(["little_endian", "big_endian"])
+    real = rng.choice([False, False, True]) and size >= 4
     length = (
-        draw(st.sampled_from([32, 64] if size >= 8 else [32]))
-        if real
-        else draw(st.integers(1, min(64, 8 * size)))
+        rng.choice([32, 64] if size >= 8 else [32]) if real else rng.randint(1, min(64, 8 * size))
     )
-    first = 8 * area[0] + draw(st.integers(0, 8 * size - length))
+    first = 8 * area[0] + rng.randint(0, 8 * size - length)
     # Counted from the left of the frame where the most significant bit comes first.
     start = first if order == "little_endian" else first // 8 * 8 + 7 - first % 8
-    under = draw(st.sampled_from([None, *selectors]))
+    under = rng.choice([None, *selectors])
     selects = (
-        not real and length <= 8 and draw(st.booleans()) and (under is not None or not selectors)
+        not real and length <= 8 and rng.random() < 0.5 and (under is not None or not selectors)
     )
-    scale = draw(st.sampled_from([1, 0.5, 0.001, -2.0, 1e-6]))
-    offset = draw(st.sampled_from([0, 0, -40, 0.25]))
+    scale = rng.choice([1, 0.5, 0.001, -2.0, 1e-6])
+    offset = rng.choice([0, 0, -40, 0.25])
     return BusSignal(
         name,
         start,
         length,
         order,
-        is_signed=draw(st.booleans()) and not real,
+        is_signed=rng.random() < 0.5 and not real,
         conversion=BaseConversion.factory(scale, offset, None, real),
         is_multiplexer=selects,
-        multiplexer_ids=[draw(st.integers(0, 3))] if under else None,
+        multiplexer_ids=[rng.randint(0, 3)] if under else None,
         multiplexer_signal=under,
     )
 
@@ -305,11 +285,12 @@ def bus_property(case: tuple[Database, list[can.Message]], folder: Path) -> bool
             if not signal.is_float and signal.scale == 1 and signal.offset == 0:
                 exact = as_float(np.array(values, np.uint64 if min(values) >= 0 else np.int64))
             assert column in found, f"{column} is missing in {list(found)}"
-            assert np.array_equal(found[column], exact, equal_nan=True), (
-                column,
-                found[column],
-                exact,
-            )
+            read = found[column]
+            if signal.length > 53 and signal.offset:
+                # cantools adds the offset to a whole number, which no double may hold.
+                np.testing.assert_allclose(read, exact, rtol=1e-15)
+                continue
+            assert np.array_equal(read, exact, equal_nan=True), (signal, read - exact, exact)
     return True
 
 
@@ -397,13 +378,13 @@ def npz_property(case: dict[str, np.ndarray], folder: Path) -> bool:
     return True
 
 
-PROPERTIES: Mapping[str, tuple[st.SearchStrategy[Any], Callable[[Any, Path], bool]]] = {
-    "csv": (csv_logs(), csv_property),
-    "json": (json_logs(), json_property),
-    "dbc": (bus_logs(), bus_property),
-    "mdf": (arrays(), mdf_property),
-    "tdms": (arrays(), tdms_property),
-    "hdf5": (arrays(), hdf5_property),
-    "npz": (arrays(), npz_property),
+PROPERTIES: Mapping[str, tuple[Callable[[Random], Any], Callable[[Any, Path], bool]]] = {
+    "csv": (csv_logs, csv_property),
+    "json": (json_logs, json_property),
+    "dbc": (bus_logs, bus_property),
+    "mdf": (arrays, mdf_property),
+    "tdms": (arrays, tdms_property),
+    "hdf5": (arrays, hdf5_property),
+    "npz": (arrays, npz_property),
 }
 """Format to its random logs, and what must hold of them; whether one was read, and not refused."""
