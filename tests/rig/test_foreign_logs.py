@@ -485,3 +485,19 @@ def test_with_a_rate_every_row_is_a_sample(tmp_path: Path) -> None:
     path.write_text(BENCH + text)
     with pytest.raises(InputError, match=r"`current`: 299 of 599|`current`: 300 of 600"):
         load_source(path)
+
+
+def test_nanoseconds_in_text_are_rounded_with_a_word(tmp_path: Path) -> None:
+    lines = [
+        f"{FIRST_NS + k * 1_000_000},{row.split(',', 1)[1]}" for k, row in enumerate(lines_of())
+    ]
+    channels = CHANNELS.replace("time: t", "time: {column: t, scale: 1.0e-9}")
+    recording = load(tmp_path, HEAD + "\n".join(lines), channels)
+    assert np.max(np.abs(recording.time - recording.time[0] - TIME)) < 5e-7
+    assert "column 't' holds integers beyond 2^53: rounded to multiples of 256" in recording.notes
+
+
+def test_a_row_of_units_with_a_dash_for_none(tmp_path: Path) -> None:
+    recording = load(tmp_path, HEAD + "s,A,-,rad\n" + "\n".join(lines_of()))
+    is_truth(recording)
+    assert any("taken as units: s, A, -, rad" in note for note in recording.notes)

@@ -19,6 +19,7 @@ import numpy as np
 from identification.recording import Array
 from rig.common.errors import InputError
 from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import EXACT
 from rig.sources.formats.table import Table, damaged
 from rig.sources.formats.text_layout import (
     BLANKS,
@@ -39,6 +40,8 @@ from rig.sources.formats.text_layout import (
 )
 
 _READ_ERRORS = (OSError, EOFError, zlib.error)
+_MOST_DIGITS = 300
+"""Digits of a whole number that a double can hold."""
 _HEAD_LINES = 6
 """Lines with content, from the first, that show how the file is laid out."""
 
@@ -130,6 +133,12 @@ class DelimitedTable(Table):
         self._zero: dict[int, int] = {}
         for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
             when = nanoseconds(cell)
+            digits = cell.strip(' "\t-+')
+            if digits.isdecimal() and int(digits[:_MOST_DIGITS]) > EXACT:
+                self.note(
+                    f"column {self._name(column)} holds integers beyond 2^53: rounded to multiples "
+                    f"of {np.spacing(float(digits)):.0f}"
+                )
             if when is not None and column < len(self.names):
                 dated = when >= DAY_NS
                 self._zero[column] = when if dated else 0
