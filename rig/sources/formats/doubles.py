@@ -49,7 +49,9 @@ def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
             )
         return np.ascontiguousarray(values, np.float64), ""
     if kind in "bf":
-        return np.ascontiguousarray(values, np.float64), ""
+        # A float of another width may be a not-a-number that signals.
+        with np.errstate(invalid="ignore", over="ignore"):
+            return np.ascontiguousarray(values, np.float64), ""
     if kind in "Mm":
         return _seconds(values)
     if values.dtype.names is not None and set(values.dtype.names) == {"real", "imag"}:

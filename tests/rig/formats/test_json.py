@@ -122,3 +122,10 @@ def test_nanoseconds_in_numpy_are_exact_and_complex_numbers_refused(tmp_path: Pa
     same(recording.time, np.arange(N) * 1_000_001 * 1e-9)
     with pytest.raises(InputError, match=r"'z' is not real numbers \(complex numbers\)"):
         load_file(tmp_path, "log.npz", "{time: t, current: i, angle: z}")
+
+
+def test_a_signalling_not_a_number_is_missing(tmp_path: Path) -> None:
+    values = np.array([0x3F800000, 0x7FA00000], np.uint32).view(np.float32)
+    np.save(tmp_path / "log.npy", values)
+    (found,) = open_table(tmp_path / "log.npy", ReadSection()).read([0])
+    same(found, np.array([1.0, np.nan]))
