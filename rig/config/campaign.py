@@ -17,13 +17,8 @@ from rig.common.errors import InputError
 from rig.common.table_tree import csv_rows, row
 from rig.common.text import stored_path
 from rig.common.yaml_tree import DocumentError, Node, read_text
-from rig.config.campaign_sections import (
-    ANGLE_TIME,
-    BenchSection,
-    ChannelSection,
-    ModelSection,
-    RecordingSection,
-)
+from rig.config.campaign_columns import ChannelSection
+from rig.config.campaign_sections import ANGLE_TIME, BenchSection, ModelSection, RecordingSection
 from rig.config.configuration import Document, Loc, Schema, load_located
 
 

@@ -20,9 +20,9 @@ from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
-from rig.sources.formats import FORMATS
+from rig.sources.formats import format_of
+from rig.sources.readers import FORMATS, unknown_format
 from rig.sources.session import Read, on_session_clock
-from rig.sources.table import format_of
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
@@ -92,7 +92,10 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     named = iter(_distinct_names([r for one in read for r in one.recordings]))
     files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
     recordings = tuple(on_session_clock(files, document))
-    tables = {str(file): sha256_file(file) for file in document.other_files()}
+    others = dict.fromkeys(document.other_files())
+    for section in campaign.recordings:
+        others |= dict.fromkeys(section.read.beside(document.path.parent).other_files)
+    tables = {str(file): sha256_file(file) for file in others}
     return Dataset(recordings, campaign.model.model(), tables)
 
 
@@ -161,11 +164,7 @@ def _files(
                     )
                 )
             elif format_of(file) not in FORMATS:
-                problems.append(
-                    document.problem(
-                        loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}"
-                    )
-                )
+                problems.append(document.problem(loc, f"{file.name}: {unknown_format(file)}"))
             else:
                 yield loc, file
 
