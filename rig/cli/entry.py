@@ -148,7 +148,7 @@ def cli(verbose: bool) -> None:
         # Everything important is reported as an error of this program; without a handler the log
         # would be printed. matplotlib warns of folders that cannot be written and continues without
         # them.
-        for name in ("can", "canopen", "matplotlib"):
+        for name in ("can", "canopen", "foxglove", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
 
 

@@ -156,7 +156,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             )
     # A term may be declared without a declared load, since a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
-        r.known_load and r.role == "fit" for r in campaign.recordings
+        (r.known_load or r.exported) and r.role == "fit" for r in campaign.recordings
     ):
         yield (
             ("model",),
@@ -170,7 +170,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
-    units = {_torque_unit(recording, campaign.bench) for recording in campaign.recordings}
+    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings if not r.exported}
     if len(units) > 1:
         yield (
             ("bench",),
@@ -221,7 +221,9 @@ def _way(recording: RecordingSection) -> str:
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings that would be scored by a model without working load."""
-    fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
+    fitted = any(
+        r.role == "fit" and (r.stage == "loaded" or r.exported) for r in campaign.recordings
+    )
     if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
@@ -244,6 +246,10 @@ def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
 
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     channels: Mapping[str, ChannelSection] = recording.channels
+    if recording.exported:
+        for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
+            yield (name,), f"a file without `channels` states its {name} itself; remove the key"
+        return
     if "time" not in channels and recording.rate is None:
         yield ("channels",), "no `time` channel and no `rate`; give one of them"
     if "time" in channels and recording.rate is not None:
@@ -279,6 +285,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             yield ("channels", name, "unsigned"), _UNSIGNED.get(name, _UNSIGNED_OTHER)
 
 
+_BESIDE_EXPORT = {"file", "role", "channels"}
+"""Keys of a recording that may stand where the file is one of `rig export`."""
 _UNSIGNED_OTHER = "only a channel with its sign can be used; leave it out"
 _UNSIGNED: Mapping[str, str] = {
     "current": (

@@ -19,9 +19,6 @@ from rig.runs.mcap.layout import (
 )
 from rig.runs.mcap.reader import Message
 
-CAN_TOPIC = "/can"
-SERIAL_TOPIC = "/serial"
-
 
 @dataclass(frozen=True)
 class Topic:
@@ -47,8 +44,8 @@ def _ros(name: str, recorded: str, kind: str, text: str) -> Topic:
 TOPICS = (
     _ros(SAMPLE_TOPIC, SAMPLE_TOPIC, ros.SAMPLE_TYPE, ros.SAMPLE_TEXT),
     Topic(EVENT_TOPIC, EVENT_TOPIC, "json", ("loadrig.Event", "jsonschema", EVENT_JSON_SCHEMA)),
-    _ros(CAN_TOPIC, FRAMES_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
-    _ros(SERIAL_TOPIC, FRAMES_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
+    _ros(ros.CAN_TOPIC, FRAMES_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
+    _ros(ros.SERIAL_TOPIC, FRAMES_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
 )
 """Samples and frames are as ROS 2 writes them, as PlotJuggler takes nothing else from a live
 stream.
@@ -88,7 +85,7 @@ def _events(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoin
 
 
 def _frames(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    if not wanted & {CAN_TOPIC, SERIAL_TOPIC}:
+    if not wanted & {ros.CAN_TOPIC, ros.SERIAL_TOPIC}:
         return
     for row in rows:
         for frame in decode_frames(row.data):
@@ -99,8 +96,8 @@ def _frames(rows: Sequence[Message], wanted: frozenset[str]) -> Iterator[Outgoin
 
 def _frame(time_ns: int, frame: RawFrame) -> Outgoing:
     if ros.is_serial(frame):
-        return Outgoing(SERIAL_TOPIC, time_ns, ros.serial_bytes(frame))
-    return Outgoing(CAN_TOPIC, time_ns, ros.can_frame(frame))
+        return Outgoing(ros.SERIAL_TOPIC, time_ns, ros.serial_bytes(frame))
+    return Outgoing(ros.CAN_TOPIC, time_ns, ros.can_frame(frame))
 
 
 _WRITERS: dict[str, Callable[[Sequence[Message], frozenset[str]], Iterator[Outgoing]]] = {

@@ -51,9 +51,11 @@ uint32 line
 uint8[] data
 {_HEADER}"""
 """Definition of up to eight bytes of a serial line."""
+CAN_TOPIC = "/can"
+SERIAL_TOPIC = "/serial"
 SENT, RECEIVED = "sent", "received"
 
-_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
+LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 _IDENTIFIER = 0x1FFFFFFF
 _NS = 1_000_000_000
 
@@ -75,7 +77,7 @@ def samples(messages: Sequence[bytes]) -> list[bytes]:
         return []
     fields = decode_samples(b"".join(messages), len(messages[0]))
     rows = np.stack([fields[name] for name in Sample._fields], axis=1).astype("<f8")
-    return [_LITTLE_ENDIAN + row.tobytes() for row in rows]
+    return [LITTLE_ENDIAN + row.tobytes() for row in rows]
 
 
 def can_frame(frame: RawFrame) -> bytes:
@@ -104,6 +106,6 @@ def _header(frame: RawFrame) -> bytes:
     word = (SENT if frame.sent else RECEIVED).encode() + b"\x00"
     seconds, nanoseconds = divmod(frame.time_ns, _NS)
     padding = -len(word) % 4
-    return _LITTLE_ENDIAN + struct.pack(
+    return LITTLE_ENDIAN + struct.pack(
         f"<iII{len(word)}s{padding}x", seconds, nanoseconds, len(word), word
     )

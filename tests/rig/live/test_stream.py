@@ -31,7 +31,7 @@ from rig.runs.recorder import Recorder, open_recorder
 
 PROTOCOL = "foxglove.sdk.v1"
 NAN = struct.unpack("<d", b"\x01\x02\x03\x04\x05\x06\xf8\x7f")[0]
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def sample(k: int) -> Sample:

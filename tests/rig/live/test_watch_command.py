@@ -47,10 +47,10 @@ def test_an_address_is_printed_served_and_given_up_at_ctrl_c(run: Path) -> None:
         address = re.search(r"ws://127\.0\.0\.1:\d+/\?token=\S+", text)
         assert address is not None
         with connect(address.group(), subprotocols=["foxglove.sdk.v1"]) as client:  # type: ignore[list-item]
-            info = json.loads(client.recv(20))
+            info = json.loads(client.recv(60))
             # With a client connected, Ctrl-C ends it as well.
             process.send_signal(signal.SIGINT)
-            rest, _ = process.communicate(timeout=20)
+            rest, _ = process.communicate(timeout=60)
     assert process.returncode == 0
     assert rest == "no longer served\n"
     assert "simulated bench" in info["name"]
