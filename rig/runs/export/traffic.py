@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TextIO
 
-from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from drivers.frame_flags import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from rig.common.errors import InputError
 from rig.common.instants import instant
@@ -25,7 +25,6 @@ from rig.runs.run_record import PartRecord, RunRecord
 
 INTERFACE = "can0"
 """Name of the bus in a candump log."""
-_IDENTIFIER = 0x1FFFFFFF
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -112,11 +111,11 @@ def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
         flags = frame.identifier
         seconds, microseconds = divmod(_microseconds(frame.time_ns), 1_000_000)
         if flags & ERROR_FLAG:
-            identifier = f"{flags & (_IDENTIFIER | ERROR_FLAG):08X}"
+            identifier = f"{flags & (IDENTIFIER_BITS | ERROR_FLAG):08X}"
         elif flags & EXTENDED_FLAG:
-            identifier = f"{flags & _IDENTIFIER:08X}"
+            identifier = f"{flags & IDENTIFIER_BITS:08X}"
         else:
-            identifier = f"{flags & _IDENTIFIER:03X}"
+            identifier = f"{flags & IDENTIFIER_BITS:03X}"
         data = "R" if flags & REMOTE_FLAG else frame.data.hex().upper()
         direction = "T" if frame.sent else "R"
         stream.write(
@@ -146,7 +145,7 @@ def _asc(frame: RawFrame) -> str:
     flags = frame.identifier
     if flags & ERROR_FLAG:
         return "ErrorFrame"
-    identifier = f"{flags & _IDENTIFIER:X}{'x' if flags & EXTENDED_FLAG else ''}"
+    identifier = f"{flags & IDENTIFIER_BITS:X}{'x' if flags & EXTENDED_FLAG else ''}"
     head = f"{identifier:<15} {'Tx' if frame.sent else 'Rx'}  "
     if flags & REMOTE_FLAG:
         return f"{head} r"

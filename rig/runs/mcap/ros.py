@@ -12,9 +12,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from drivers.frame_flags import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    IDENTIFIER_BITS,
+    REMOTE_FLAG,
+    SERIAL_FLAG,
+)
 from drivers.interfaces import RawFrame
-from drivers.serial_port import SERIAL_FLAG
 from rig.common.sample import Sample
 from rig.runs.mcap.layout import decode_samples
 
@@ -56,7 +61,6 @@ SERIAL_TOPIC = "/serial"
 SENT, RECEIVED = "sent", "received"
 
 LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_IDENTIFIER = 0x1FFFFFFF
 _NS = 1_000_000_000
 
 
@@ -85,7 +89,7 @@ def can_frame(frame: RawFrame) -> bytes:
     flags = frame.identifier
     return _header(frame) + struct.pack(
         "<I???B8s",
-        flags & _IDENTIFIER,
+        flags & IDENTIFIER_BITS,
         bool(flags & REMOTE_FLAG),
         bool(flags & EXTENDED_FLAG),
         bool(flags & ERROR_FLAG),
