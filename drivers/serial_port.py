@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import errno
-import importlib
 import os
 import select
 import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
-from types import ModuleType
 from typing import Final, Protocol
 
 import serial
@@ -20,6 +18,12 @@ from drivers.frame_flags import SERIAL_FLAG as SERIAL_FLAG
 from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
+try:
+    import fcntl
+    import termios
+except ImportError:  # Windows, where everything but the ports themselves still works
+    fcntl = termios = None  # type: ignore[assignment]
+
 WRITE_LIMIT_S: Final = 0.1
 """Time-out of a write, s: some 30 bytes, which fit the driver's buffer."""
 
@@ -28,19 +32,17 @@ _CHUNK: Final = 4096
 _DRAIN_STEP_NS: Final = NS // 1000
 
 
-def _posix(name: str) -> ModuleType:
-    """Import a module that Windows lacks, where it is used.
+def _require_posix() -> None:
+    """Check, before anything moves, that a line can be flushed.
 
     Raises:
-        OSError: This system lacks it.
+        OSError: This system cannot.
     """
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
+    if termios is None or fcntl is None:
         raise OSError(
-            f"this system has no {name}, by which serial lines are held and flushed; use Linux or "
-            f"macOS, or a CAN adapter of python-can"
-        ) from error
+            "this system has no termios, by which serial lines are held and flushed; use Linux or "
+            "macOS, or a CAN adapter of python-can"
+        )
 
 
 class BytePort(Protocol):
@@ -86,8 +88,7 @@ class InheritedPort:
     """
 
     def __init__(self, descriptor: int) -> None:
-        # Before anything moves: a line that cannot be flushed is not used.
-        _posix("termios"), _posix("fcntl")
+        _require_posix()
         # A write without room must return, else its time-out could not be kept.
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
@@ -113,7 +114,6 @@ class InheritedPort:
                 return
             wait_ns = deadline - self._clock.now_ns()
             if wait_ns <= 0 or not select.select([], [descriptor], [], wait_ns / NS)[1]:
-                termios = _posix("termios")
                 termios.tcflush(descriptor, termios.TCOFLUSH)
                 taken = len(data) - len(left)
                 raise TimeoutError(
@@ -149,7 +149,6 @@ class InheritedPort:
         Raises:
             OSError: The line is gone.
         """
-        termios = _posix("termios")
         termios.tcflush(self.fileno(), termios.TCIFLUSH)
 
     def fileno(self) -> int:
@@ -173,7 +172,6 @@ class InheritedPort:
 
         Otherwise closing a blocked line waits up to 30 s in the kernel.
         """
-        fcntl, termios = _posix("fcntl"), _posix("termios")
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
         while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
             if self._clock.now_ns() >= deadline:
@@ -200,7 +198,7 @@ class PySerialPort(InheritedPort):
 
     @os_errors
     def __init__(self, path: str, baud: int, rtscts: bool = False) -> None:
-        _posix("termios")
+        _require_posix()
         try:
             port = serial.Serial(path, baud, timeout=0, exclusive=True, rtscts=rtscts)
         except OSError as error:

@@ -271,9 +271,9 @@ def _fcntl(place: _Place) -> ModuleType:
     except ImportError as error:
         # Windows lacks it; a bench is not used without a lock.
         raise StorageError(
-            f"{place.subject}: this system has no fcntl, by which one program at a time holds a "
-            f"bench or a run; run benches on Linux or macOS. Recordings can be identified, "
-            f"diagnosed, simulated, exported and looked at here"
+            f"{place.subject}: this system cannot lock files; use Linux or macOS. Without fcntl "
+            f"two programs could drive one bench. Recordings can be identified, diagnosed, "
+            f"simulated, exported and looked at here"
         ) from error
     return fcntl
 

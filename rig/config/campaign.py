@@ -248,7 +248,11 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     channels: Mapping[str, ChannelSection] = recording.channels
     if recording.exported:
         for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
-            yield (name,), f"a file without `channels` states its {name} itself; remove the key"
+            yield (
+                (name,),
+                f"no `channels`, which only a file of `rig export` may lack, and that states its "
+                f"{name} itself; add `channels`, or remove `{name}`",
+            )
         return
     if "time" not in channels and recording.rate is None:
         yield ("channels",), "no `time` channel and no `rate`; give one of them"

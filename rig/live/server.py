@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-import sys
+import socket
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from pathlib import Path
@@ -41,12 +41,16 @@ class Offer:
 def inner_host() -> str:
     """Return the address for the servers behind the gate.
 
-    Where the system takes any address of 127.0.0.0/8 without setting up (Linux), it is one at
-    random: no web page can try them all.
+    Where the system takes any address of 127.0.0.0/8 without setting up, as Linux does, it is one
+    at random: no web page can try them all.
     """
-    if not sys.platform.startswith("linux"):
-        return HOST
-    return ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+    drawn = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
+    with socket.socket() as probe:
+        try:
+            probe.bind((drawn, 0))
+        except OSError:
+            return HOST
+    return drawn
 
 
 async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None:

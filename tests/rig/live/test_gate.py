@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from ipaddress import ip_address
+
 import pytest
 
 from rig.live.gate import Gate, RefusedError, refusal
+from rig.live.server import inner_host
 
 GATE = Gate(port=8765, token="abc-123")
 OPEN = Gate(port=8765, token=None)
@@ -85,3 +88,25 @@ def test_a_refusal_is_an_answer_in_words() -> None:
     assert head.startswith(b"HTTP/1.1 403 ")
     assert body == b"the reason\n"
     assert b"Content-Length: 11" in head
+
+
+def test_the_server_behind_the_gate_hides_at_a_loopback_address(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = {inner_host() for _ in range(8)}
+    assert all(ip_address(host).is_loopback for host in found)
+    assert len(found) == 8
+    # As on macOS, which has 127.0.0.1 alone.
+    monkeypatch.setattr("rig.live.server.socket.socket", NoAddress)
+    assert inner_host() == "127.0.0.1"
+
+
+class NoAddress:
+    def __enter__(self) -> NoAddress:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        pass
+
+    def bind(self, address: object) -> None:
+        raise OSError("cannot assign requested address")
