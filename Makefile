@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -33,6 +33,7 @@ help:
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
@@ -149,6 +150,9 @@ kill: $(VENV)/.dev
 
 process-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.process_matrix
+
+watch-clients: $(VENV)/.dev
+	$(BIN)/python -m tests.long.watch_clients $(if $(PLOTJUGGLER),--plotjuggler $(PLOTJUGGLER))
 
 moments: $(VENV)/.dev
 	$(BIN)/python -m tests.long.moments

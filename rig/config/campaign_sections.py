@@ -312,7 +312,8 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`.
+            `{column: ...}`. Left out for a file of `rig export` (csv, mat, mcap, parquet): it
+            states channels, stage, masses, loads and constants itself.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -329,7 +330,14 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection] = Field(
+        default_factory=dict
+    )
+
+    @property
+    def exported(self) -> bool:
+        """Whether the file must describe itself, as those of `rig export` do."""
+        return not self.channels
 
     @property
     def known_load(self) -> bool:
