@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -33,11 +33,12 @@ help:
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
-	@echo "make fuzz      a million frames or bytes for every decoder"
+	@echo "make fuzz      a million frames or bytes for every decoder; 100 000 random logs of each format"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
@@ -150,6 +151,9 @@ kill: $(VENV)/.dev
 process-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.process_matrix
 
+watch-clients: $(VENV)/.dev
+	$(BIN)/python -m tests.long.watch_clients $(if $(PLOTJUGGLER),--plotjuggler $(PLOTJUGGLER))
+
 moments: $(VENV)/.dev
 	$(BIN)/python -m tests.long.moments
 
@@ -165,6 +169,7 @@ realtime: $(VENV)/.dev
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py
 	$(BIN)/python tests/long/dbc_fuzz.py
+	$(BIN)/python -m tests.long.log_shapes
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m tests.long.mutants

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import commands
 import effects
+import formats
 import keys
 import recording
 import results
@@ -95,6 +96,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "bench": lambda: keys.page("Bench file", _BENCH + _packaged("benches"), Bench),
     "sequence": lambda: keys.page("Sequence file", _SEQUENCE + _packaged("sequences"), Sequence),
     "campaign": lambda: keys.page("Campaign file", _CAMPAIGN, Campaign, _channels()),
+    "formats": formats.page,
     "fault_schedule": lambda: keys.page("Fault schedule", _FAULTS, FaultSchedule, _faults()),
     "commands": commands.page,
     "results": results.page,

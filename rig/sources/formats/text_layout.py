@@ -180,17 +180,19 @@ def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def are_units(cells: Sequence[str], width: int) -> bool:
-    """Return whether a line below the names contains short words and no number, as a row of units
-    does.
+    """Whether a line below the names holds no number but short words, as units are.
+
+    A dash stands for no unit where another cell has one.
     """
-    words = [cell.strip(' "\t') for cell in cells]
+    given = [cell.strip(' "\t') for cell in cells]
+    words = [word for word in given if word != "-"]
     return (
-        len(words) <= width
+        len(given) <= width
         and any(words)
         and not any(is_number(word) or is_number(pointed(word, ",")) for word in words)
         and not any(nanoseconds(word) is not None for word in words)
         and all(len(word) <= _UNIT_LENGTH for word in words)
-        and words[0].lower() not in END_MARKS
+        and given[0].lower() not in END_MARKS
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.table import Table, damaged, open_binary
+from rig.sources.formats.table import Table, damaged, open_binary
 
 
 class ParquetTable(Table):
@@ -53,9 +53,9 @@ class ParquetTable(Table):
         try:
             if types.is_timestamp(column.type):
                 ticks = column.cast(arrow.timestamp("ns")).cast(arrow.int64())
-                return _differences(ticks) * 1e-9
+                return _differences(ticks) / 1e9
             if types.is_duration(column.type):
-                return _differences(column.cast(arrow.duration("ns")).cast(arrow.int64())) * 1e-9
+                return _differences(column.cast(arrow.duration("ns")).cast(arrow.int64())) / 1e9
             if types.is_integer(column.type) and _exceeds_doubles(column):
                 self.notes = (
                     *self.notes,

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.json_numbers import numbers, series
-from rig.sources.table import Table, damaged
-from rig.sources.text_layout import encoding_of, open_text
+from rig.sources.formats.json_numbers import numbers, parse, series
+from rig.sources.formats.table import Table, damaged
+from rig.sources.formats.text_layout import encoding_of, open_text
 
 
 class JsonLinesTable(Table):
@@ -41,7 +40,7 @@ class JsonLinesTable(Table):
 
     def _take(self, line: int, text: str) -> None:
         try:
-            value = json.loads(text)
+            value = parse(text)
         except (ValueError, RecursionError) as error:
             if self._rows and not text.endswith("\n"):
                 self.notes = (*self.notes, f"line {line} is incomplete: dropped")
@@ -56,7 +55,13 @@ class JsonLinesTable(Table):
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
-        return [series(self._rows, self.names[k]) for k in columns]
+        found = []
+        for k in columns:
+            values, note = series(self._rows, self.names[k])
+            if note:
+                self.note(f"`{self.names[k]}`: {note}")
+            found.append(values)
+        return found
 
     def place(self, row: int) -> str:
         """Return the line of a row."""

@@ -10,14 +10,14 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, NamedTuple
 
 import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Message
+from mcap.records import Channel, Message, Schema
 
 from rig.runs.mcap.records import HEADER
 
@@ -25,7 +25,7 @@ MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
 """Format of start time, end time, size, checksum and length of the compression's name."""
 
-Found = tuple[None, Channel, Message]
+Found = tuple[Schema | None, Channel, Message]
 
 
 def until_cut(stream: IO[bytes]) -> Iterator[Found]:
@@ -41,15 +41,15 @@ def until_cut(stream: IO[bytes]) -> Iterator[Found]:
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        raise McapError("the file is complete, but damaged inside")
-    channels: dict[int, Channel] = {}
+        raise McapError("the file has its end, but is damaged inside")
+    known = _Known({}, {})
     for opcode, content, whole in _records(data[len(MAGIC) :]):
         if opcode == Opcode.CHUNK:
             for inner, record, complete in _records(_unpacked(content, whole)):
                 if complete:
-                    yield from _message(inner, record, channels)
+                    yield from _message(inner, record, known)
         elif whole:
-            yield from _message(opcode, content, channels)
+            yield from _message(opcode, content, known)
 
 
 def _rest(stream: IO[bytes]) -> bytes:
@@ -100,11 +100,22 @@ def _unpacked(content: bytes, whole: bool) -> bytes:
     return records
 
 
-def _message(opcode: int, content: bytes, channels: dict[int, Channel]) -> Iterator[Found]:
+class _Known(NamedTuple):
+    """Channels and schemas read so far, by number."""
+
+    channels: dict[int, Channel]
+    schemas: dict[int, Schema]
+
+
+def _message(opcode: int, content: bytes, known: _Known) -> Iterator[Found]:
     stream = ReadDataStream(io.BytesIO(content))
     if opcode == Opcode.CHANNEL:
         channel = Channel.read(stream)
-        channels[channel.id] = channel
+        known.channels[channel.id] = channel
+    elif opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        known.schemas[schema.id] = schema
     elif opcode == Opcode.MESSAGE:
         message = Message.read(stream, len(content))
-        yield None, channels[message.channel_id], message
+        channel = known.channels[message.channel_id]
+        yield known.schemas.get(channel.schema_id), channel, message

@@ -1,4 +1,4 @@
-"""Readers of array files: MATLAB .mat (up to v7), numpy .npz archives and .npy arrays."""
+"""Named arrays: MATLAB .mat files (versions 4 to 7), numpy .npz archives and .npy arrays."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ import scipy.io
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.sources.mat_elements import check_elements
-from rig.sources.table import Table, damaged, open_binary
+from rig.sources.formats.doubles import NotNumbersError, as_doubles
+from rig.sources.formats.mat_elements import check_elements
+from rig.sources.formats.table import Table, damaged, open_binary
 
 _DAMAGED = (
     scipy.io.matlab.MatReadError,
@@ -66,12 +67,11 @@ class ArrayTable(Table):
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
         """Load whole variables by name."""
 
+    def variable(self, column: int) -> str:
+        """Return the variable that a column is of."""
+        return self._columns[column].variable
+
     def _series(self, column: _Column, array: np.ndarray) -> Array:
-        if array.dtype.kind not in "biuf":
-            raise InputError(
-                f"{self.path}: variable {column.variable!r} is not real numbers (type "
-                f"{array.dtype})"
-            )
         values = np.squeeze(array)
         if column.series is not None:
             values = (
@@ -79,7 +79,15 @@ class ArrayTable(Table):
                 if values.shape[1] > values.shape[0]
                 else values[:, column.series]
             )
-        return np.ascontiguousarray(values, dtype=np.float64)
+        try:
+            doubles, note = as_doubles(values)
+        except NotNumbersError as error:
+            raise InputError(
+                f"{self.path}: variable {column.variable!r} is not real numbers ({error})"
+            ) from None
+        if note:
+            self.note(f"`{column.variable}`: {note}")
+        return doubles
 
 
 class MatTable(ArrayTable):
@@ -89,8 +97,7 @@ class MatTable(ArrayTable):
     ``recordings[1].angle``.
 
     Raises:
-        InputError: The file has version 7.3 (HDF5), contains no arrays of numbers, or is not a
-            MATLAB file.
+        InputError: It holds no arrays of numbers, or is not a MATLAB file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -101,7 +108,8 @@ class MatTable(ArrayTable):
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
             raise InputError(
-                f"{path}: MATLAB v7.3 (HDF5) is not read; save it in MATLAB with save(..., '-v7')"
+                f"{path}: a MATLAB file of a version that is not read ({error}); save it in MATLAB "
+                f"with save(..., '-v7')"
             ) from error
         except _DAMAGED as error:
             raise damaged(path, error, "save it again with save(..., '-v7')") from error
@@ -169,13 +177,13 @@ class NpzTable(ArrayTable):
     """
 
     def __init__(self, path: Path) -> None:
+        self._fields: dict[str, tuple[str, str | None]] = {}
+        shapes: dict[str, tuple[int, ...]] = {}
         try:
             with open_binary(path) as stream, zipfile.ZipFile(stream) as archive:
-                shapes = dict(
-                    _npy_shape(archive, member)
-                    for member in archive.namelist()
-                    if member.endswith(".npy")
-                )
+                for member in archive.namelist():
+                    if member.endswith(".npy"):
+                        shapes |= self._members(archive, member)
         except _DAMAGED as error:
             raise damaged(
                 path, error, "save it again with numpy.savez, without object arrays"
@@ -184,7 +192,23 @@ class NpzTable(ArrayTable):
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
         with open_binary(self.path) as stream, np.load(stream, allow_pickle=False) as archive:
-            return {name: archive[name] for name in variables}
+            found = {name: self._fields[name] for name in variables}
+            return {
+                name: archive[member] if field is None else archive[member][field]
+                for name, (member, field) in found.items()
+            }
+
+    def _members(self, archive: zipfile.ZipFile, member: str) -> dict[str, tuple[int, ...]]:
+        """Return name and shape of an array, or of each field of a structured one."""
+        name, shape, kind = _npy_header(archive, member)
+        if kind.names is None:
+            self._fields[name] = (name, None)
+            return {name: shape}
+        shapes = {}
+        for field in kind.names:
+            self._fields[f"{name}.{field}"] = (name, field)
+            shapes[f"{name}.{field}"] = (*shape, *kind[field].shape)
+        return shapes
 
 
 class NpyTable(ArrayTable):
@@ -217,8 +241,10 @@ class NpyTable(ArrayTable):
         return {name: self._arrays[name] for name in variables}
 
 
-def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, ...]]:
-    """Return name and shape of one array, without reading its data."""
+def _npy_header(
+    archive: zipfile.ZipFile, member: str
+) -> tuple[str, tuple[int, ...], np.dtype[Any]]:
+    """Read name, shape and type of one array without its data."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = (
@@ -226,7 +252,8 @@ def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, .
             if version == (1, 0)
             else np.lib.format.read_array_header_2_0
         )
-        return member.removesuffix(".npy"), read(stream)[0]
+        shape, _, kind = read(stream)
+        return member.removesuffix(".npy"), shape, kind
 
 
 def _columns(name: str, shape: tuple[int, ...]) -> list[_Column]:

@@ -18,9 +18,10 @@ import numpy as np
 
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
-from rig.sources.table import Table, damaged
-from rig.sources.text_layout import (
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import EXACT
+from rig.sources.formats.table import Table, damaged
+from rig.sources.formats.text_layout import (
     BLANKS,
     DAY_NS,
     END_MARKS,
@@ -39,6 +40,8 @@ from rig.sources.text_layout import (
 )
 
 _READ_ERRORS = (OSError, EOFError, zlib.error)
+_MOST_DIGITS = 300
+"""Digits of a whole number that a double can hold."""
 _HEAD_LINES = 6
 """Number of lines with content, from the first, from which the layout of the file is found."""
 
@@ -78,7 +81,7 @@ class DelimitedTable(Table):
         )
         self._lay_out(head)
         if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
-            self._note("the last skipped line contains numbers: check read.skip_rows")
+            self.note("the last skipped line contains numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
         """Find header, units, row names and columns of dates in the first lines."""
@@ -98,18 +101,18 @@ class DelimitedTable(Table):
         self._skip = line if has_header else line - 1
         self._first_row = 0
         if self._encoding != "latin-1":
-            self._note(f"text in {self._encoding.upper()}")
+            self.note(f"text in {self._encoding.upper()}")
         if self._delimiter == BLANKS:
-            self._note("columns separated by blanks")
+            self.note("columns separated by blanks")
         if counted:
-            self._note(
+            self.note(
                 f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
             )
         while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
             at, words = rows.pop(0)
             self.units = tuple(word.strip(' "\t') for word in words)
             self._skip = at
-            self._note(f"line {at} below the names read as units: {', '.join(self.units)[:80]}")
+            self.note(f"line {at} below the names read as units: {', '.join(self.units)[:80]}")
         self._has_header = has_header
         self._find_row_names(head, rows)
         self._find_dates(rows)
@@ -126,25 +129,27 @@ class DelimitedTable(Table):
         lines = dict(head)
         if all(_names_its_row(lines[at], row[0]) for at, row in rows):
             self._first_row = 1
-            self._note("the first cell of each row is a row name, for which the header has no name")
+            self.note("the first cell of each row is a row name, for which the header has no name")
 
     def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
         self._zero: dict[int, int] = {}
         for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
             when = nanoseconds(cell)
+            digits = cell.strip(' "\t-+')
+            if digits.isdecimal() and int(digits[:_MOST_DIGITS]) > EXACT:
+                self.note(
+                    f"column {self._name(column)} holds integers beyond 2^53: rounded to multiples "
+                    f"of {np.spacing(float(digits)):.0f}"
+                )
             if when is not None and column < len(self.names):
                 dated = when >= DAY_NS
                 self._zero[column] = when if dated else 0
                 what, since = (
                     ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
                 )
-                self._note(
+                self.note(
                     f"column {self._name(column)} holds {what}: read as seconds since {since}"
                 )
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes = (*self.notes, text)
 
     def _row_of_numbers(self, text: str, width: int) -> bool:
         cells = split(text, self._delimiter)
@@ -235,9 +240,9 @@ class DelimitedTable(Table):
                     )
                 yield self._number(cells[column + self._first_row], line, column)
         if empty:
-            self._note(f"{len(empty)} rows without values at the end dropped")
+            self.note(f"{len(empty)} rows without values at the end dropped")
         if short:
-            self._note(f"{short} rows have fewer cells than the first line: read from the left")
+            self.note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
         """Add a note on the line that marks the end of the file.
@@ -250,7 +255,7 @@ class DelimitedTable(Table):
                 f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
                 f"the line"
             )
-        self._note(f"line {line} ({mark}) read as the end of the file")
+        self.note(f"line {line} ({mark}) read as the end of the file")
 
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
         """Reject a row that is longer than the header; return whether the row is shorter than the
@@ -283,7 +288,7 @@ class DelimitedTable(Table):
         text = self._pointed(text)
         if is_empty(text):
             if "#" in text or "(" in text:
-                self._note(f"cells such as {text[:20]} taken as missing")
+                self.note(f"cells such as {text[:20]} taken as missing")
             return float("nan")
         if is_number(text) and column not in self._zero:
             return float(text)
@@ -328,6 +333,8 @@ def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):
+        if found and (text.strip().lower() in END_MARKS or not without_comment(text)):
+            continue
         if text.strip().lstrip("\ufeff"):
             found.append((line, utf8(text)))
             if len(found) == _HEAD_LINES:
