@@ -155,19 +155,26 @@ def beyond_noise(joint: Joint) -> set[str]:
     return {
         e.name
         for e in joint.equations
-        if float(np.mean(joint.residual[joint.stack.part(e.name)] ** 2)) > NOISE * level(e)
+        if float(np.mean(over_own_noise(joint, e) ** 2)) > NOISE
         or most_of_one(joint, e) > EXCESS_OF_ONE
     }
+
+
+def over_own_noise(joint: Joint, equation: Equation) -> Array:
+    """Return what a fit leaves of an equation, over the own noise of each row's recording, shape
+    (n,).
+    """
+    powers = np.array([equation.own.get(index, 1.0) for index in equation.owner.tolist()])
+    return np.asarray(joint.residual[joint.stack.part(equation.name)] / np.sqrt(powers))
 
 
 def most_of_one(joint: Joint, equation: Equation) -> float:
     """Return the mean square that a fit leaves of an equation over that of the recording's own
     noise, in the recording with most of it.
     """
-    rows = joint.residual[joint.stack.part(equation.name)]
+    rows = over_own_noise(joint, equation)
     return max(
-        float(np.mean(rows[equation.owner == index] ** 2)) / equation.own.get(index, 1.0)
-        for index in np.unique(equation.owner).tolist()
+        float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )
 
 
@@ -194,17 +201,13 @@ def excess(joint: Joint, only: str = "") -> float:
     for equation in joint.equations:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
-        rows = joint.stack.part(equation.name)
-        powers = np.minimum(np.abs(joint.residual[rows]), RARE) ** 2
-        chances.append(_beyond(powers, EXCESS * level(equation)))
-        chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
+        rows = over_own_noise(joint, equation)
+        powers = np.minimum(np.abs(rows), RARE) ** 2
+        chances.append(_beyond(powers, EXCESS))
+        chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
         if equation.name == "torque":
             chances += [
-                _beyond(
-                    powers[equation.owner == v.index],
-                    EXCESS_OF_ONE * equation.own.get(v.index, 1.0),
-                )
-                for v in equation.views
+                _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views
             ]
     return min([1.0, *(len(chances) * chance for chance in chances)])
 

@@ -23,6 +23,7 @@ from identification.diagnosis.score.significance import (
     NOISE,
     level,
     most_of_one,
+    over_own_noise,
 )
 from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, probability
 from identification.diagnosis.selection.search import Search
@@ -176,7 +177,7 @@ def _beyond(joint: Joint, judges: Sequence[_Excess], least: float) -> bool:
     """
     equations = {e.name: e for e in joint.equations}
     return any(
-        e.before > least * level(equations[e.equation])
+        float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
         or most_of_one(joint, equations[e.equation]) > EXCESS_OF_ONE
         for e in judges
     )
