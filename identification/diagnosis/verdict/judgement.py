@@ -21,7 +21,9 @@ from identification.diagnosis.score.significance import (
     EXCESS_OF_ONE,
     LEVEL,
     NOISE,
+    level,
     most_of_one,
+    over_own_noise,
 )
 from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, probability
 from identification.diagnosis.selection.search import Search
@@ -156,7 +158,10 @@ def _short(found: Search, share: float = ADEQUATE) -> bool:
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     equation = next(e for e in found.final.equations if e.name == worst.equation)
-    left = worst.after > NEAR_FLOOR or most_of_one(found.final, equation) > EXCESS_OF_ONE
+    left = (
+        worst.after > NEAR_FLOOR * level(equation)
+        or most_of_one(found.final, equation) > EXCESS_OF_ONE
+    )
     return worst.explained < share and left
 
 
@@ -172,7 +177,8 @@ def _beyond(joint: Joint, judges: Sequence[_Excess], least: float) -> bool:
     """
     equations = {e.name: e for e in joint.equations}
     return any(
-        e.before > least or most_of_one(joint, equations[e.equation]) > EXCESS_OF_ONE
+        float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
+        or most_of_one(joint, equations[e.equation]) > EXCESS_OF_ONE
         for e in judges
     )
 
