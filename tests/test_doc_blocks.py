@@ -137,7 +137,7 @@ def test_the_image_of_the_readme_is_small() -> None:
 
 
 def test_the_effects_page_has_every_effect() -> None:
-    from identification.diagnosis.entries import ENTRIES
+    from identification.diagnosis.catalogue import ENTRIES
 
     text = (ROOT / "docs" / "reference" / "effects.md").read_text(encoding="utf-8")
     for name, entry in ENTRIES.items():

@@ -66,9 +66,6 @@ ARGUED: Mapping[tuple[str, str], str] = {
         "arguments",
         "drivers.mock.plant.record:record_cycles",
     ): "compiled kernel: all vectors of `advance_loaded`, and where the latches go",
-    ("files", "identification/diagnosis"): (
-        "moves into folders with the one likelihood for identification and diagnosis, not before"
-    ),
     ("arguments", "identification.corrected.arrays:signals"): (
         "is exported as source for users' own scripts, which pass plain arrays by name"
     ),

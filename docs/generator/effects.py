@@ -10,8 +10,8 @@ from keys import table
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE
 from drivers.mock.plant.effects.table import CATALOGUE
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.entries.entry import Entry
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.entry import Entry
 
 _HIDDEN = {**CATALOGUE, **GAS_CATALOGUE}
 _INTRO = """\

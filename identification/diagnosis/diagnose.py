@@ -13,14 +13,11 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.diagnosis.begin import begun, common_bandwidth, started
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.indistinct import opened
-from identification.diagnosis.intervals import pinned
-from identification.diagnosis.joint import Joint
-from identification.diagnosis.judgement import effects_of, judged, too_little
-from identification.diagnosis.locate import curve
-from identification.diagnosis.observable import Observable, observable
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.entry import title
+from identification.diagnosis.fit.intervals import pinned
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import begun, common_bandwidth, started
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -31,16 +28,19 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.search import Progress, Search, search
-from identification.diagnosis.significance import LEVEL
-from identification.diagnosis.stretches import crowded, standing
-from identification.diagnosis.taken_up import taken_up
+from identification.diagnosis.score.collinear import taken_up
+from identification.diagnosis.score.locate import curve
+from identification.diagnosis.score.observable import Observable, observable
+from identification.diagnosis.score.significance import LEVEL
+from identification.diagnosis.score.single_recordings import crowded, standing
+from identification.diagnosis.selection.held_out import held_out, paying, unpaid
+from identification.diagnosis.selection.indistinct import opened
+from identification.diagnosis.selection.search import Progress, Search, search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.unseen import held_out, paying, unpaid
-from identification.diagnosis.unsought import unsought
-from identification.diagnosis.wording import title
+from identification.diagnosis.verdict.judgement import effects_of, judged, too_little
+from identification.diagnosis.verdict.unrecorded import unsought
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, Recording, RecordingError

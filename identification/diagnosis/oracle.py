@@ -14,14 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnosis.diagnose import GIVING
-from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.significance import screened
-from identification.diagnosis.stack import Candidate
+from identification.diagnosis.score.significance import screened
+from identification.diagnosis.selection.held_out import held_out
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.unseen import held_out
 from identification.prepare import torque_unit
 from identification.recording import Dataset
 

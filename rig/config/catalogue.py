@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 
 CATALOGUE: Mapping[str, tuple[str, ...]] = {
     group: tuple(e.name for e in ENTRIES.values() if e.group == group)

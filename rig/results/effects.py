@@ -6,8 +6,8 @@ import textwrap
 from collections.abc import Iterable
 from typing import Any
 
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.entries.entry import Entry, Quantity
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.entry import Entry, Quantity
 from rig.common.errors import InputError
 from rig.common.provenance import utc_now, versions
 from rig.common.tables import table

@@ -11,16 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.entries.device import DEVICE
-from identification.diagnosis.entries.entry import Entry
-from identification.diagnosis.entries.friction import FRICTION
-from identification.diagnosis.entries.gas import GAS
-from identification.diagnosis.entries.motor import MOTOR
-from identification.diagnosis.entries.sensing import SENSING
-from identification.diagnosis.entries.transmission import TRANSMISSION
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.device import DEVICE
+from identification.diagnosis.catalogue.entry import Entry
+from identification.diagnosis.catalogue.friction import FRICTION
+from identification.diagnosis.catalogue.gas import GAS
+from identification.diagnosis.catalogue.motor import MOTOR
+from identification.diagnosis.catalogue.sensing import SENSING
+from identification.diagnosis.catalogue.transmission import TRANSMISSION
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.wording import finding, readable, sentence
+from identification.diagnosis.verdict.wording import finding, readable, sentence
 
 GROUPS = {
     "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time "

@@ -16,7 +16,7 @@ from identification.corrected.signals import signals_of
 from identification.corrected.states import dahl_friction, lagged, play
 from identification.corrected.torque import TORQUE, nominal_torque
 from identification.corrected.transmission import TRANSMISSION
-from identification.diagnosis.entries import MOTION
+from identification.diagnosis.catalogue import MOTION
 from identification.diagnosis.result import Curve
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views

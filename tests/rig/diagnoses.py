@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.result import (
     Curve,
     Diagnosis,
@@ -22,7 +22,7 @@ from identification.diagnosis.result import (
     Step,
     Verdict,
 )
-from identification.diagnosis.wording import finding
+from identification.diagnosis.verdict.wording import finding
 
 NOMINAL = {
     "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "J": 0.204,

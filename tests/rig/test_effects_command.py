@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from rig.cli.entry import status
 from rig.config.catalogue import CATALOGUE, EFFECTS
 

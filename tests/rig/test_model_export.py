@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from identification.corrected.model import CorrectedModel
-from identification.diagnosis.entries import MOTION
+from identification.diagnosis.catalogue import MOTION
 from identification.diagnosis.result import Curve
 from identification.recording import Bench, Recording
 from rig.results.diagnose.model_export import python_text, yaml_text

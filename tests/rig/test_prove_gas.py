@@ -14,7 +14,7 @@ import pytest
 
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import problems
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from rig.cli.entry import status
 from rig.results.prove import gas_simulate
 from rig.results.prove.excitation import CYCLE_S

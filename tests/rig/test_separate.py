@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from identification.diagnosis.entries import ENTRIES, MOTION
+from identification.diagnosis.catalogue import ENTRIES, MOTION
 from rig.cli.entry import status
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence

@@ -14,15 +14,14 @@ from time import perf_counter
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.contest import probability
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.gas.burns import Burn, burns, noise
 from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
 from identification.diagnosis.gas.fit import Fitted, believed, fit
 from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
 from identification.diagnosis.gas.terms import GasEffect
-from identification.diagnosis.locate import OWN_RECORDING, Axis, curve, mapped, ranges
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -35,8 +34,10 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.significance import LEVEL
-from identification.diagnosis.wording import finding, title
+from identification.diagnosis.score.locate import OWN_RECORDING, Axis, curve, mapped, ranges
+from identification.diagnosis.score.significance import LEVEL
+from identification.diagnosis.selection.comparison import probability
+from identification.diagnosis.verdict.wording import finding
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 

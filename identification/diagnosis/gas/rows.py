@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from identification.diagnosis.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
-from identification.diagnosis.equations import Equation
+from identification.diagnosis.fit.stack import Candidate, Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
-from identification.diagnosis.generic import edges
+from identification.diagnosis.rows.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
+from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.families import edges
 from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.stack import Candidate, Stack
 from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
 from identification.numerics.spread import correlation_samples
 from identification.recording import Array

@@ -11,16 +11,16 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.contest import SIMPLER_IF
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
 from identification.diagnosis.gas.rows import candidates, families, padded, stacked, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
-from identification.diagnosis.kept import EXCESS, FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.diagnosis.result import Step
-from identification.diagnosis.significance import LEVEL, RARE, chance
-from identification.diagnosis.stack import Stack
+from identification.diagnosis.score.significance import EXCESS, LEVEL, RARE, chance
+from identification.diagnosis.selection.comparison import SIMPLER_IF
+from identification.diagnosis.selection.removal import FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.recording import Array
 
 MOST_EFFECTS = 2

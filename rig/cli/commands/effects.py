@@ -20,7 +20,7 @@ def command(name: str | None, json_file: Path | None) -> None:
       rig effects
       rig effects backlash
     """
-    from identification.diagnosis.entries import ENTRIES
+    from identification.diagnosis.catalogue import ENTRIES
     from rig.common.places import require_file, write_json
     from rig.results.effects import effects_record, entry_of, overview, whole
 

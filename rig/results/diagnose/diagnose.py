@@ -13,9 +13,9 @@ import numpy as np
 
 from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.gas.burns import bears
 from identification.diagnosis.gas.diagnose import diagnose_gas
-from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from identification.corrected.model import COORDINATES, CorrectedModel
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.gas.rows import PRESSURE
 from identification.diagnosis.result import Curve
 from rig.common.errors import InputError

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.diagnose import observed
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.observable import ALIKE, Observable
+from identification.diagnosis.score.observable import ALIKE, Observable
 from identification.model.units import parameter_unit
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError

@@ -17,8 +17,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
-from identification.diagnosis.begin import begun, common_bandwidth
-from identification.diagnosis.joint import Joint
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import begun, common_bandwidth
 from identification.recording import RecordingError
 from rig.results.prove.folder import write
 from rig.results.prove.simulate import Recorded

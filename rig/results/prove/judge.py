@@ -12,10 +12,10 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
-from identification.diagnosis.baselines import greedy_bic, library, sparse
-from identification.diagnosis.begin import begun, common_bandwidth
-from identification.diagnosis.joint import Joint
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import begun, common_bandwidth
 from identification.diagnosis.oracle import oracle
+from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source

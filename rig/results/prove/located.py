@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 
 LIKE: Mapping[str, frozenset[str]] = {
     "direction": frozenset({"speed", "torque"}),

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.catalogue import ENTRIES
 from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 

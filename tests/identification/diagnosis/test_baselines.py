@@ -7,9 +7,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from identification.diagnosis.baselines import FOLDS, Group, Library, greedy_bic, library, sparse
-from identification.diagnosis.joint import Joint
+from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.oracle import oracle
+from identification.diagnosis.selection.baselines import (
+    FOLDS,
+    Group,
+    Library,
+    greedy_bic,
+    library,
+    sparse,
+)
 from identification.diagnosis.terms import device, friction
 from identification.recording import Array, Dataset, Recording
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.stack import bound, stacked
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import bound, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.terms.term import Term

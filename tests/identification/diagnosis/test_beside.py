@@ -9,9 +9,9 @@ import math
 import numpy as np
 import pytest
 
-from identification.diagnosis.joint import Joint, fit
-from identification.diagnosis.kept import FURTHER_SHARE, UNCERTAIN, needed_share
-from identification.diagnosis.quiet import quieter
+from identification.diagnosis.fit.joint import Joint, fit
+from identification.diagnosis.fit.noise import quieter
+from identification.diagnosis.selection.removal import FURTHER_SHARE, UNCERTAIN, needed_share
 from identification.diagnosis.terms.memory import dahl, lagged
 from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint

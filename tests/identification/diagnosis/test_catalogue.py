@@ -9,12 +9,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.entries import ENTRIES
-from identification.diagnosis.equations import EQUATIONS, equations
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.fit.stack import Stack, stacked
 from identification.diagnosis.gas.terms import GAS_TERMS
+from identification.diagnosis.rows.equations import EQUATIONS, equations
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.stack import Stack, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 

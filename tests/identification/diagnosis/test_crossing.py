@@ -6,15 +6,15 @@ from functools import lru_cache
 
 import pytest
 
-from identification.diagnosis.contest import Round
-from identification.diagnosis.crossing import CARRIED, crossed, told_apart
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.judgement import REJECTED
+from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.selection.comparison import Round
+from identification.diagnosis.selection.crossing import CARRIED, crossed, told_apart
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.verdict.judgement import REJECTED
 from identification.recording import Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit

@@ -11,16 +11,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.diagnosis import joint as fitting
-from identification.diagnosis.begin import or_kept
-from identification.diagnosis.contest import broken
-from identification.diagnosis.equations import equations, noise, without_tones
-from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.promise import promise
+from identification.diagnosis.fit import joint as fitting
+from identification.diagnosis.fit.feasibility import predicted_and_attained
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate, stacked
+from identification.diagnosis.fit.start import feasible_or_first
+from identification.diagnosis.rows.equations import equations, noise, without_tones
 from identification.diagnosis.rows.nominal import STATICS, Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.significance import excess, screened
-from identification.diagnosis.stack import Candidate, stacked
+from identification.diagnosis.score.significance import excess, screened
+from identification.diagnosis.selection.comparison import infeasible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Pendulum, Recording
@@ -119,16 +119,16 @@ def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
     Coulomb friction.
     """
     joint = nominal_fit(honest())
-    assert not broken(joint)
-    promised, kept = promise(joint.stack, (), joint.residual)
+    assert not infeasible(joint)
+    promised, kept = predicted_and_attained(joint.stack, (), joint.residual)
     assert kept == pytest.approx(promised, rel=0.05)
     values = {**joint.nominal.values, "Mc": joint.nominal.values["Ms"]}
     flat = replace(joint.nominal, values=values)
     rows = equations(joint.equations[0].views, flat, "N m", joint.equations)
-    unkept = replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack))
-    assert broken(unkept)
-    assert broken(replace(unkept, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
-    assert not broken(replace(unkept, effects=(Added(TERM["compliance"], (), (0.0,)),))), (
+    beyond = replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack))
+    assert infeasible(beyond)
+    assert infeasible(replace(beyond, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
+    assert not infeasible(replace(beyond, effects=(Added(TERM["compliance"], (), (0.0,)),))), (
         "encoders alone see it"
     )
 
@@ -140,11 +140,11 @@ def test_a_fall_that_ran_off_is_supposed_anew() -> None:
     values = {**joint.nominal.values, "omega_sf": 0.02, "omega_sL": 0.02}
     values |= {"Ms": values["Mc"], "mu_s": values["mu_c"]}
     lost = fit(here, "N m", replace(joint.nominal, values=values), (), joint)
-    assert broken(lost)
-    found = or_kept(here, "N m", lost)
-    assert not broken(found)
+    assert infeasible(lost)
+    found = feasible_or_first(here, "N m", lost)
+    assert not infeasible(found)
     assert found.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
-    assert or_kept(here, "N m", joint) is joint
+    assert feasible_or_first(here, "N m", joint) is joint
 
 
 def test_a_tone_is_no_noise() -> None:
@@ -269,7 +269,9 @@ def test_of_the_last_step_as_much_is_taken_as_breakaways_bear(
         assert without is STATICS
         return SimpleNamespace(straight=np.zeros(1))
 
-    monkeypatch.setattr(fitting, "promise", lambda stack, _effects, _residual: promises[stack])
+    monkeypatch.setattr(
+        fitting, "predicted_and_attained", lambda stack, _effects, _residual: promises[stack]
+    )
     monkeypatch.setattr(fitting, "_stepped", stepped)
     monkeypatch.setattr(fitting, "solve", solve)
     assert fitting._kept((), "N m", best, SimpleNamespace(straight=np.ones(1))) is after

@@ -158,7 +158,7 @@ def test_an_effect_is_what_a_fit_varies(term: GasTerm, size: float, rest: float)
     assert dict(again.parameters) == pytest.approx(dict(effect.parameters), rel=1e-9)
 
 
-def broken(**channels: np.ndarray | None) -> Dataset:
+def infeasible(**channels: np.ndarray | None) -> Dataset:
     """Return one recording with channels replaced, or left out."""
     (first, *_) = recordings({}).recordings
     mixed = {**first.channels, **channels}
@@ -168,10 +168,10 @@ def broken(**channels: np.ndarray | None) -> Dataset:
 @pytest.mark.parametrize(
     ("dataset", "words"),
     [
-        (broken(pressure=None), "burn_0: no pressure"),
-        (broken(angle=None), "burn_0: no angle"),
-        (broken(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
-        (broken(pressure=np.full(800, 4e6)), "pressure is constant"),
+        (infeasible(pressure=None), "burn_0: no pressure"),
+        (infeasible(angle=None), "burn_0: no angle"),
+        (infeasible(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
+        (infeasible(pressure=np.full(800, 4e6)), "pressure is constant"),
         (Dataset(()), "no recording with role fit"),
     ],
 )

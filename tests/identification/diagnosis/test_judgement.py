@@ -8,12 +8,12 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.contest import Round
-from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.judgement import effects_of, judged
+from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.search import Search
+from identification.diagnosis.selection.comparison import Round
+from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.verdict.judgement import effects_of, judged
 from identification.recording import Array
 
 from .benches import campaign, nominal_fit

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.diagnosis.locate import curve, maps, placed, ranges
+from identification.diagnosis.score.locate import curve, maps, placed, ranges
 
 from .benches import campaign, nominal_fit
 

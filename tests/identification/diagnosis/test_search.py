@@ -11,20 +11,20 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from identification.diagnosis.begin import begun, started
-from identification.diagnosis.contest import implausible
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.intervals import pinned
-from identification.diagnosis.joint import Added, fit
-from identification.diagnosis.kept import needed_share
+from identification.diagnosis.fit.intervals import pinned
+from identification.diagnosis.fit.joint import Added, fit
+from identification.diagnosis.fit.stack import Candidate, surprise, wald
+from identification.diagnosis.fit.start import begun, started
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.significance import DRAWS, chance, flipped
-from identification.diagnosis.stack import Candidate, surprise, wald
+from identification.diagnosis.score.significance import DRAWS, chance, flipped
+from identification.diagnosis.selection.comparison import implausible
+from identification.diagnosis.selection.held_out import held_out
+from identification.diagnosis.selection.removal import needed_share
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.unseen import held_out
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit

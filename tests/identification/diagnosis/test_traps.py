@@ -19,12 +19,12 @@ from scipy.optimize import minimize_scalar
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
-from identification.diagnosis.equations import Equation, equations
-from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate, Stack, stacked
+from identification.diagnosis.rows.equations import Equation, equations
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.significance import excess, screened
-from identification.diagnosis.stack import Candidate, Stack, stacked
+from identification.diagnosis.score.significance import excess, screened
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.estimate.default import identify, solve_stages

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.diagnosis.baselines import greedy_bic, library
-from identification.diagnosis.significance import chance, excess, generic, screened
+from identification.diagnosis.score.significance import chance, excess, generic, screened
+from identification.diagnosis.selection.baselines import greedy_bic, library
 from identification.diagnosis.terms import friction
 from identification.diagnosis.terms.term import Context
 from identification.recording import Array

@@ -1,0 +1,24 @@
+"""The catalogue in words, one module per group; adding an effect means adding one entry, its term
+and their tests.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from identification.diagnosis.catalogue.device import DEVICE
+from identification.diagnosis.catalogue.entry import Entry
+from identification.diagnosis.catalogue.friction import FRICTION
+from identification.diagnosis.catalogue.gas import GAS
+from identification.diagnosis.catalogue.motor import MOTOR
+from identification.diagnosis.catalogue.sensing import SENSING
+from identification.diagnosis.catalogue.transmission import TRANSMISSION
+
+MOTION: Mapping[str, Entry] = {
+    e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
+}
+"""What shows in the motion; what hides in a gas generator has a model of its own
+(:mod:`identification.model`).
+"""
+ENTRIES: Mapping[str, Entry] = {**MOTION, **{e.name: e for e in GAS}}
+"""Name to entry, in the order of the catalogue."""

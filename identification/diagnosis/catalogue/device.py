@@ -1,0 +1,207 @@
+"""What hangs on the joint: springs, stops, unbalance, and the lever with its weights (eq. 12 to 17,
+Fig. 10).
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from identification.diagnosis.catalogue.entry import Entry, Quantity
+
+DEVICE: tuple[Entry, ...] = (
+    Entry(
+        name="gravity_imbalance",
+        group="device",
+        equation="J domega/dt = i Km I - M_f - M_L - M sin(theta - theta_0)",
+        assumption="the implied assumption that the joint is balanced and nothing but friction "
+        "loads it (eq. 1)",
+        shows_in="torque",
+        coordinate="angle: a sine over a whole turn, the same in motion, at rest and both ways",
+        parameters=(Quantity("torque_Nm", "N m", 0.0, 50.0), Quantity("zero_rad", "rad", -pi, pi)),
+        look_alikes=(
+            "return_spring",
+            "current_offset",
+            "asymmetric_coulomb",
+            "encoder_eccentricity",
+        ),
+        experiment=(
+            "The widest travel the stops allow, slowly both ways: gravity bends as a sine, a "
+            "spring stays "
+            "straight, an offset is flat."
+        ),
+        sentence=(
+            "a weight out of balance pulls with up to {torque_Nm:N m}, and hangs straight down at "
+            "{zero_rad:deg}"
+        ),
+    ),
+    Entry(
+        name="return_spring",
+        group="device",
+        equation="J domega/dt = i Km I - M_f - M_L - k (theta - theta_0)",
+        assumption="the implied assumption that nothing but friction loads the joint (eq. 1)",
+        shows_in="torque",
+        coordinate="angle: a straight line over the travel, the same in motion, at rest and both "
+        "ways",
+        parameters=(
+            Quantity("stiffness_Nm_rad", "N m/rad", 0.0, 200.0),
+            Quantity("rest_rad", "rad", -pi, pi),
+        ),
+        look_alikes=("gravity_imbalance", "end_stop", "current_offset", "asymmetric_coulomb"),
+        experiment=(
+            "The widest travel the stops allow, slowly both ways: gravity bends as a sine, a "
+            "spring stays "
+            "straight, an offset is flat."
+        ),
+        sentence="a spring of {stiffness_Nm_rad:N m/deg} pulls the joint toward {rest_rad:deg}",
+    ),
+    Entry(
+        name="end_stop",
+        group="device",
+        equation="J domega/dt = i Km I - M_f - M_L - k (theta - a) beyond the angle a, zero "
+        "before it",
+        assumption="the implied assumption that the travel is free",
+        shows_in="torque",
+        coordinate="angle: nothing up to one angle, then steep, pushing back both ways",
+        parameters=(
+            Quantity("angle_rad", "rad", -pi, pi),
+            Quantity("stiffness_Nm_rad", "N m/rad", 1.0, 1e5),
+            Quantity("other_rad", "rad", -pi, pi),
+        ),
+        look_alikes=("return_spring", "position_dependent_friction", "gravity_imbalance"),
+        experiment=(
+            "Slow approaches to the suspected angle from inside, in steps of a degree, both ways: "
+            "a stop pushes "
+            "back at rest too, friction does not."
+        ),
+        sentence=(
+            "an elastic stop of {stiffness_Nm_rad:N m/deg} begins at {angle_rad:deg}"
+            "{other_rad:?/, and another one at the other end of the travel}"
+        ),
+    ),
+    Entry(
+        name="load_exponent",
+        group="device",
+        equation="M_L = L1 F_ref (F_P / F_ref)^p mu(omega), F_ref = 3000 N, p != 1",
+        assumption="assumption A2, and eq. 12: load friction is proportional to the contact force",
+        shows_in="torque",
+        coordinate="load: bends with the weight, nothing without load",
+        parameters=(Quantity("exponent", "", 0.3, 2.0),),
+        look_alikes=(
+            "torque_saturation",
+            "wrong_weight",
+            "load_position_dependence",
+            "lever_pivot_friction",
+        ),
+        experiment=(
+            "Three weights or more, the heaviest at least four times the lightest, at one speed "
+            "both ways; and "
+            "the same current without load by acceleration."
+        ),
+        sentence="load friction grows with the contact force to the power {exponent:}, where 1 "
+        "was taken",
+    ),
+    Entry(
+        name="load_position_dependence",
+        group="device",
+        equation="F_P -> F_P (1 + s theta)",
+        assumption="assumptions A1 and A3: impact at one point, one touch spot",
+        shows_in="torque",
+        coordinate="angle: load friction changes along the travel, nothing without load",
+        parameters=(Quantity("slope_per_rad", "1/rad", -2.0, 2.0),),
+        look_alikes=("position_dependent_friction", "load_exponent", "gravity_imbalance"),
+        experiment=(
+            "Slow passes over the whole travel both ways, unloaded and under two weights: what is "
+            "the load's "
+            "grows with the weight, what is the bearing's does not."
+        ),
+        sentence="the contact force changes by {slope_per_rad:%/deg} of travel",
+    ),
+    Entry(
+        name="wrong_weight",
+        group="device",
+        equation="F'_P = (L3/L4) m g with m other than the recording's label (eq. 17)",
+        assumption="the implied assumption that the weight is what its label says",
+        shows_in="torque",
+        coordinate="load: one recording's load friction is off by one factor, the others fit",
+        parameters=(Quantity("mass_kg", "kg", 0.0, 200.0),),
+        look_alikes=("load_exponent", "load_swing", "coulomb_drift"),
+        experiment="The recording again after weighing what hangs on the lever; the other "
+        "recordings stay.",
+        sentence="the weight on {recordings} is {mass_kg:kg}, which is not what its label says",
+    ),
+    Entry(
+        name="load_swing",
+        group="device",
+        equation="F_P -> F_P (1 + f cos(2 pi nu t) exp(-t / T)), t since the recording's start",
+        assumption="the implied assumption that the weight hangs still",
+        shows_in="torque",
+        coordinate="time: load friction swings at one frequency and dies away from the "
+        "recording's start",
+        parameters=(
+            Quantity("fraction", "", 0.0, 0.9),
+            Quantity("frequency_Hz", "Hz", 0.1, 10.0),
+            Quantity("decay_s", "s", 0.2, 1000.0),
+        ),
+        look_alikes=("wrong_weight", "load_position_dependence", "torque_ripple"),
+        experiment=(
+            "One constant slow speed under load, started at once after hanging the weight and "
+            "again after a "
+            "minute's wait: a swing is gone in the second."
+        ),
+        sentence=(
+            "the hung weight swings: the contact force by {fraction:%} at {frequency_Hz:Hz}, "
+            "dying away over "
+            "{decay_s:s}"
+        ),
+    ),
+    Entry(
+        name="load_inertia",
+        group="device",
+        equation="J -> J + J_L m_w / (30.6 kg) where loaded",
+        assumption="the implied assumption that the lever's weight adds friction and no inertia "
+        "(eq. 15)",
+        shows_in="torque",
+        coordinate="load: in phase with the acceleration, growing with the weight",
+        parameters=(Quantity("inertia_kgm2", "kg m^2", 0.0, 5.0),),
+        look_alikes=("compliance", "current_loop_lag", "load_exponent"),
+        experiment=(
+            "One amplitude at two frequencies under two weights: torque that grows with the "
+            "square of the "
+            "frequency and with the weight is inertia."
+        ),
+        sentence="each 30.6 kg hung on the lever adds {inertia_kgm2:kg m^2} of inertia",
+    ),
+    Entry(
+        name="lever_pivot_friction",
+        group="device",
+        equation="M_L -> M_L + d sgn(omega) where the lever is hung, whatever the mass",
+        assumption="assumption A3: load friction arises at one touch spot alone (eq. 12)",
+        shows_in="torque",
+        coordinate="load: a step between no weight and any weight, against the motion both ways",
+        parameters=(Quantity("torque_Nm", "N m", 0.0, 20.0),),
+        look_alikes=("load_exponent", "wrong_weight", "coulomb_drift"),
+        experiment=(
+            "Two weights far apart and the lever with none: friction over mass meets zero mass at "
+            "the pivot's share."
+        ),
+        sentence="the lever's own pivot adds {torque_Nm:N m} of friction under any weight",
+    ),
+    Entry(
+        name="load_dependent_friction",
+        group="device",
+        equation="M_f -> M_f + c |M_load| sgn(omega)",
+        assumption="the implied assumption that system friction does not depend on the load "
+        "torque (eq. 9)",
+        shows_in="torque",
+        coordinate="load: grows with the load's torque, against the motion both ways",
+        parameters=(Quantity("coefficient", "", 0.0, 1.0),),
+        look_alikes=("transmission_efficiency", "torque_saturation", "position_dependent_friction"),
+        experiment=(
+            "The same slow motion under two loads and with none, raising and lowering: friction "
+            "that grows with "
+            "the load is the same both ways, a gear's loss is not."
+        ),
+        sentence="friction grows by {coefficient:%} of the load's torque",
+    ),
+)
+"""Effects of the load device and of what else acts on the joint."""

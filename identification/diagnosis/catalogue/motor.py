@@ -1,0 +1,188 @@
+"""Motor and its electronics: what makes torque differ from Km I, and voltage from R I + Ke omega
+(eq. 1).
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from identification.diagnosis.catalogue.entry import Entry, Quantity
+
+MOTOR: tuple[Entry, ...] = (
+    Entry(
+        name="cogging",
+        group="motor",
+        equation="J domega/dt = i Km I + A sin(n phi + p) - M_f - M_L",
+        assumption="the implied assumption that the motor's torque is Km I, and none without "
+        "current (eq. 1)",
+        shows_in="torque",
+        coordinate="angle: periodic in the motor's angle, the same size at any current and load",
+        parameters=(
+            Quantity("torque_Nm", "N m", 0.0, 10.0),
+            Quantity("per_motor_turn", "1/turn", 1.0, 200.0),
+            Quantity("phase_rad", "rad", -pi, pi),
+        ),
+        look_alikes=("torque_ripple", "gear_mesh_ripple", "encoder_eccentricity"),
+        experiment=(
+            "The same slow turn unloaded and under two weights: cogging keeps its torque, ripple "
+            "grows with the "
+            "current."
+        ),
+        sentence=(
+            "a torque of {torque_Nm:N m} swings {per_motor_turn:} times per motor turn whatever "
+            "the current "
+            "(phase {phase_rad:deg})"
+        ),
+    ),
+    Entry(
+        name="torque_ripple",
+        group="motor",
+        equation="J domega/dt = i Km I (1 + f sin(n phi + p)) - M_f - M_L",
+        assumption="the implied assumption that the torque constant Km is constant over a turn "
+        "(eq. 1)",
+        shows_in="torque",
+        coordinate="angle: periodic in the motor's angle, in proportion to the current",
+        parameters=(
+            Quantity("fraction", "", 0.0, 0.5),
+            Quantity("per_motor_turn", "1/turn", 1.0, 200.0),
+            Quantity("phase_rad", "rad", -pi, pi),
+        ),
+        look_alikes=("cogging", "gear_mesh_ripple", "encoder_eccentricity"),
+        experiment=(
+            "The same slow turn unloaded and under two weights: cogging keeps its torque, ripple "
+            "grows with the "
+            "current."
+        ),
+        sentence=(
+            "the motor's torque per ampere swings by {fraction:%} of itself, {per_motor_turn:} "
+            "times per motor "
+            "turn (phase {phase_rad:deg})"
+        ),
+    ),
+    Entry(
+        name="torque_saturation",
+        group="motor",
+        equation="J domega/dt = i Km I_k tanh(I / I_k) - M_f - M_L, or (rational = 1) "
+        "i Km I / (1 + (I / I_k)^2) - M_f - M_L",
+        assumption="the implied assumption that torque is proportional to current at any current "
+        "(eq. 1)",
+        shows_in="torque",
+        coordinate="load: grows as the cube of the current, nothing at small current",
+        parameters=(Quantity("knee_A", "A", 2.0, 500.0), Quantity("rational", "", 0.0, 1.0)),
+        look_alikes=("load_exponent", "transmission_efficiency", "winding_heating"),
+        experiment=(
+            "High current without load, by the hardest accelerations the limits allow, beside "
+            "high current under "
+            "load: saturation follows the current, load friction the weight."
+        ),
+        sentence="torque per ampere falls as the current rises, with a knee at {knee_A:A} "
+        "(rational {rational:}; 0: I_k tanh(I / I_k), 1: I / (1 + (I / I_k)^2) in place of I)",
+    ),
+    Entry(
+        name="current_loop_lag",
+        group="motor",
+        equation="J domega/dt = i Km I_true - M_f - M_L, T dI_true/dt = I - I_true",
+        assumption="the implied assumption that the torque follows the measured current at once "
+        "(eq. 1)",
+        shows_in="torque",
+        coordinate="frequency: grows with the rate of change of the current, most at reversals of "
+        "torque",
+        parameters=(Quantity("time_s", "s", 0.0, 0.05),),
+        look_alikes=("time_skew", "friction_memory", "transport_delay"),
+        experiment=(
+            "Fast unloaded sines of two frequencies, command and current on one clock, beside "
+            "slow loaded ramps: "
+            "a lag rounds the torque and turns its phase less than in proportion to frequency, a "
+            "skew shifts it "
+            "whole."
+        ),
+        sentence="the motor's torque lags the measured {channel} by {time_s:ms}, first order",
+    ),
+    Entry(
+        name="inverter_dead_time",
+        group="motor",
+        equation="R I + L dI/dt = U - U_d sgn(I) - Ke dphi/dt",
+        assumption="the implied assumption that the winding sees the voltage that is logged (eq. "
+        "1)",
+        shows_in="voltage",
+        coordinate="direction: steps with the sign of the current, at any speed, in proportion to "
+        "the supply",
+        parameters=(Quantity("voltage_V", "V", 0.0, 5.0),),
+        look_alikes=("brush_drop", "winding_heating", "supply_sag"),
+        experiment=(
+            "Small currents through zero at standstill and at speed, at two supply voltages: dead "
+            "time is a sharp "
+            "step that scales with the supply, a brush drop is rounded and does not."
+        ),
+        sentence="the winding gets {voltage_V:V} less than is logged, a sharp step with the sign "
+        "of the current",
+    ),
+    Entry(
+        name="brush_drop",
+        group="motor",
+        equation="R I + L dI/dt = U - U_b tanh(I / I_b) - Ke dphi/dt",
+        assumption="the implied assumption that voltage falls over R, L and Ke omega alone (eq. 1)",
+        shows_in="voltage",
+        coordinate="direction: a rounded step with the sign of the current, whatever the speed "
+        "and the supply",
+        parameters=(Quantity("voltage_V", "V", 0.0, 5.0), Quantity("current_A", "A", 0.01, 10.0)),
+        look_alikes=("inverter_dead_time", "winding_heating", "supply_sag"),
+        experiment=(
+            "Small currents through zero at standstill and at speed, at two supply voltages: dead "
+            "time is a sharp "
+            "step that scales with the supply, a brush drop is rounded and does not."
+        ),
+        sentence=(
+            "{voltage_V:V} are lost between logged voltage and winding, reached over "
+            "{current_A:A} around zero current"
+        ),
+    ),
+    Entry(
+        name="winding_heating",
+        group="motor",
+        equation=(
+            "R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT), T d(dT)/dt = r "
+            "R(dT) I^2 - dT"
+        ),
+        assumption="the implied assumption that the motor's constants R and Km are constant (eq. "
+        "1)",
+        shows_in="voltage",
+        coordinate="time: grows with the heat of the current since the start, and falls at rest",
+        parameters=(
+            Quantity("rise_K_per_W", "K/W", 0.0, 20.0),
+            Quantity("time_s", "s", 1.0, 5000.0),
+        ),
+        look_alikes=("viscous_thermal_drift", "coulomb_drift", "current_drift", "supply_sag"),
+        experiment=(
+            "One sequence cold, again after minutes at high current, again after a rest, at two "
+            "speeds, with "
+            "voltage and current logged together: a hot winding raises U - Ke omega per ampere, "
+            "hot grease only "
+            "the current."
+        ),
+        sentence=(
+            "the winding heats by {rise_K_per_W:K/W} of loss with a time constant of {time_s:s}, "
+            "its resistance "
+            "rises and its torque per ampere falls"
+        ),
+    ),
+    Entry(
+        name="supply_sag",
+        group="motor",
+        equation="R I + L dI/dt = U (1 - Rs I_bus / U_nominal) - Ke dphi/dt",
+        assumption="the implied assumption that the supply's voltage is constant",
+        shows_in="voltage",
+        coordinate="load: grows with the power drawn, so with voltage times the current of the "
+        "supply",
+        parameters=(Quantity("resistance_ohm", "ohm", 0.0, 3.0),),
+        look_alikes=("winding_heating", "inverter_dead_time", "brush_drop"),
+        experiment=(
+            "The same high current at standstill, where the supply gives little, and at speed, "
+            "where it gives "
+            "much; or the supply's voltage logged."
+        ),
+        sentence="the supply sags by {resistance_ohm:ohm} times the current it gives, and the "
+        "winding gets less",
+    ),
+)
+"""Effects of the motor and its electronics."""

@@ -1,0 +1,120 @@
+"""Between motor and joint: what makes theta differ from phi / i, and the joint's torque from i
+times the motor's.
+"""
+
+from __future__ import annotations
+
+from math import pi
+
+from identification.diagnosis.catalogue.entry import Entry, Quantity
+
+TRANSMISSION: tuple[Entry, ...] = (
+    Entry(
+        name="backlash",
+        group="transmission",
+        equation="theta stands while |phi / i - theta| < gap / 2, else phi / i - theta = gap / 2 "
+        "sgn(M)",
+        assumption="assumption A5: no mechanical clearance, theta = i theta_r",
+        shows_in="transmission",
+        coordinate="travel since reversal: a step of fixed width in angle at each reversal of "
+        "torque",
+        parameters=(Quantity("gap_rad", "rad", 0.0, 0.1),),
+        look_alikes=("compliance", "coupling_hysteresis", "transport_delay", "presliding"),
+        experiment=(
+            "Torque slowly through zero at two loads and two speeds: a gap has a width fixed in "
+            "angle, a twist is "
+            "proportional to torque, a delay to speed."
+        ),
+        sentence="the shaft turns {gap_rad:deg} before the valve follows each reversal of torque",
+    ),
+    Entry(
+        name="compliance",
+        group="transmission",
+        equation="phi / i - theta = M / k",
+        assumption="assumption A4: no deformation",
+        shows_in="transmission",
+        coordinate="load: motor and joint part in proportion to the torque between them",
+        parameters=(Quantity("stiffness_Nm_rad", "N m/rad", 50.0, 1e6),),
+        look_alikes=("backlash", "coupling_hysteresis", "transport_delay"),
+        experiment=(
+            "Torque slowly through zero at two loads and two speeds: a gap has a width fixed in "
+            "angle, a twist is "
+            "proportional to torque, a delay to speed."
+        ),
+        sentence="the shaft twists in proportion to its torque, with a stiffness of "
+        "{stiffness_Nm_rad:N m/deg}",
+    ),
+    Entry(
+        name="gear_mesh_ripple",
+        group="transmission",
+        equation="phi / i - theta = A sin(n theta + p)",
+        assumption="assumption A5: theta = i theta_r with one constant ratio i",
+        shows_in="transmission",
+        coordinate="angle: periodic in the joint's angle, the same both ways and at any speed and "
+        "load",
+        parameters=(
+            Quantity("amplitude_rad", "rad", 0.0, 0.05),
+            Quantity("per_turn", "1/turn", 5.0, 2000.0),
+            Quantity("phase_rad", "rad", -pi, pi),
+        ),
+        look_alikes=("encoder_eccentricity", "cogging", "torque_ripple"),
+        experiment=(
+            "Slow turns over the whole travel: a count of periods per joint turn above one is the "
+            "gear's, one per "
+            "turn the encoder's seat; turning the encoder on its shaft moves the phase of the "
+            "latter only."
+        ),
+        sentence=(
+            "the gear's ratio swings: motor and joint part by {amplitude_rad:deg}, {per_turn:} "
+            "times per joint "
+            "turn (phase {phase_rad:deg})"
+        ),
+    ),
+    Entry(
+        name="transmission_efficiency",
+        group="transmission",
+        equation="M_joint = eta i Km I where the motor drives (M omega > 0), i Km I / eta where "
+        "it is driven",
+        assumption="the implied assumption that the gear passes torque without loss in either "
+        "direction of power",
+        shows_in="torque",
+        coordinate="direction: follows the sign of the power through the gear, in proportion to "
+        "the torque",
+        parameters=(Quantity("efficiency", "", 0.4, 1.0),),
+        look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
+        experiment=(
+            "A load that pulls both ways, in one recording at least: a declared weight fixed to "
+            "the joint, level and "
+            "heavier than its friction. The loss follows the direction of power, an asymmetry "
+            "that of motion. Where "
+            "friction is all the load power flows one way only, and the constants take the loss up."
+        ),
+        sentence="the gear passes {efficiency:%} of the torque when it drives, and as much less "
+        "when it is driven back",
+    ),
+    Entry(
+        name="coupling_hysteresis",
+        group="transmission",
+        equation="phi / i - theta = x sat(P / M_h), P the play of half width M_h that the torque "
+        "M drags along",
+        assumption="assumption A4: no deformation; and what deforms springs back without loss",
+        shows_in="transmission",
+        coordinate="travel since reversal: loops of the deflection over torque, alike at any speed",
+        parameters=(
+            Quantity("torque_Nm", "N m", 0.01, 100.0),
+            Quantity("deflection_rad", "rad", 0.0, 0.05),
+        ),
+        look_alikes=("backlash", "compliance", "presliding"),
+        experiment=(
+            "Loops of torque of growing size around zero and around a bias, without motion of the "
+            "joint: "
+            "hysteresis nests its loops at any bias, a gap shows at zero torque only, a spring "
+            "not at all."
+        ),
+        sentence=(
+            "the coupling lags behind its torque by a loop of {deflection_rad:deg} that closes "
+            "over {torque_Nm:N m}"
+        ),
+    ),
+)
+"""Effects of gear, shaft and coupling."""

@@ -1,0 +1,1 @@
+"""Joint fit of nominal constants and effects: stacked equations, fit within limits, intervals."""

@@ -1,0 +1,131 @@
+"""Uncertainty of a joint fit: intervals of effects from blocks of time, and identifiability of
+nominal parameters.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.linear import STEP, Added, directions, displaced
+from identification.diagnosis.fit.stack import stacked
+from identification.diagnosis.result import Estimate
+from identification.diagnosis.terms.term import Context
+from identification.estimate.uncertainty.parameter_table import WIDEST
+from identification.numerics.spread import CONFIDENCE
+
+COARSE, PLACE_RAD = 0.02, 0.01
+"""Errors of parameters due to approximate regressors in simulated trials, 90 %: as a share of a
+size; of an angle, rad.
+"""
+
+
+def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
+    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
+    of time.
+
+    Intervals include the errors of approximate regressors, which do not show in the scatter. A
+    parameter that the fit chooses from a list, as a number per turn, has no width.
+
+    Units are left empty; the catalogue has them.
+    """
+    if not joint.effects:
+        return ()
+    context = Context(joint.equations[0].views, joint.nominal)
+    stack = stacked(joint.equations, joint.nominal, joint.stack)
+    told = stack.projected(directions(stack, joint.effects))
+    scale = np.linalg.norm(told, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = told / scale
+    bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    sums = stack.sums(scaled * joint.residual[:, None])
+    covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
+    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - told.shape[1], 3)))
+    out, at = [], 0
+    for effect in joint.effects:
+        moves = _moves(effect, context)
+        part = covariance[at : at + len(moves), at : at + len(moves)]
+        at += len(moves)
+        values = effect.parameters(context)
+        slopes = {
+            name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values
+        }
+        half = {
+            name: math.hypot(
+                wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name])
+            )
+            if np.any(s != 0.0)
+            else 0.0
+            for name, s in slopes.items()
+        }
+        out.append(
+            {name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()}
+        )
+    return tuple(out)
+
+
+def _coarseness(name: str, value: float) -> float:
+    """Return the error of a parameter due to its approximate regressor."""
+    return (
+        PLACE_RAD
+        if name.split("_")[0] in ("phase", "center", "zero", "rest")
+        else COARSE * abs(value)
+    )
+
+
+def pinned(joint: Joint, name: str) -> bool:
+    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
+    (half its rise; for a Stribeck speed, 0.5 in the logarithm).
+    """
+    nominal = joint.nominal
+    torque = next(e for e in joint.equations if e.name == "torque")
+    if name not in nominal.free:
+        return True
+    scale = np.linalg.norm(torque.tangent, axis=0)
+    if not scale[nominal.free.index(name)] > 0.0:
+        return False
+    scaled = torque.tangent / np.where(scale > 0.0, scale, 1.0)
+    spread = np.sqrt(
+        np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0)
+    )
+    spread /= np.where(scale > 0.0, scale, 1.0)
+    rows = joint.residual[joint.stack.part("torque")]
+    noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
+    half = (
+        float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+        * noise
+        * float(spread[nominal.free.index(name)])
+    )
+    if name in ("omega_sf", "omega_sL"):
+        return half < WIDEST
+    base = {"Ms": "Mc", "mu_s": "mu_c"}.get(name)
+    size = nominal.get(name) - (nominal.get(base) if base else 0.0)
+    return half < WIDEST * abs(size) or name == "offset"
+
+
+def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
+    """Return the effect's parameters after a small step along each direction of the fit
+    (:func:`directions`).
+    """
+    moves = []
+    coefficients = np.array(effect.coefficients)
+    if effect.term.size is None:
+        here = effect.term.read(coefficients, effect.shape, context)
+        scale = float(np.max(np.abs(coefficients))) or 1.0
+        for k in range(len(coefficients)):
+            step = np.zeros(len(coefficients))
+            step[k] = STEP * scale
+            there = effect.term.read(coefficients + step, effect.shape, context)
+            moves.append(
+                {name: value + (there[name] - value) / scale for name, value in here.items()}
+            )
+    for index, reach in effect.term.refine.items():
+        moves.append(
+            dict(
+                effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)
+            )
+        )
+    return moves

@@ -1,0 +1,230 @@
+"""The linear least-squares problem within a joint fit: coefficients, and steps of nominal values
+and shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.fit.stack import Stack, bound
+from identification.diagnosis.rows.nominal import SPEEDS
+from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.numerics.least_squares import least_squares
+from identification.recording import Array
+
+FACTOR = 4.0
+"""Factor that corresponds to the full reach of a scale entry."""
+STEP = 1e-3
+"""Step of numerical derivatives with respect to shape, over the reach."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """One effect in the model: its term, shape and coefficients."""
+
+    term: Term
+    shape: Shape
+    coefficients: tuple[float, ...]
+
+    def parameters(self, context: Context) -> dict[str, float]:
+        """Return the catalogue's parameters."""
+        return dict(self.term.read(np.array(self.coefficients), self.shape, context))
+
+
+def sized(effect: Added) -> Mapping[int, float]:
+    """Return the continuous entries of a shape that determines the effect's size; else none."""
+    return effect.term.refine if effect.term.size is not None else {}
+
+
+def displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
+    """Return a shape with one entry moved by a share of its reach."""
+    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
+    return (*shape[:index], entry, *shape[index + 1 :])
+
+
+def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
+    """Return the whitened columns of free coefficients, and the contribution of known
+    coefficients.
+    """
+    free: list[Array] = []
+    known = np.zeros(len(stack.residual))
+    for effect in effects:
+        columns = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            free.append(columns)
+        else:
+            known = known + effect.term.size * columns[:, 0]
+    return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
+
+
+def directions(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives of the model with respect to every coefficient and continuous
+    shape entry, shape (n, g).
+    """
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        here = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            parts.append(here)
+        coefficients = np.array(effect.coefficients)
+        for index, reach in effect.term.refine.items():
+            there = stack.whitened(
+                stack.columns(effect.term, displaced(effect.shape, index, reach, STEP))
+            )
+            parts.append((((there - here) @ coefficients) / STEP)[:, None])
+    return np.concatenate(parts, axis=1)
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The linear problem solved at one point.
+
+    Attributes:
+        shapes: Step of the shapes that determine their effect's size, over their reach.
+        straight: Step of the nominal parameters in which the torque is linear, with the Stribeck
+            speeds held.
+        bend: Step with the Stribeck speeds free to first order, of which only the speeds' steps are
+            used.
+        effects: Effects with coefficients.
+        residual: Whitened residual with the speeds free to first order.
+        cost: Sum of whitened squares with the speeds held, the value of this point: for a speed far
+            off, the first-order prediction is not attained by a step.
+    """
+
+    straight: Array
+    bend: Array
+    shapes: Array
+    effects: tuple[Added, ...]
+    residual: Array
+    cost: float
+
+
+def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solved:
+    """Solve for coefficients and for steps of the nonlinear parameters, with static levels within
+    their limits.
+
+    Args:
+        stack: Stack at the point.
+        effects: Effects at the point.
+        held: Nominal parameters that are held.
+    """
+    stack = stack.without(held) if held else stack
+    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    free, known = wide(stack, effects)
+    unbent = stack.without(SPEEDS)
+    straight, rest = _least(unbent, target - known, free)
+    without = {*SPEEDS, *held}
+    following = [
+        e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns
+    ]
+    if following:
+        step = _followed(stack, target - known - free @ straight, following, without)
+    else:
+        step = _step(stack, target - known - free @ straight, without)
+    beyond = stack.nominal.at_most(step)
+    if beyond - set(held):
+        return solve(stack, effects, beyond | set(held))
+    found, residual = _least(stack, target - known, free)
+    shifts = _shifts(stack, effects)
+    every = np.concatenate([free, shifts], axis=1)
+    moved = _least(stack, target - known, every)[0] if shifts.shape[1] else found
+    bend = _step(stack, target - known - every @ moved, held)
+    placed = _with(stack, effects, found)
+    return Solved(step, bend, moved[free.shape[1] :], placed, residual, float(rest @ rest))
+
+
+def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
+    """Return effects with their coefficients, known or from ``found``."""
+    placed, at = [], 0
+    for effect in effects:
+        if effect.term.size is not None:
+            placed.append(replace(effect, coefficients=(effect.term.size,)))
+            continue
+        width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
+        placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
+        at += width
+    return tuple(placed)
+
+
+def _followed(
+    stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]
+) -> Array:
+    """Return the step of :func:`_step` for effects whose regressors change with the nominal values.
+
+    Their coefficients change with the step: a ripple relative to a larger current needs a smaller
+    coefficient.
+    """
+    nominal, step = stack.nominal, np.zeros(len(stack.nominal.free))
+    equation = next(e for e in stack.equations if e.name == "torque")
+    use = [k for k, name in enumerate(nominal.free) if name not in without]
+    columns = [equation.tangent[:, use]]
+    for k, column in zip(use, columns[0].T.copy(), strict=True):
+        # The step changes the torque by its noise, as regressors may depend on the sign of nominal
+        # values.
+        length = equation.sigma * len(column) ** 0.5 / max(float(np.linalg.norm(column)), 1e-300)
+        unit = np.zeros(len(nominal.free))
+        unit[k] = length
+        there = nominal.moved(unit, np.zeros(len(nominal.free)))
+        for e in following:
+            rows = equation.rows(bound(e.term, "torque", there, e.shape))
+            change = rows - stack.columns(e.term, e.shape)["torque"]
+            columns[0][:, use.index(k)] += change @ np.array(e.coefficients) / length
+    columns += [stack.columns(e.term, e.shape)["torque"] for e in following]
+    every = np.concatenate(columns, axis=1)
+    norm = np.linalg.norm(every, axis=0)
+    norm[norm == 0.0] = 1.0
+    found = (
+        least_squares(every / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8) / norm
+    )
+    step[use] = found[: len(use)]
+    return step
+
+
+def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives with respect to the shapes that determine their effect's size,
+    shape (n, g).
+    """
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        for index, reach in sized(effect).items():
+            shapes = effect.shape, displaced(effect.shape, index, reach, STEP)
+            here, there = (stack.whitened(stack.columns(effect.term, shape)) for shape in shapes)
+            assert effect.term.size is not None
+            parts.append((there - here) * (effect.term.size / STEP))
+    return np.concatenate(parts, axis=1)
+
+
+def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
+    """Return the coefficients of columns, with everything that the stack absorbs projected out, and
+    the residual.
+    """
+    left = stack.projected(target[:, None])[:, 0]
+    columns = stack.projected(free)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    found = least_squares(columns / scale, left) / scale
+    return found, left - columns @ found
+
+
+def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
+    """Return the least-squares step of the nominal parameters for whitened rows; zero for names in
+    ``without``.
+    """
+    free = stack.nominal.free
+    step = np.zeros(len(free))
+    for equation in stack.equations:
+        if equation.name == "torque":
+            use = [k for k, name in enumerate(equation.names) if name not in without]
+            tangent = equation.tangent[:, use]
+            norm = np.linalg.norm(tangent, axis=0)
+            norm[norm == 0.0] = 1.0
+            found = least_squares(
+                tangent / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8
+            )
+            for k, change in zip(use, found / norm, strict=True):
+                if k < len(free):
+                    step[k] = change
+    return step

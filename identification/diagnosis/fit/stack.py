@@ -1,0 +1,390 @@
+"""All equations stacked and whitened, with the nominal tangent projected out, and candidates scored
+against the remaining mismatch.
+
+Scores are sums over blocks of time, which accounts for correlation within blocks (wild cluster
+bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+
+import numpy as np
+from scipy import sparse, special
+
+from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
+from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.terms.lateness import behind
+from identification.diagnosis.terms.term import Columns, Shape, Term
+from identification.recording import Array
+
+ABSORBED = 1e-3
+"""Share of a regressor's norm after projection, below which it is collinear with the nominal
+model.
+"""
+FEW = 4
+"""Number of regressors up to which the variance is computed from the residual after the fit."""
+ROUNDING = 1e-9
+"""Norm below which a part of an orthonormal column is rounding error."""
+NOMINAL_IN = ("torque", "breakaway")
+"""Equations in which regressors may depend on the nominal values."""
+NO_WEIGHTS = np.zeros((0, 0, 0))
+LEAST_ACTIVE = 3.0
+"""Least number of blocks in which a regressor must be active (inverse participation ratio)."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect at one shape, scored against the stack.
+
+    Attributes:
+        name: Name of the term, or of a generic family.
+        shape: Nonlinear parameters of the effect.
+        coefficients: Least-squares coefficients, in the term's units, shape (k,).
+        gain: Sum of whitened squares it explains.
+        penalty: Expected gain by chance (Takeuchi), in the same unit.
+        statistic: Squared score over its variance by blocks after the fit; about chi-square with k
+            degrees of freedom if nothing is missing.
+        blocks: Score by block, shape (b, k).
+        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty for
+            many regressors.
+        share: Power of its contribution over the noise power, in the rows of its equations.
+    """
+
+    name: str
+    shape: Shape
+    coefficients: Array
+    gain: float
+    penalty: float
+    statistic: float
+    blocks: Array
+    weights: Array
+    share: float
+
+    @property
+    def score(self) -> float:
+        """Gain beyond that expected by chance."""
+        return self.gain - 2.0 * self.penalty
+
+    @property
+    def surprise(self) -> float:
+        """-log of the probability of at least this statistic."""
+        return surprise(self.statistic, len(self.coefficients))
+
+    @property
+    def preference(self) -> float:
+        """Preference of the data for the effect over none, in standard errors of the gain by
+        blocks; infinite without weights.
+        """
+        if not len(self.weights):
+            return math.inf
+        score = np.sum(self.blocks, axis=0)
+        gain = 2.0 * self.blocks @ score - np.einsum("j,bjk,k->b", score, self.weights, score)
+        spread = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
+        return float(np.sum(gain)) / spread if spread > 0.0 else 0.0
+
+
+def surprise(statistic: Array | float, degrees: int) -> float:
+    """Return -log of the probability of a chi-square beyond ``statistic``."""
+    with np.errstate(divide="ignore"):
+        return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Whitened rows of all equations, with the nominal tangent and granted columns projected out.
+
+    Attributes:
+        equations: Equations in the order of the stack.
+        nominal: Nominal values of the equations.
+        basis: Orthonormal columns of each equation's tangent.
+        granted: Orthonormal columns of effects already selected, shape (n, g).
+        residual: Whitened residual after projection, shape (n,).
+        block: Block of each row, shape (n,).
+        blocks: Number of blocks.
+        gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
+        cache: Regressors that do not depend on the nominal values, by term and shape; shared
+            between stacks of the same recordings.
+        own: Regressors that depend on the nominal values, likewise.
+    """
+
+    equations: tuple[Equation, ...]
+    nominal: Nominal
+    basis: tuple[Array, ...]
+    granted: Array
+    residual: Array
+    block: np.ndarray
+    blocks: int
+    gather: tuple[sparse.csr_matrix, ...] = field(repr=False)
+    cache: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+    own: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+
+    def part(self, name: str) -> slice:
+        """Return the rows of one equation."""
+        start = 0
+        for equation in self.equations:
+            if equation.name == name:
+                return slice(start, start + len(equation.residual))
+            start += len(equation.residual)
+        return slice(0, 0)
+
+    def only(self, names: Collection[str]) -> Stack:
+        """Return the part of the stack in which regressors of these equations can be nonzero after
+        projection.
+
+        Granted columns may couple equations; without coupling most rows can be omitted.
+        """
+        wanted = tied(names, self._granted_in)
+        key = frozenset(e.name for e in self.equations if e.name in wanted)
+        if len(key) == len(self.equations):
+            return self
+        if key not in self._parts:
+            self._parts[key] = self._restricted(key)
+        return self._parts[key]
+
+    @cached_property
+    def _parts(self) -> dict[frozenset[str], Stack]:
+        return {}
+
+    @cached_property
+    def _granted_in(self) -> list[set[str]]:
+        """Equations in which each granted column is nonzero."""
+        shown = {
+            e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING
+            for e in self.equations
+        }
+        return [
+            {name for name, some in shown.items() if some[k]} for k in range(self.granted.shape[1])
+        ]
+
+    def _restricted(self, names: Collection[str]) -> Stack:
+        kept = [k for k, e in enumerate(self.equations) if e.name in names]
+        rows = np.concatenate(
+            [np.arange(len(self.residual))[self.part(self.equations[k].name)] for k in kept]
+        )
+        return replace(
+            self,
+            equations=tuple(self.equations[k] for k in kept),
+            basis=tuple(self.basis[k] for k in kept),
+            granted=self.granted[rows],
+            residual=self.residual[rows],
+            block=self.block[rows],
+            gather=tuple(self.gather[k] for k in kept),
+        )
+
+    def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
+        """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
+        key = (term.name, shape)
+        late = term.at_angle and self.nominal.late_s != 0.0
+        kept = (
+            self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
+        )
+        # Torque and breakaway use the same columns, which are computed once.
+        once = cache(_made)
+        found = {
+            equation.name: kept[equation.name]
+            if equation.name in kept
+            else equation.rows(bound(term, equation.name, self.nominal, shape, once))
+            for equation in self.equations
+            if equation.name in term.columns
+        }
+        for name, columns in found.items():
+            varies = late or (term.follows and name in NOMINAL_IN) or name in term.varies
+            store = self.own if varies else self.cache
+            store.setdefault(key, {})[name] = columns
+        return found
+
+    def whitened(self, columns: Mapping[str, Array]) -> Array:
+        """Return regressors as whitened rows of the whole stack, without projection, shape (n,
+        k).
+        """
+        width = max(c.shape[1] for c in columns.values())
+        out = np.zeros((len(self.residual), width))
+        for equation in self.equations:
+            if equation.name in columns:
+                out[self.part(equation.name)] = columns[equation.name] / equation.sigma
+        return out
+
+    def projected(self, whitened: Array) -> Array:
+        """Return whitened columns with the nominal tangent and the granted columns projected
+        out.
+        """
+        out = whitened.copy()
+        for equation, basis in zip(self.equations, self.basis, strict=True):
+            rows = self.part(equation.name)
+            out[rows] -= basis @ (basis.T @ out[rows])
+        if self.granted.shape[1]:
+            out -= self.granted @ (self.granted.T @ out)
+        return out
+
+    def without(self, names: Collection[str]) -> Stack:
+        """Return the stack without these names in the torque's tangent; the residual is not
+        changed.
+        """
+        basis = [
+            _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
+            if e.name == "torque" and set(e.names) & set(names)
+            else q
+            for e, q in zip(self.equations, self.basis, strict=True)
+        ]
+        return replace(self, basis=tuple(basis))
+
+    def sums(self, values: Array) -> Array:
+        """Return sums over blocks, shape (b, k)."""
+        return np.asarray(
+            sum(
+                g @ values[self.part(e.name)]
+                for e, g in zip(self.equations, self.gather, strict=True)
+            )
+        )
+
+    def candidate(
+        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
+    ) -> Candidate | None:
+        """Return the score of regressors; None if they are collinear with the nominal model, hardly
+        active, or have an unphysical sign.
+        """
+        if not columns:
+            return None
+        here = self.only(columns.keys())
+        return here._scored(name, shape, columns, positive)
+
+    def _scored(
+        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int]
+    ) -> Candidate | None:
+        full = self.whitened(columns)
+        before = _lengths(full)
+        rest = self.projected(full)
+        after = _lengths(rest)
+        if np.any(before == 0.0) or np.any(after < ABSORBED * before):
+            return None
+        q, r = np.linalg.qr(rest)
+        diagonal = np.abs(np.diag(r))
+        if np.any(diagonal < ABSORBED * before):
+            return None
+        sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
+        energy = np.einsum("bkk->b", weights) / q.shape[1]
+        if 1.0 / float(energy @ energy) < LEAST_ACTIVE:
+            return None
+        score = q.T @ self.residual
+        coefficients = np.linalg.solve(r, score)
+        if any(coefficients[k] <= 0.0 for k in positive):
+            return None
+        if q.shape[1] > FEW:
+            weights = NO_WEIGHTS
+        rest_sums = sums - weights @ score if len(weights) else sums
+        return Candidate(
+            name=name,
+            shape=shape,
+            coefficients=coefficients,
+            gain=float(score @ score),
+            penalty=float(np.sum(rest_sums**2)),
+            statistic=wald(score, rest_sums),
+            blocks=sums,
+            weights=weights,
+            share=float(score @ score) / sum(len(c) for c in columns.values()),
+        )
+
+    def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
+        """Return the score of one equation's regressors, some of which may be absorbed; the
+        remaining directions are scored.
+        """
+        number = next(k for k, e in enumerate(self.equations) if e.name == equation)
+        rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
+        granted = self.granted[rows]
+        rest = columns - basis @ (basis.T @ columns)
+        if granted.shape[1]:
+            rest = rest - granted @ np.linalg.lstsq(granted, rest, rcond=1e-10)[0]
+        values, vectors = np.linalg.eigh(rest.T @ rest)
+        keep = values > ABSORBED * float(np.max(np.sum(columns**2, axis=0), initial=0.0))
+        if not np.any(keep):
+            return None
+        q = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
+        score = q.T @ self.residual[rows]
+        products = q * self.residual[rows][:, None]
+        sums = np.asarray(self.gather[number] @ products)
+        gain = float(score @ score)
+        share, chance = gain / len(columns), float(len(score))
+        return Candidate(
+            name, (), score * sigma, gain, chance, wald(score, sums), sums, NO_WEIGHTS, share
+        )
+
+    def term(self, term: Term, shape: Shape) -> Candidate | None:
+        """Return the score of one effect at one shape, or None."""
+        return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
+
+
+def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
+    """Return these equations and all that ``ties`` connect to them, directly or through others."""
+    found, left = set(names), [set(t) for t in ties]
+    while joined := [t for t in left if t & found]:
+        found = found.union(*joined)
+        left = [t for t in left if t not in joined]
+    return found
+
+
+def _made(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
+    return make(view, nominal, shape)
+
+
+def bound(
+    term: Term, equation: str, nominal: Nominal, shape: Shape, made: Callable[..., Array] = _made
+) -> Callable[[View], Array]:
+    """Return regressors of one equation as a function of the view only; ``made`` may be a cached
+    maker.
+    """
+    make = term.columns[equation]
+    if term.at_angle and equation == "torque" and nominal.late_s:
+        return lambda view: made(make, behind(view, nominal.late_s), nominal, shape)
+    return lambda view: made(make, view, nominal, shape)
+
+
+def wald(score: Array, sums: Array) -> float:
+    """Return the squared score over its variance by blocks."""
+    variance = sums.T @ sums
+    return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
+
+
+def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
+    """Stack equations at the nominal values; blocks and cache are taken from ``like``, a stack of
+    the same recordings.
+    """
+    basis = []
+    residuals = []
+    for equation in equations:
+        q = _orthonormal(equation.tangent)
+        basis.append(q)
+        residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
+    residual = np.concatenate(residuals)
+    block, blocks = numbered(equations, residuals) if like is None else (like.block, like.blocks)
+    gather = gather_of(equations, block, blocks) if like is None else like.gather
+    cache = {} if like is None else like.cache
+    nothing = np.zeros((len(residual), 0))
+    return Stack(
+        tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache
+    )
+
+
+def _lengths(columns: Array) -> Array:
+    """Return the norm of each column, in one pass; numpy's needs several."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
+
+
+def _orthonormal(tangent: Array) -> Array:
+    scale = np.linalg.norm(tangent, axis=0)
+    q, r = np.linalg.qr(tangent / np.where(scale > 0.0, scale, 1.0))
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-9])
+
+
+def granting(stack: Stack, regressors: Array) -> Stack:
+    """Return the stack with whitened regressors, shape (n, g), projected out as well."""
+    columns = stack.projected(regressors)
+    q, r = np.linalg.qr(columns)
+    diagonal = np.abs(np.diag(r))
+    q = q[:, diagonal > 1e-9 * max(float(np.max(diagonal, initial=0.0)), 1e-300)]
+    return replace(stack, granted=q, residual=stack.residual - q @ (q.T @ stack.residual))

@@ -1,0 +1,194 @@
+"""Location of the mismatch: its mean over each coordinate, with simultaneous bands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.families import COORDINATES, Coordinate, edges
+from identification.diagnosis.rows.view import View
+from identification.model.units import unit_on
+from identification.numerics.spread import CONFIDENCE
+from identification.recording import Array
+
+BINS = 16
+LEAST_ROWS = 5
+DRAWS = 499
+AS_MUCH = 0.8
+"""Ratio of the share of an effect's own coordinate to the best share, from which the own coordinate
+is reported.
+"""
+OWN_RECORDING = 2.0
+"""Ratio of a recording's mean-square mismatch to the noise's, from which the mismatch counts as
+present in it.
+"""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """A coordinate with its values on some rows.
+
+    Attributes:
+        name: Name of the coordinate.
+        unit: Unit of its values.
+        values: Value at each row, shape (n,).
+    """
+
+    name: str
+    unit: str
+    values: Array
+
+
+def maps(
+    stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator
+) -> tuple[Map, ...]:
+    """Return maps of one equation's mismatch over every coordinate, greatest share first.
+
+    Args:
+        stack: Stack with blocks and rows.
+        equation: The equation.
+        before: Mismatch before correction, in the equation's unit, shape (n,).
+        after: Mismatch after correction, shape (n,).
+        rng: Random generator for the bands.
+    """
+    block = stack.block[stack.part(equation.name)]
+    sense = equation.rows(lambda v: v.sense)[:, 0]
+    found = []
+    for coordinate in COORDINATES:
+        if any(coordinate.values(v) is None for v in equation.views):
+            continue
+        values = equation.rows(partial(_known, coordinate))[:, 0]
+        unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
+        axis = Axis(coordinate.name, unit, values)
+        made = mapped(equation, axis, before, after, block, stack.blocks, rng)
+        if made is None:
+            continue
+        if coordinate.by_direction:
+            sided = mapped(equation, axis, sense * before, sense * after, block, stack.blocks, rng)
+            if sided is not None and sided.share > made.share:
+                made = replace(sided, against_motion=True)
+        found.append(made)
+    return tuple(sorted(found, key=lambda m: -m.share))
+
+
+def location(equation: Equation, found: Map | None, before: Array) -> Location:
+    """Return the location of the mismatch: ranges of a map's coordinate, and recordings.
+
+    With too few rows for a map, only the recordings are known.
+    """
+    power = {v.index: before[equation.owner == v.index] for v in equation.views}
+    names = tuple(
+        v.recording.name
+        for v in equation.views
+        if len(power[v.index])
+        and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
+    )
+    if found is None:
+        return Location("recording", "1", (), 0.0, names)
+    return Location(found.coordinate, found.unit, ranges(found), found.share, names)
+
+
+def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
+    """Return the map over an effect's own coordinate if it explains about as much as the best map,
+    else the best map.
+    """
+    own = next((m for m in drawn if m.coordinate == coordinate), None)
+    best = drawn[0] if drawn else None
+    return (
+        own if own is not None and best is not None and own.share >= AS_MUCH * best.share else best
+    )
+
+
+def ranges(found: Map) -> tuple[tuple[float, float], ...]:
+    """Return the ranges of a map's coordinate in which the band excludes zero."""
+    outside = (found.low > 0.0) | (found.high < 0.0)
+    half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
+    stretches: list[tuple[float, float]] = []
+    for k in np.flatnonzero(outside):
+        low, high = float(found.centre[k] - half[k]), float(found.centre[k] + half[k])
+        if stretches and k > 0 and outside[k - 1]:
+            stretches[-1] = (stretches[-1][0], high)
+        else:
+            stretches.append((low, high))
+    return tuple(stretches)
+
+
+def curve(drawn: Sequence[Map]) -> Curve | None:
+    """Return the mean of the best map as an empirical curve of the mismatch; only maps without
+    dependence on direction can be used.
+    """
+    found = next((m for m in drawn if not m.against_motion), None)
+    if found is None:
+        return None
+    return Curve(
+        found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean
+    )
+
+
+def _known(coordinate: Coordinate, view: View) -> Array:
+    values = coordinate.values(view)
+    return np.zeros(len(view.time)) if values is None else values
+
+
+def mapped(
+    equation: Equation,
+    axis: Axis,
+    before: Array,
+    after: Array,
+    block: np.ndarray,
+    blocks: int,
+    rng: np.random.Generator,
+) -> Map | None:
+    """Return the map of the mismatch over one coordinate with simultaneous bands; None if the
+    coordinate has too few values.
+
+    Args:
+        equation: The equation.
+        axis: The coordinate.
+        before: Mismatch before correction, shape (n,).
+        after: Mismatch after correction, shape (n,).
+        block: Block of each row, shape (n,).
+        blocks: Number of blocks.
+        rng: Random generator for the bands.
+    """
+    values = axis.values
+    grid = edges(values, BINS)
+    if len(grid) < 3:
+        levels = np.unique(values)
+        if len(levels) < 2:
+            return None
+        grid = np.array([levels[0], 0.5 * (levels[0] + levels[1]), levels[1]])
+    bins = len(grid) - 1
+    place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins).astype(np.float64)
+    if np.any(count < LEAST_ROWS):
+        return None
+    mean = np.bincount(place, before, bins) / count
+    centre = np.bincount(place, values, bins) / count
+    rest = before - mean[place]
+    sums = np.bincount(block * bins + place, rest, blocks * bins).reshape(blocks, bins) / count
+    spread = np.sqrt(np.sum(sums**2, axis=0))
+    spread[spread == 0.0] = 1e-300
+    drawn = np.abs(rng.choice((-1.0, 1.0), size=(DRAWS, blocks)) @ sums) / spread
+    wide = float(np.quantile(np.max(drawn, axis=1), CONFIDENCE)) * spread
+    power = float(before @ before)
+    chance = float(np.sum(count * spread**2))
+    share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
+    return Map(
+        equation=equation.name,
+        coordinate=axis.name,
+        unit=axis.unit,
+        residual_unit=equation.unit,
+        centre=centre,
+        mean=mean,
+        low=mean - wide,
+        high=mean + wide,
+        after=np.bincount(place, after, bins) / count,
+        share=min(share, 1.0),
+    )

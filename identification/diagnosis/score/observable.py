@@ -1,0 +1,154 @@
+"""Which effects recordings can show, at which size, and which of them they cannot distinguish.
+
+All of it follows from excitation, channels and noise: from the regressors of the effects, with the
+nominal model's tangent projected out. No mismatch is looked at.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import ABSORBED, Stack
+from identification.diagnosis.score.significance import LEAST_SHARE, LEVEL
+from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.recording import Array
+
+ALIKE = 0.9
+"""Share of an effect's regressor that another effect explains, from which on the two are not
+distinguished.
+"""
+MOST_OF_ITS_SHAPES = 0.5
+"""Share of an effect's trial shapes for which that must hold."""
+
+
+@dataclass(frozen=True)
+class Observable:
+    """What recordings can show of one effect.
+
+    Attributes:
+        name: Name in the catalogue.
+        left: Share of the regressor's squares that the nominal constants cannot explain, median
+            over trial shapes; zero if no recording can show the effect.
+        sizes: Parameter to its value at the least size that these recordings show: median over
+            trial shapes, or of an effect whose shape is its size the faintest trial shape that they
+            show; empty if they show none.
+        alike: Effects that explain its regressor to :data:`ALIKE`, to the share explained, greatest
+            first.
+    """
+
+    name: str
+    left: float
+    sizes: Mapping[str, float]
+    alike: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """An effect at a trial shape.
+
+    Attributes:
+        term: Its term.
+        shape: The shape.
+        span: Orthonormal regressors with the tangent projected out, shape (n, k).
+        left: Share of the squares that is left by the projection.
+        gain: Whitened squares of a first coefficient of one.
+        rows: Number of rows of its equations.
+    """
+
+    term: Term
+    shape: Shape
+    span: Array
+    left: float
+    gain: float
+    rows: int
+
+
+def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
+    """Return what recordings can show of each effect, in the order of the terms.
+
+    Args:
+        joint: Fit of the nominal model; only its values and its noise are used.
+        terms: The effects.
+    """
+    context = Context(joint.equations[0].views, joint.nominal)
+    trials = [t for term in terms for t in _trials(joint.stack, context, term)]
+    explained = _explained(trials)
+    needed = LEVEL / max(len(trials), 1)
+    out = []
+    for term in terms:
+        own = [k for k, t in enumerate(trials) if t.term is term]
+        if not own:
+            out.append(Observable(term.name, 0.0, {}, {}))
+            continue
+        left = float(np.median([trials[k].left for k in own]))
+        sizes = _least_sizes([trials[k] for k in own], context, needed)
+        out.append(Observable(term.name, left, sizes, _alike(trials, explained, own)))
+    return tuple(out)
+
+
+def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
+    for shape in term.shapes(context):
+        columns = stack.columns(term, shape)
+        if not columns:
+            continue
+        whole = stack.whitened(columns)
+        rest = stack.projected(whole)
+        before, after = (np.sum(c**2, axis=0) for c in (whole, rest))
+        if not np.all(before > 0.0) or not np.all(after > ABSORBED**2 * before):
+            continue
+        span, _ = np.linalg.qr(rest)
+        rows = sum(len(c) for c in columns.values())
+        share = float(np.sum(after) / np.sum(before))
+        yield _Trial(term, shape, span, share, float(after[0]), rows)
+
+
+def _explained(trials: Sequence[_Trial]) -> Array:
+    """Return the share of each trial's span that each other trial's span contains, shape (t, t)."""
+    if not trials:
+        return np.zeros((0, 0))
+    every = np.concatenate([t.span for t in trials], axis=1)
+    owner = np.repeat(np.arange(len(trials)), [t.span.shape[1] for t in trials])
+    squares = (every.T @ every) ** 2
+    edges = np.flatnonzero(np.diff(owner, prepend=-1))
+    sums = np.add.reduceat(np.add.reduceat(squares, edges, axis=0), edges, axis=1)
+    return np.asarray(sums / np.bincount(owner)[:, None])
+
+
+def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
+    """Return the effects that explain one effect's regressor at most of its trial shapes."""
+    found = {}
+    for name in {t.term.name for t in trials} - {trials[own[0]].term.name}:
+        others = [k for k, t in enumerate(trials) if t.term.name == name]
+        best = np.max(explained[np.ix_(own, others)], axis=1)
+        if np.mean(best >= ALIKE) >= MOST_OF_ITS_SHAPES:
+            found[name] = float(np.median(best[best >= ALIKE]))
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
+    """Return the least size of an effect that these recordings show.
+
+    The gain must be significant at ``level``, and at least the share of the noise below which an
+    effect is negligible.
+    """
+    linear: list[Mapping[str, float]] = []
+    shaped: list[tuple[float, Mapping[str, float]]] = []
+    for trial in own:
+        width, size = trial.span.shape[1], trial.term.size
+        needed = max(float(stats.chi2.isf(level, width)), LEAST_SHARE * trial.rows)
+        coefficients = np.zeros(width)
+        coefficients[0] = math.sqrt(needed / trial.gain) if size is None else size
+        read = trial.term.read(coefficients, trial.shape, context)
+        if size is None:
+            linear.append(read)
+        elif size**2 * trial.gain >= needed:
+            shaped.append((trial.gain, read))
+    if linear:
+        return {name: float(np.median([r[name] for r in linear])) for name in linear[0]}
+    return dict(min(shaped, key=lambda found: found[0])[1]) if shaped else {}

@@ -1,0 +1,190 @@
+"""Tests whether anything is missing from a fit: by the size of the mismatch and by sign flips of
+whole blocks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import Candidate, Stack, surprise
+from identification.diagnosis.rows.families import families
+from identification.diagnosis.terms.term import Context, Term
+from identification.recording import Array
+
+EXCESS = 1.5
+"""Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the
+cause.
+"""
+LEVEL = 0.01
+"""Significance level of the tests whether anything is missing, or anything more."""
+LEAST_SHARE = 0.01
+"""Power of a contribution, over the noise power in its equations, below which it is negligible."""
+RARE = 6.0
+RARE_BLOCKS = 0.01
+"""Share of blocks in which a row beyond that may occur by chance; without injected effects
+simulated benches have none.
+"""
+EXCESS_OF_ONE = 2.0
+"""Ratio of the mean-square torque mismatch in one recording to the noise's, up to which it counts
+as noise. This test is needed since an effect in a few half cycles of one recording has too few
+blocks for sign flips.
+"""
+DRAWS = 999
+FLAT = 1e-6
+"""Determinant of a variance over its squared trace, below which the pseudo-inverse is used."""
+
+
+def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
+    """Yield every effect at every trial shape for which these recordings give a candidate."""
+    for term in terms:
+        for shape in term.shapes(context):
+            candidate = stack.term(term, shape)
+            if candidate is not None:
+                yield candidate
+
+
+def generic(stack: Stack) -> Iterator[Candidate]:
+    """Yield the generic families in every equation."""
+    for equation in stack.equations:
+        for name, columns in families(equation):
+            candidate = stack.independent(f"{equation.name} over {name}", equation.name, columns)
+            if candidate is not None:
+                yield candidate
+
+
+def chance(
+    candidates: Sequence[Candidate],
+    blocks: int,
+    rng: np.random.Generator,
+    least: float = LEAST_SHARE,
+) -> float:
+    """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
+    blocks.
+
+    The same flips are used for all candidates, which accounts for their number and correlation. A
+    candidate that explains less than ``least`` of the noise is irrelevant even if significant: it
+    is omitted from the observed statistics, but not from those under flips.
+    """
+    if not candidates:
+        return 1.0
+    flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
+    seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
+    if seen == -np.inf:
+        return 1.0
+    # Significance grows with the statistic: among candidates with equally many coefficients only
+    # the greatest is needed.
+    greatest: dict[int, Array] = {}
+    for candidate in candidates:
+        degrees, drawn = candidate.blocks.shape[1], flipped(candidate, flips)
+        greatest[degrees] = np.maximum(greatest.get(degrees, drawn), drawn)
+    beyond = np.any(
+        [surprise(drawn, degrees) >= seen for degrees, drawn in greatest.items()], axis=0
+    )
+    return float((1 + np.sum(beyond)) / (1 + DRAWS))
+
+
+def flipped(candidate: Candidate, flips: Array) -> Array:
+    """Return the statistic under sign flips of shape (draws, b), computed as the observed one,
+    shape (draws,).
+    """
+    sums, weights = candidate.blocks, candidate.weights
+    if not len(weights):
+        values, vectors = np.linalg.eigh(sums.T @ sums)
+        keep = values > 1e-10 * max(float(values[-1]), 1e-300)
+        return np.asarray(
+            np.sum((flips @ sums @ (vectors[:, keep] / np.sqrt(values[keep]))) ** 2, axis=1)
+        )
+    score = flips @ sums
+    # V = sum over blocks of (w a - G s)(w a - G s)', multiplied out so that flips meet blocks in
+    # one product.
+    blocks, degrees = sums.shape
+    crossed = np.einsum("bj,bkl->bjkl", sums, weights).reshape(blocks, -1)
+    mixed = ((flips @ crossed).reshape(-1, degrees**2, degrees) @ score[:, :, None]).reshape(
+        -1, degrees, degrees
+    )
+    flat = weights.reshape(blocks, -1)
+    square = (
+        (flat.T @ flat)
+        .reshape(degrees, degrees, degrees, degrees)
+        .transpose(1, 3, 0, 2)
+        .reshape(degrees**2, -1)
+    )
+    pairs = (score[:, :, None] * score[:, None, :]).reshape(-1, degrees**2)
+    variance = (
+        sums.T @ sums
+        - mixed
+        - np.swapaxes(mixed, 1, 2)
+        + (pairs @ square).reshape(-1, degrees, degrees)
+    )
+    if degrees == 1:
+        return np.asarray(score[:, 0] ** 2 / np.maximum(variance[:, 0, 0], 1e-300))
+    if degrees == 2:
+        return _over_two(score, variance)
+    return np.asarray(
+        np.einsum("dj,djk,dk->d", score, np.linalg.pinv(variance, hermitian=True), score)
+    )
+
+
+def _over_two(score: Array, variance: Array) -> Array:
+    """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
+    trial shapes are waves, with two coefficients.
+    """
+    a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
+    x, y = score.T
+    left = a * c - b * b
+    flat = left <= FLAT * (a + c) ** 2
+    out = (c * x * x - 2.0 * b * x * y + a * y * y) / np.where(flat, 1.0, left)
+    for k in np.flatnonzero(flat):
+        out[k] = score[k] @ np.linalg.pinv(variance[k], hermitian=True) @ score[k]
+    return np.asarray(out)
+
+
+def excess(joint: Joint, only: str = "") -> float:
+    """Return the p-value of the hypothesis that the mean-square mismatch is at most :data:`EXCESS`
+    times the noise's.
+
+    It covers all equations, or only the equation named ``only``.
+
+    It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
+    detected by its size. Rows beyond :data:`RARE` times the noise are clipped there, so that a few
+    outliers are not taken for physics; a row counts as half an observation, as neighbours share the
+    filter. If outliers recur in many blocks, as after every reversal with presliding, the number of
+    these blocks is tested.
+    """
+    chances = []
+    for equation in joint.equations:
+        if equation.name == "breakaway" or (only and equation.name != only):
+            continue
+        rows = joint.stack.part(equation.name)
+        powers = np.minimum(np.abs(joint.residual[rows]), RARE) ** 2
+        chances.append(_beyond(powers, EXCESS))
+        chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
+        if equation.name == "torque":
+            chances += [
+                _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views
+            ]
+    return min([1.0, *(len(chances) * chance for chance in chances)])
+
+
+def _beyond(powers: Array, limit: float) -> float:
+    """Return the probability of at least this mean square if the noise's were ``limit``; 1 without
+    rows.
+    """
+    half = 0.5 * len(powers)
+    return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
+
+
+def _recurring(residual: Array, block: np.ndarray) -> float:
+    """Return the probability of at least so many blocks with a row beyond :data:`RARE`, if one in a
+    hundred blocks has any.
+
+    The result is 1 if the whole mismatch has at most :data:`EXCESS` times the noise power.
+    """
+    if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
+        return 1.0
+    found = len(np.unique(block[np.abs(residual) > RARE]))
+    return float(stats.binom.sf(found - 1, len(np.unique(block)), RARE_BLOCKS))

@@ -1,0 +1,1 @@
+"""Which effects are missing: forward selection, comparison with rivals, removal, held-out test."""

@@ -1,0 +1,262 @@
+"""Baseline methods for comparison with the diagnosis: greedy selection by BIC, and sparse
+regression, on the nominal model's mismatch.
+
+Both use the same data as the search: the same equations, whitened rows with the nominal tangent
+projected out, and the same regressors at the same trial shapes, with the physical signs of their
+coefficients. They lack the search's block-wise tests, joint refits with continuous shapes, test of
+adequacy, and rivals.
+
+Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
+461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
+3932), which the discrepancy models of Kaheman et al. (arXiv:1909.08574) and de Silva et al. (Front.
+Artif. Intell. 3 (2020) 25) use. The threshold is chosen by cross-validation over recordings: the
+sparsest solution within one standard error of the best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import ABSORBED, Stack
+from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.recording import Array
+
+MOST_STEPS = 40
+"""Greatest number of groups that greedy selection takes."""
+FOLDS = 4
+RIDGE = 1e-3
+"""Ridge, relative to the unit norm of the regressors, which keeps neighbouring shapes solvable."""
+LEAST_THRESHOLD = 3.0
+"""Norm of a contribution, over the noise of one row, at which the path begins; smaller ones occur
+by chance.
+"""
+THRESHOLDS = 20
+"""Number of thresholds on the path, up to the strongest contribution."""
+MOST_ROUNDS = 10
+"""Greatest number of iterations at one threshold."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """One effect at one trial shape: its columns, and the indices of coefficients that must be
+    positive.
+    """
+
+    name: str
+    shape: Shape
+    columns: slice
+    positive: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Library:
+    """Inner products of all regressors, scaled to unit norm.
+
+    Attributes:
+        groups: Groups in the order of the columns.
+        gram: Inner products over each fold, shape (f, p, p).
+        moment: Inner products with the mismatch, shape (f, p).
+        power: Sum of squares of the mismatch over each fold, shape (f,).
+        rows: Number of whitened rows.
+    """
+
+    groups: tuple[Group, ...]
+    gram: Array
+    moment: Array
+    power: Array
+    rows: int
+
+
+def library(joint: Joint, terms: Sequence[Term]) -> Library:
+    """Return the regressors that the search screens on the nominal model's mismatch.
+
+    Args:
+        joint: Fit of the nominal model alone.
+        terms: Effects.
+    """
+    stack = joint.stack
+    context = Context(joint.equations[0].views, joint.nominal)
+    groups: list[Group] = []
+    found: list[dict[str, Array]] = []
+    width = 0
+    for term in terms:
+        for shape in term.shapes(context):
+            columns = _projected(stack, stack.columns(term, shape))
+            if columns:
+                count = next(iter(columns.values())).shape[1]
+                groups.append(Group(term.name, shape, slice(width, width + count), term.positive))
+                found.append(columns)
+                width += count
+    fold_of = _folds(stack)
+    folds = int(fold_of.max()) + 1
+    gram, moment, power = np.zeros((folds, width, width)), np.zeros((folds, width)), np.zeros(folds)
+    for equation in stack.equations:
+        mine = [k for k, columns in enumerate(found) if equation.name in columns]
+        places = np.array(
+            [p for k in mine for p in range(groups[k].columns.start, groups[k].columns.stop)],
+            dtype=int,
+        )
+        residual = stack.residual[stack.part(equation.name)]
+        wide = np.concatenate(
+            [np.zeros((len(residual), 0)), *(found[k][equation.name] for k in mine)], axis=1
+        )
+        for fold in range(folds):
+            rows = fold_of[equation.owner] == fold
+            power[fold] += float(residual[rows] @ residual[rows])
+            part = wide[rows]
+            gram[fold][np.ix_(places, places)] += part.T @ part
+            moment[fold][places] += part.T @ residual[rows]
+    scale = np.sqrt(np.einsum("fpp->p", gram))
+    return Library(
+        tuple(groups), gram / np.outer(scale, scale), moment / scale, power, len(stack.residual)
+    )
+
+
+def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
+    """Return whitened regressors with the tangent projected out; empty if one is collinear with the
+    nominal model.
+    """
+    out: dict[str, Array] = {}
+    before: Array | float = 0.0
+    after: Array | float = 0.0
+    for equation, basis in zip(stack.equations, stack.basis, strict=True):
+        if equation.name in columns:
+            full = columns[equation.name] / equation.sigma
+            out[equation.name] = full - basis @ (basis.T @ full)
+            before = before + np.sum(full**2, axis=0)
+            after = after + np.sum(out[equation.name] ** 2, axis=0)
+    return out if np.all(np.sqrt(after) > ABSORBED * np.sqrt(before)) else {}
+
+
+def _folds(stack: Stack) -> np.ndarray:
+    """Return the fold of each recording by its index, assigned in turn; -1 for a recording without
+    rows.
+    """
+    recordings = sorted({v.index for e in stack.equations for v in e.views})
+    fold = np.full(recordings[-1] + 1, -1, dtype=np.int64)
+    fold[recordings] = np.arange(len(recordings)) % FOLDS
+    return fold
+
+
+def greedy_bic(given: Library) -> tuple[str, ...]:
+    """Return effects in the order of selection; empty if the criterion never falls."""
+    gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
+    power = float(given.power.sum())
+    named: dict[str, None] = {}
+    for _ in range(MOST_STEPS):
+        gains = _gains(gram, moment, given.groups)
+        scores = [
+            _bic_change(given.rows, power, gain, g)
+            for gain, g in zip(gains, given.groups, strict=True)
+        ]
+        best = int(np.argmin(scores))
+        if scores[best] >= 0.0:
+            break
+        taken = given.groups[best].columns
+        named.setdefault(given.groups[best].name)
+        power -= gains[best]
+        lever = np.linalg.pinv(gram[taken, taken], rcond=ABSORBED**2, hermitian=True) @ gram[taken]
+        moment = moment - lever.T @ moment[taken]
+        gram = gram - gram[:, taken] @ lever
+    return tuple(named)
+
+
+def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
+    """Return the sum of squares that each group explains.
+
+    It is 0 if the group is collinear with the selected groups, or a coefficient has an unphysical
+    sign.
+    """
+    gains = np.zeros(len(groups))
+    widths = np.array([g.columns.stop - g.columns.start for g in groups])
+    for width in np.unique(widths):
+        mine = np.flatnonzero(widths == width)
+        places = np.array([groups[int(k)].columns.start for k in mine])[:, None] + np.arange(width)
+        own, its = gram[places[:, :, None], places[:, None, :]], moment[places]
+        known = np.all(np.einsum("gkk->gk", own) >= ABSORBED**2, axis=1)
+        known[known] = np.linalg.cond(own[known]) <= ABSORBED**-2
+        mine, own, its = mine[known], own[known], its[known]
+        coefficients = np.linalg.solve(own, its[:, :, None])[:, :, 0]
+        signs = [
+            all(c[p] > 0.0 for p in groups[int(k)].positive)
+            for k, c in zip(mine, coefficients, strict=True)
+        ]
+        gains[mine] = np.where(signs, np.einsum("gk,gk->g", coefficients, its), 0.0)
+    return [float(gain) for gain in gains]
+
+
+def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
+    width: int = group.columns.stop - group.columns.start
+    return rows * math.log(max(1.0 - gain / power, 1e-12)) + width * math.log(rows)
+
+
+def sparse(given: Library) -> tuple[str, ...]:
+    """Return effects sorted by the power of their contribution, greatest first; empty if all are
+    below the threshold.
+    """
+    gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
+    greatest = math.sqrt(max(_gains(gram, moment, given.groups), default=0.0))
+    if greatest <= LEAST_THRESHOLD:
+        return ()
+    thresholds = np.geomspace(LEAST_THRESHOLD, 1.01 * greatest, THRESHOLDS)
+    errors = np.zeros((len(given.power), THRESHOLDS))
+    for fold in range(len(given.power)):
+        path = _path(given.groups, gram - given.gram[fold], moment - given.moment[fold], thresholds)
+        for k, c in enumerate(path):
+            errors[fold, k] = (
+                given.power[fold] - 2.0 * c @ given.moment[fold] + c @ given.gram[fold] @ c
+            )
+    total = errors.sum(axis=0)
+    apart = errors - errors[:, [int(np.argmin(total))]]
+    deviation = (
+        np.std(apart, axis=0, ddof=1) * math.sqrt(len(errors))
+        if len(errors) > 1
+        else np.zeros(THRESHOLDS)
+    )
+    chosen = int(np.flatnonzero(apart.sum(axis=0) <= deviation)[-1])
+    coefficients = _path(given.groups, gram, moment, thresholds)[chosen]
+    power: dict[str, float] = {}
+    for name in {g.name for g in given.groups}:
+        own = np.concatenate(
+            [np.arange(len(moment))[g.columns] for g in given.groups if g.name == name]
+        )
+        power[name] = float(coefficients[own] @ gram[np.ix_(own, own)] @ coefficients[own])
+    return tuple(sorted((n for n in power if power[n] > 0.0), key=lambda n: -power[n]))
+
+
+def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
+    """Return coefficients, shape (p,), at rising thresholds; each starts from the groups that
+    remain at the previous one.
+    """
+    left = list(groups)
+    coefficients = np.zeros(len(moment))
+    out = []
+    for threshold in thresholds:
+        for _ in range(MOST_ROUNDS):
+            if not left:
+                break
+            places = np.concatenate([np.arange(len(moment))[g.columns] for g in left])
+            square = gram[np.ix_(places, places)]
+            coefficients = np.zeros(len(moment))
+            coefficients[places] = linalg.solve(
+                square + RIDGE * np.eye(len(places)), moment[places], assume_a="pos"
+            )
+            kept = [g for g in left if _stays(g, gram, coefficients, float(threshold))]
+            if len(kept) == len(left):
+                break
+            left = kept
+        out.append(coefficients if left else np.zeros(len(moment)))
+    return out
+
+
+def _stays(group: Group, gram: Array, coefficients: Array, threshold: float) -> bool:
+    """Whether a group contributes at least the threshold, with physical signs."""
+    own = coefficients[group.columns]
+    power = float(own @ gram[group.columns, group.columns] @ own)
+    return power >= threshold**2 and all(own[k] > 0.0 for k in group.positive)

@@ -1,0 +1,274 @@
+"""Discrimination of backlash from coupling hysteresis by the torque that is transmitted while one
+side moves and the other rests.
+
+If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
+equal within the encoders' resolution. But a gap is crossed with the torque that the rotor takes,
+T = J_r domega_m/dt + M_r s, and a hysteresis loop with a torque that rises on the way,
+T = J_r domega_m/dt + M_r s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the
+motor's side, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in
+the loop. The rise w u tells the two apart; the constant part may be either's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows.marks import QUICK_SAMPLES
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.selection.comparison import Contender, Round, preference
+from identification.diagnosis.terms.term import Term
+from identification.diagnosis.terms.transmission import (
+    ROTOR_SHARE,
+    TWIST_COUNTS,
+    Gap,
+    Loop,
+    count_of_twist,
+    lead,
+)
+from identification.recording import Array
+
+PAIR = ("backlash", "coupling_hysteresis")
+INNER = 0.6
+"""Central share of a crossing that is used: near the flanks torque is already transmitted."""
+LEAST_SPEED_RAD_S = 0.02
+LEAST_SAMPLES = 5
+LEAST_CROSSINGS = 10
+INERTIA, RISE = 0, 2
+"""Regressors of the rotor's inertia and of the torque that rises on the way."""
+CARRIED = 0.06
+"""Ratio of the loop's closing torque to the torque of the motion, from which it is not a gap."""
+SLACK = 0.02
+"""Standard deviation of that ratio for a gap, from simulated trials."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """Torque estimated from the crossings of a gap.
+
+    Attributes:
+        inertia: Inertia of the rotor at the joint, kg m^2.
+        torque: Torque that closes the loop, N m; about zero for a gap.
+        share: Ratio of this torque to the torque of the motion.
+        error: Standard error of the share: scatter over crossings and :data:`SLACK` combined.
+    """
+
+    inertia: float
+    torque: float
+    share: float
+    error: float
+
+
+def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -> Crossing | None:
+    """Return the torque while a gap of this size is crossed; None if too few crossings last long
+    enough.
+
+    Args:
+        views: Recordings, with motion of the valve's side.
+        nominal: Nominal values; under a weight their friction and inertia are needed.
+        gap: Width of the gap, or twice the deflection of a loop, rad.
+        rotor: Assumed inertia of the rotor at the joint, kg m^2.
+    """
+    parts, torques, moving = [], [], []
+    for view in views:
+        if view.lag is None:
+            continue
+        columns, way = _columns(view, nominal, gap, rotor)
+        parts += [columns[a:b] for a, b in way]
+        torques += [(view.raw_torque - view.known)[a:b] for a, b in way]
+        moving.append(np.abs(view.transmitted[~view.still]))
+    if len(parts) < LEAST_CROSSINGS:
+        return None
+    columns, torque = np.concatenate(parts), np.concatenate(torques)
+    bread = np.linalg.pinv(columns.T @ columns, hermitian=True)
+    found = bread @ (columns.T @ torque)
+    scores = np.stack([c.T @ (t - c @ found) for c, t in zip(parts, torques, strict=True)])
+    spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[RISE, RISE]))
+    usual = float(np.median(np.concatenate(moving)))
+    inertia, rise = float(found[INERTIA]), float(found[RISE])
+    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, SLACK))
+
+
+def _columns(
+    view: View, nominal: Nominal, gap: float, rotor: float
+) -> tuple[Array, list[tuple[int, int]]]:
+    """Return regressors of the drive's torque, shape (m, 3), and first sample and end of each
+    crossing.
+    """
+    gear = view.recording.bench.gear_ratio
+    speed = view.motor_speed / gear
+    way = lead(view, nominal, gap, rotor) / (0.5 * gap)
+    # The weight of a falling joint closes a loop, not the motor's motion.
+    held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
+    inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
+    turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    columns = np.stack([_quick_acceleration(view), np.sign(speed), way], axis=1)
+    return columns, [(int(a), int(b)) for a, b in turns.reshape(-1, 2) if b - a >= LEAST_SAMPLES]
+
+
+def _quick_acceleration(view: View) -> Array:
+    """Return motor acceleration referred to the joint, by differences over few samples, rad/s^2.
+
+    A crossing lasts ten samples, which a filter does not resolve: the acceleration that it removes
+    would appear as transmitted torque.
+    """
+    motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
+    padded = np.pad(motor, span, mode="edge")
+    return np.asarray(
+        (padded[2 * span :] - 2.0 * motor + padded[: -2 * span]) / (span * view.step) ** 2
+    )
+
+
+def told_apart(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    terms: Sequence[Term],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Decide between backlash and coupling hysteresis, if one was identified, by the torque during
+    crossings; return fit and rounds.
+    """
+    named = [e for e in joint.effects if e.term.name in PAIR]
+    by_name = {t.name: t for t in terms}
+    if not named or not set(PAIR) <= by_name.keys():
+        return joint, rounds
+    own = min(named, key=lambda e: PAIR.index(e.term.name))
+    if len(named) > 1:
+        # A gap and a loop in one transmission together look like a larger one of either.
+        joint = fit(
+            views,
+            unit,
+            joint.nominal,
+            [e for e in joint.effects if e is own or e not in named],
+            baseline,
+        )
+        rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
+        own = next(e for e in joint.effects if e.term.name == own.term.name)
+    gap, rotor = _gap_and_rotor(own)
+    seen = crossed(views, joint.nominal, gap, rotor)
+    other = _other(
+        own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views)
+    )
+    rest = tuple(e for e in joint.effects if e is not own)
+    beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
+    prefers_other = _preference(views, own, joint, beside, seen)
+    best, loser, name = (
+        (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
+    )
+    rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
+    if seen is None:
+        note = "no crossing lasts long enough to distinguish a gap from a hysteresis loop"
+    else:
+        note = (
+            f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's "
+            f"torque"
+        )
+    steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
+    out = [
+        Round(name, (rival, *(r for r in taken.rivals if r.name not in PAIR)))
+        if taken.name == own.term.name
+        else taken
+        for taken in rounds
+    ]
+    return best, out
+
+
+def _preference(
+    views: Sequence[View], own: Added, joint: Joint, beside: Joint, seen: Crossing | None
+) -> float:
+    """Return by how many standard errors the other effect of the pair is preferred to the
+    identified one.
+
+    Args:
+        views: Recordings.
+        own: The identified effect.
+        joint: Fit with this effect.
+        beside: Fit with the other effect in its place, as the last effect.
+        seen: Torque from the crossings; None if none lasts long enough.
+    """
+    loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
+    prefers_loop = (
+        _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
+    )
+    prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
+    if _falls(views, joint.nominal):
+        # Under such a weight the two differ in the angles too: combine both tests by Stouffer's
+        # sum.
+        prefers_other = (prefers_other - preference(joint, beside)) / (
+            1.0 if seen is None else math.sqrt(2.0)
+        )
+    return prefers_other
+
+
+def _gap_and_rotor(effect: Added) -> tuple[float, float]:
+    """Return the travel of one side alone, rad, and the inertia of the rotor, kg m^2, from the
+    shape of a gap or a loop.
+    """
+    if effect.term.name == "backlash":
+        return Gap(*effect.shape).width, Gap(*effect.shape).rotor
+    return 2.0 * Loop(*effect.shape).deflection, Loop(*effect.shape).rotor
+
+
+def _empty(views: Sequence[View], torque: float) -> float:
+    """Return by how many standard errors a loop with this closing ``torque`` (N m), fitted to the
+    angles, is preferred to a gap.
+
+    The result is at most zero. A loop that closes without torque equals a gap, which has one
+    parameter less; a loop that closes with torque was compared with a gap by the angles before.
+    """
+    usual = float(
+        np.median(
+            np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])
+        )
+    )
+    return min(0.0, (torque / usual - CARRIED) / SLACK)
+
+
+def _falls(views: Sequence[View], nominal: Nominal) -> bool:
+    """Whether in all recordings a weight turns with the joint, and its torque in motion exceeds
+    friction.
+
+    If only some recordings have such a weight, the crossings in the others are more informative
+    than a model of the falling joint.
+    """
+    if not all(v.burdened for v in views):
+        return False
+    return any(
+        np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views
+    )
+
+
+def _other(
+    own: Added,
+    by_name: dict[str, Term],
+    gap: float,
+    seen: Crossing | None,
+    rotor: float,
+    twist: float,
+) -> Added:
+    """Return the other effect of the pair, with the size of the identified one; a loop gets the
+    torque from the crossings.
+
+    A loop's fit starts from the rotor inertia estimated from the crossings, or from an assumed one,
+    ``rotor``, kg m^2; a gap's fit starts from a shaft compliance of ``twist``, rad/(N m), per
+    count.
+    """
+    counts = 0.5 * TWIST_COUNTS[1]
+    if own.term.name != "backlash":
+        return Added(by_name["backlash"], Gap(gap, counts, twist, rotor), (1.0,))
+    term, loop = by_name["coupling_hysteresis"], Loop(1.0, rotor, 0.5 * gap, counts, twist)
+    if seen is None or seen.torque <= 0.0:
+        return Added(term, loop, (1.0,))
+    loop = loop._replace(torque=seen.torque, rotor=seen.inertia if seen.inertia > 0.0 else rotor)
+    # Crossings determine the torque better than the angles; the other shape entries are fitted.
+    sought = {k: reach for k, reach in term.refine.items() if Loop._fields[k] != "torque"}
+    return Added(replace(term, refine=sought), loop, (1.0,))

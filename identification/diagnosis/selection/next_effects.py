@@ -1,0 +1,68 @@
+"""Selection of the next effects to try, if the mismatch of one equation dominates another's.
+
+Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
+approximate regressor in the one equation then has far larger squares than all missing physics in
+the other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.selection.removal import (
+    FURTHER_SHARE,
+    hopeless,
+    judging,
+    left_beyond_noise,
+)
+from identification.diagnosis.terms.term import Term
+
+FINALISTS = 4
+"""Greatest number of effects that are fitted jointly before one of them is selected."""
+RIVAL_SHARE = 0.3
+"""Least score of a finalist, over the best score."""
+
+
+def groups(
+    baseline: Joint,
+    joint: Joint,
+    terms: Mapping[str, Term],
+    ranked: Sequence[Candidate],
+    missing: Callable[[str], bool],
+) -> Iterator[list[Candidate]]:
+    """Yield groups of finalists, to be tried in turn until one effect is selected.
+
+    For the first effect the score alone decides. For further effects those come first that explain
+    a sufficient share of the mismatch beyond the noise in their equations. Effects are omitted that
+    appear only in equations where nothing is missing, or that would be removed again.
+
+    Args:
+        baseline: Fit of the nominal model.
+        joint: Fit with the effects so far.
+        terms: Terms of the candidates, by name.
+        ranked: The best candidate of each effect, best first.
+        missing: Function from an equation's name to whether anything is missing in it.
+    """
+    if not joint.effects:
+        yield _finalists(ranked)
+        return
+    seen = {e.name for e in joint.equations if missing(e.name)}
+    shown = [
+        c
+        for c in ranked
+        if any(name in seen for name in judging(joint, terms[c.name]))
+        and not hopeless(baseline, joint, terms[c.name], c)
+    ]
+    telling = [
+        c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])
+    ]
+    first = _finalists(telling)
+    yield first
+    rest = [c for c in shown if c not in first]
+    yield _finalists(rest)
+
+
+def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
+    return [c for c in ranked if c.score > RIVAL_SHARE * ranked[0].score][:FINALISTS]

@@ -1,0 +1,224 @@
+"""Removal and replacement of added effects: the worth of each given the others, and comparison with
+rivals.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from scipy import stats
+
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.fit.start import feasible_or_first
+from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.score.significance import EXCESS
+from identification.diagnosis.selection.comparison import (
+    Contender,
+    Round,
+    again,
+    implausible,
+    numbers,
+    preference,
+    simplest,
+)
+from identification.diagnosis.terms.term import EXACT, ROUGH, Term
+
+FURTHER_SHARE = 0.4
+"""Share of the mismatch beyond the noise that one more effect must explain; a smaller share may be
+the shape error of the first.
+"""
+UNCERTAIN = 10.0
+"""Least gain of one more effect, over the squares explained already in its equations, in multiples
+of the other regressors' shape error; a smaller gain may be due to that error ...
+"""
+NEARLY_ALL = 0.8
+"""... unless it explains this share of the mismatch beyond the noise; below that error itself no
+effect is accepted.
+"""
+LEAST_FURTHER = UNCERTAIN * ROUGH
+SURE = float(stats.norm.isf(0.01))
+"""Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
+remains. Its gain must then also be :data:`UNCERTAIN` times the error of the others, unless they are
+exact, because errors of regressors lie below both limits.
+"""
+
+MOST_GROWN = 3.0
+"""Greatest ratio of the gain in a joint fit to the gain predicted by an effect's regressors."""
+
+
+def pruned(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Remove effects that explain too little of the mismatch that remains without them, the least
+    first; return fit and rounds.
+    """
+    while len(joint.effects) > 1:
+        trials = []
+        for effect in joint.effects:
+            rest = tuple(e for e in joint.effects if e is not effect)
+            without = feasible_or_first(
+                views, unit, fit(views, unit, joint.nominal, rest, baseline)
+            )
+            share, needed = _worth(baseline, without, joint, effect.term)
+            trials.append((share / needed, share, needed, effect.term.name, without))
+        worth, share, needed, name, without = min(
+            trials, key=lambda trial: (trial[0], trial[-1].cost)
+        )
+        if worth >= 1.0:
+            break
+        note = (
+            f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it; "
+            f"{100.0 * needed:.0f} % are needed for one more effect"
+        )
+        steps.append(Step("remove", name, None, without.cost - joint.cost, note))
+        joint = without
+        rounds = [r for r in rounds if r.name != name]
+    return joint, rounds
+
+
+def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[float, float]:
+    """Return the share of the mismatch beyond the noise that one effect explains, and the share
+    that it must explain.
+    """
+    parts = _touched(joint, term)
+    gain = _squares(without, parts) - _squares(joint, parts)
+    others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
+    needed = needed_share(others, _error(without, term))
+    left = _beyond_noise(without, parts)
+    if left <= 1.0 and (others < _least(without, term) or preference(joint, without) < SURE):
+        needed = math.inf
+    return gain / left, needed
+
+
+def hopeless(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
+    """Whether one more effect would be removed again after the fit, judged by its predicted gain.
+
+    This is so if no mismatch beyond the noise remains in its equations, and it explains less than
+    the regressor error of the earlier effects or is not significant.
+    """
+    parts = _touched(joint, term)
+    if _beyond_noise(joint, parts) > 1.0:
+        return False
+    explained = _squares(baseline, parts) - _squares(joint, parts)
+    return (
+        MOST_GROWN * candidate.gain < _least(joint, term) * explained or candidate.preference < SURE
+    )
+
+
+def _least(beside: Joint, term: Term) -> float:
+    """Return the relative gain below which an effect may be the regressor error of the others, if
+    nothing else is left.
+    """
+    error = _error(beside, term)
+    return UNCERTAIN * error if error > EXACT else error
+
+
+def _error(beside: Joint, term: Term) -> float:
+    """Return the regressor error of the other effects, relative to the squares that they
+    explain.
+    """
+    return max((e.term.shape_error for e in beside.effects if alike(e.term, term)), default=EXACT)
+
+
+def needed_share(others: float, error: float = ROUGH) -> float:
+    """Return the share of the remaining mismatch that one more effect must explain; infinite if
+    none is acceptable.
+
+    Args:
+        others: Gain of the effect over the squares that the others explain in its equations.
+        error: Error of the others' regressors, over the same squares.
+    """
+    if others < error:
+        return math.inf
+    return NEARLY_ALL if others < UNCERTAIN * error else FURTHER_SHARE
+
+
+def revisited(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    dropped: Sequence[Added],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Compare every effect with its rivals again, with all other effects in the model; return fit
+    and rounds.
+
+    Removed effects are rivals of all kept effects in the same equation.
+    """
+    for place, taken in enumerate(rounds):
+        others = tuple(e for e in joint.effects if e.term.name != taken.name)
+        own = next(e for e in joint.effects if e.term.name == taken.name)
+        tried = {e.term.name: e for e in (*(r.joint.effects[-1] for r in taken.rivals), *dropped)}
+        trials = [(own, joint)]
+        for name, added in tried.items():
+            if (
+                name != own.term.name
+                and all(e.term.name != name for e in others)
+                and alike(own.term, added.term)
+            ):
+                trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
+        ranked = sorted(trials, key=lambda trial: trial[1].cost)
+        sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
+        chosen, best = sound[simplest([j for _, j in sound], [numbers(e) for e, _ in sound])]
+        if chosen is not own:
+            note = (
+                f"with the other effects, preferred to {taken.name} by "
+                f"{preference(best, joint):.1f} standard errors"
+            )
+            steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
+        rivals = tuple(
+            Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
+            for e, j in ranked
+            if e is not chosen and not infeasible(j) and not again(e, j, chosen, best)
+        )
+        joint = best
+        rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
+    return joint, rounds
+
+
+def alike(one: Term, other: Term) -> bool:
+    """Whether two effects appear in the same equation and so can replace each other."""
+    return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
+
+
+def left_beyond_noise(joint: Joint, term: Term) -> float:
+    """Return the sum of whitened squares beyond the noise that remains in an effect's equations."""
+    return _beyond_noise(joint, _touched(joint, term))
+
+
+def judging(joint: Joint, term: Term) -> list[str]:
+    """Return the names of the equations by which an effect is judged.
+
+    A breakaway gives one number per rest, with the noise of an instant within a sample. Breakaways
+    judge only effects that appear in no other equation.
+    """
+    names = [e.name for e in joint.equations if e.name in term.columns]
+    return [name for name in names if name != "breakaway" or len(names) == 1]
+
+
+def _touched(joint: Joint, term: Term) -> list[slice]:
+    """Return the rows of the equations by which an effect is judged."""
+    return [joint.stack.part(name) for name in judging(joint, term)]
+
+
+def _squares(joint: Joint, parts: Sequence[slice]) -> float:
+    return sum((float(joint.residual[rows] @ joint.residual[rows]) for rows in parts), 0.0)
+
+
+def _beyond_noise(joint: Joint, parts: Sequence[slice]) -> float:
+    """Return the sum of whitened squares beyond the noise."""
+    beyond = [
+        max(_squares(joint, [rows]) - EXCESS * (rows.stop - rows.start), 0.0) for rows in parts
+    ]
+    return 1.0 + float(sum(beyond))

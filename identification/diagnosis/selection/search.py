@@ -1,0 +1,343 @@
+"""Forward selection of effects by test, with rivals, then removal of those no longer needed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.noise import quieter
+from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.fit.start import feasible_or_first, with_assumed_fall
+from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.result import Step
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.score.significance import (
+    DRAWS,
+    LEAST_SHARE,
+    LEVEL,
+    chance,
+    excess,
+    generic,
+    screened,
+)
+from identification.diagnosis.selection.comparison import (
+    REJECTED,
+    Contender,
+    Round,
+    again,
+    implausible,
+    numbers,
+    preference,
+    simplest,
+)
+from identification.diagnosis.selection.crossing import told_apart
+from identification.diagnosis.selection.next_effects import groups
+from identification.diagnosis.selection.removal import alike, judging, pruned, revisited
+from identification.diagnosis.terms.term import Context, Shape, Term
+
+MOST_EFFECTS = 3
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Search:
+    """Result of the search.
+
+    Attributes:
+        baseline: Fit of the nominal model alone.
+        final: Fit with every kept effect.
+        rounds: Selection step of each kept effect.
+        p_value: p-value of the test whether anything is missing.
+        p_after: p-value of the test whether anything more is missing.
+        loudest: Generic family or effect with the least p-value at the end.
+        steps: Steps of the search.
+    """
+
+    baseline: Joint
+    final: Joint
+    rounds: tuple[Round, ...]
+    p_value: float
+    p_after: float
+    loudest: str
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True)
+class _Case:
+    """Inputs of the whole search.
+
+    Attributes:
+        views: Recordings.
+        unit: Unit of the torque.
+        terms: Effects to choose from, by name.
+        fixed: Nominal parameters that are not estimated.
+    """
+
+    views: tuple[View, ...]
+    unit: str
+    terms: Mapping[str, Term]
+    fixed: Collection[str]
+
+
+@dataclass(frozen=True)
+class _Test:
+    """Result of a test whether anything is missing.
+
+    Attributes:
+        trials: Effects of the catalogue at trial shapes.
+        unnamed: Generic families.
+        p_value: p-value of the test.
+        loudest: Name of the most significant candidate.
+    """
+
+    trials: tuple[Candidate, ...]
+    unnamed: tuple[Candidate, ...]
+    p_value: float
+    loudest: str
+
+
+def search(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    terms: Sequence[Term],
+    rng: np.random.Generator,
+    progress: Progress,
+    until: Collection[str] = (),
+    fixed: Collection[str] = (),
+) -> Search:
+    """Add effects one at a time while the test allows, then try to remove each.
+
+    Each effect is judged at the end together with the others: two effects may explain everything
+    together though one alone explains little.
+
+    Args:
+        views: Recordings.
+        unit: Unit of the torque.
+        baseline: Fit of the nominal model.
+        terms: Effects to choose from.
+        rng: Random generator for the sign flips.
+        progress: Called with the current step.
+        until: Names of effects; the search ends when one of them is added.
+        fixed: Nominal parameters that are not estimated.
+    """
+    case = _Case(tuple(views), unit, {t.name: t for t in terms}, fixed)
+    joint = baseline
+    rounds: list[Round] = []
+    steps: list[Step] = []
+    p_values: list[float] = []
+    while True:
+        named = {e.term.name for e in joint.effects}
+        left = [t for t in terms if t.name not in named]
+        progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
+        test = _tested(joint, case, left, rng)
+        p_values.append(test.p_value)
+        steps.append(
+            Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
+        )
+        if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
+            break
+        tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
+        taken = _taken(case, (baseline, joint), test, rng, tell, steps)
+        if taken is None:
+            break
+        joint, added = taken
+        rounds.append(added)
+        baseline, joint = quieter(views, unit, baseline, joint)
+        if added.name in until:
+            break
+    if not rounds or rounds[-1].name not in until:
+        joint, rounds = _settled(case, (baseline, joint), rounds, progress, steps)
+    p_value, p_after = p_values[0], p_values[-1]
+    return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
+
+
+def _tested(joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator) -> _Test:
+    """Test whether anything is missing, by size and by sign flips."""
+    trials = tuple(screened(joint.stack, Context(case.views, joint.nominal), left))
+    unnamed = tuple(generic(joint.stack))
+    every = (*trials, *unnamed)
+    by_size = max(excess(joint), 1e-12)
+    # Sign flips cannot give a smaller p-value than this.
+    by_flips = 1.0 if by_size < 1.0 / (1 + DRAWS) else chance(every, joint.stack.blocks, rng)
+    loudest = max(every, key=lambda c: c.surprise).name if every else ""
+    return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
+
+
+def _tell(progress: Progress, share: float, finalists: Sequence[Candidate]) -> None:
+    progress("fitting " + ", ".join(c.name for c in finalists), share)
+
+
+def _taken(
+    case: _Case,
+    fits: tuple[Joint, Joint],
+    test: _Test,
+    rng: np.random.Generator,
+    tell: Callable[[Sequence[Candidate]], None],
+    steps: list[Step],
+) -> tuple[Joint, Round] | None:
+    """Return the fit with the best further effect, or None if none is acceptable.
+
+    Args:
+        case: Inputs of the search.
+        fits: Fits of the nominal model, and with the effects selected so far.
+        test: Test by which one more effect is needed.
+        rng: Random generator for the tests of single equations.
+        tell: Called with the effects being fitted.
+        steps: Steps so far; the new step is appended.
+    """
+    baseline, joint = fits
+    best = _best_of_each(test.trials)
+    if not best:
+        return None
+    missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)
+    for finalists in groups(baseline, joint, case.terms, best, missing):
+        tell(finalists)
+        taken = _contest(case, fits, finalists, test.p_value, steps)
+        if taken is not None:
+            return taken
+    return None
+
+
+def _settled(
+    case: _Case,
+    fits: tuple[Joint, Joint],
+    rounds: list[Round],
+    progress: Progress,
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Try to remove each effect, then to replace it by its rivals; return the final fit and
+    rounds.
+    """
+    (baseline, before), views, unit = fits, case.views, case.unit
+    joint, rounds = pruned(views, unit, baseline, before, rounds, steps)
+    dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
+    if len(before.effects) > 1:
+        progress("rivals, with the other effects", 0.9)
+        joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
+    return told_apart(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
+
+
+def _contest(
+    case: _Case,
+    fits: tuple[Joint, Joint],
+    finalists: Sequence[Candidate],
+    p_value: float,
+    steps: list[Step],
+) -> tuple[Joint, Round] | None:
+    """Fit each finalist jointly with the selected effects; return the fit with the best, or None if
+    none is acceptable.
+    """
+    if not finalists:
+        return None
+    terms, joint = case.terms, fits[1]
+    fitted = [_fitted(case, fits, candidate) for candidate in finalists]
+    beyond = [implausible(f) for f in fitted]
+    ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
+    order = [k for k in ranked if not beyond[k]]
+    if not order:
+        first = finalists[0]
+        steps.append(
+            Step("stop", first.name, p_value, first.gain, f"fits only with {beyond[ranked[0]]}")
+        )
+        return None
+    winner = order[
+        simplest([fitted[k] for k in order], [numbers(fitted[k].effects[-1]) for k in order])
+    ]
+    ranked.remove(winner)
+    rivals = tuple(
+        Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
+        for k in ranked
+        if alike(terms[finalists[k].name], terms[finalists[winner].name])
+        and not infeasible(fitted[k])
+        and not again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
+    )
+    gain = joint.cost - fitted[winner].cost
+    if gain <= 2.0 * finalists[winner].penalty:
+        steps.append(
+            Step(
+                "stop",
+                finalists[winner].name,
+                p_value,
+                gain,
+                "explains no more than expected by chance",
+            )
+        )
+        return None
+    steps.append(Step("add", finalists[winner].name, p_value, gain, _why(rivals)))
+    return fitted[winner], Round(finalists[winner].name, rivals)
+
+
+def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
+    """Return the fit with a candidate and the selected effects.
+
+    An effect of several forms is fitted in each; another than the usual one must be preferred for
+    sure.
+    """
+    usual, *others = (_fitted_as(case, fits, candidate, shape) for shape in _forms(case, candidate))
+    sure = [f for f in others if preference(f, usual) >= REJECTED]
+    return min(sure, key=lambda f: f.cost, default=usual)
+
+
+def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
+    """Return a candidate's shape in each of its forms, the usual one first."""
+    shapes = [candidate.shape]
+    for index, values in case.terms[candidate.name].forms.items():
+        shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
+    return shapes
+
+
+def _fitted_as(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
+    """Return the fit with a candidate that starts from this shape, and the selected effects."""
+    baseline, joint = fits
+    added = Added(
+        case.terms[candidate.name],
+        shape,
+        tuple(float(c) for c in candidate.coefficients),
+    )
+    tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
+    if added.term.follows and tried.nominal.flat:
+        # An effect that depends on the fall of friction may have masked it in the nominal fit.
+        tried = with_assumed_fall(case.views, case.unit, tried, joint.nominal, case.fixed)
+    return feasible_or_first(case.views, case.unit, tried)
+
+
+def _missing(
+    joint: Joint,
+    terms: Mapping[str, Term],
+    candidates: Sequence[Candidate],
+    rng: np.random.Generator,
+    name: str,
+) -> bool:
+    """Whether anything is missing in one equation, by the same test as for the whole model."""
+    judged = len(joint.equations)
+    if 2.0 * judged * excess(joint, name) <= LEVEL:
+        return True
+    # The name of a generic family starts with its equation's.
+    own = [
+        c
+        for c in candidates
+        if (name in judging(joint, terms[c.name]) if c.name in terms else c.name.startswith(name))
+    ]
+    return 2.0 * judged * chance(own, joint.stack.blocks, rng) <= LEVEL
+
+
+def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
+    best: dict[str, Candidate] = {}
+    for candidate in candidates:
+        if candidate.name not in best or candidate.score > best[candidate.name].score:
+            best[candidate.name] = candidate
+    return sorted(
+        (c for c in best.values() if c.score > 0.0 and c.share > LEAST_SHARE),
+        key=lambda c: -c.score,
+    )
+
+
+def _why(rivals: Sequence[Contender]) -> str:
+    if not rivals:
+        return "no other effect fits nearly as well"
+    return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)

@@ -1,0 +1,38 @@
+"""Test whether the remaining torque mismatch is hysteretic: then the identified effect is the wrong
+one.
+
+A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,
+and most of it is explained by one of them. The remaining mismatch starts anew at each reversal.
+"""
+
+from __future__ import annotations
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.rows.families import families
+
+SINCE_REVERSAL = ("travel since reversal", "time since reversal")
+"""Coordinates of hysteresis; in a single sine they are equivalent."""
+MOST_OF = 1.0 / 3.0
+"""Share of the mismatch beyond the noise that a coordinate must explain for the mismatch to count
+as dependent on it.
+"""
+
+
+def remembered(joint: Joint) -> bool:
+    """Whether more than noise is left of the torque, and depends on travel or time since reversal
+    more than on any other coordinate.
+
+    Unmodelled friction at the lowest speeds, as in real machines, depends on torque, speed or rest
+    instead.
+    """
+    rows = joint.residual[joint.stack.part("torque")]
+    if float(rows @ rows) <= NEAR_FLOOR * len(rows):
+        return False
+    torque = next(e for e in joint.equations if e.name == "torque")
+    gains = {}
+    for name, columns in families(torque):
+        scored = joint.stack.independent(name, "torque", columns)
+        gains[name] = 0.0 if scored is None else scored.gain
+    most = max(gains, key=lambda name: gains[name], default="")
+    return most in SINCE_REVERSAL and gains[most] >= MOST_OF * (float(rows @ rows) - len(rows))

@@ -1,0 +1,43 @@
+"""Test whether an identified effect holds for one direction of motion only; no effect of the
+catalogue has a size that depends on direction.
+
+Asymmetric friction, too, has the same size in both directions; what differs is the friction, which
+the constants describe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.selection.removal import NEARLY_ALL
+
+
+def one_way(joint: Joint) -> tuple[str, ...]:
+    """Return the effects that, with separate coefficients for the two directions, explain nearly
+    all of the remaining torque mismatch.
+
+    Empty if no more than noise is left.
+    """
+    rows = joint.residual[joint.stack.part("torque")]
+    beyond = float(rows @ rows) - len(rows)
+    if float(rows @ rows) <= NEAR_FLOOR * len(rows):
+        return ()
+    return tuple(name for name, gain in _gains(joint) if gain >= NEARLY_ALL * beyond)
+
+
+def _gains(joint: Joint) -> Iterator[tuple[str, float]]:
+    """Yield the name of each effect in the torque equation, and the whitened squares that separate
+    coefficients for the directions would explain.
+    """
+    torque = next(e for e in joint.equations if e.name == "torque")
+    ahead = torque.rows(lambda v: v.sense) > 0.0
+    for effect in joint.effects:
+        columns = joint.stack.columns(effect.term, effect.shape).get("torque")
+        if columns is not None:
+            each = np.concatenate([columns * ahead, columns * ~ahead], axis=1)
+            split = joint.stack.independent(effect.term.name, "torque", each)
+            yield effect.term.name, 0.0 if split is None else split.gain

@@ -1,0 +1,118 @@
+"""A name must pay on recordings that took no part in its fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.selection.comparison import Round
+from identification.diagnosis.selection.held_out import (
+    UNPAID,
+    _lessened,
+    folds,
+    held_out,
+    paying,
+    unpaid,
+)
+from identification.diagnosis.selection.search import Search
+from identification.diagnosis.terms import TERMS
+from identification.recording import Recording
+
+from .benches import campaign, nominal_fit
+
+TERM = {t.name: t for t in TERMS}
+SIDE = {"asymmetric_coulomb": {"torque_Nm": 0.5}}
+
+
+@lru_cache
+def hidden() -> tuple[Recording, ...]:
+    return campaign(SIDE, 5, 6.0)
+
+
+@lru_cache
+def nominal() -> Joint:
+    return nominal_fit(hidden())
+
+
+def here() -> tuple[View, ...]:
+    return nominal().equations[0].views
+
+
+def aside() -> tuple[View, ...]:
+    fitted = [r for r in hidden() if r.role == "fit"]
+    held = [r for r in hidden() if r.role == "validate"]
+    return views((*fitted, *held), 25.0, False, hidden())[len(fitted) :]
+
+
+def search(*effects: Added) -> Search:
+    final = fit(here(), "N m", nominal().nominal, effects, nominal())
+    rounds = tuple(Round(e.term.name, ()) for e in effects)
+    return Search(nominal(), final, rounds, 1e-3, 1.0, "", ())
+
+
+RIGHT = Added(TERM["asymmetric_coulomb"], (), (0.0,))
+WRONG = Added(TERM["position_dependent_friction"], (0.2, 0.02), (0.0,))
+
+
+@pytest.mark.parametrize("set_aside", [True, False])
+def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
+    unseen = aside() if set_aside else ()
+    found = paying(search(RIGHT, WRONG), here(), unseen, "N m")
+    assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
+    assert [r.name for r in found.rounds] == ["asymmetric_coulomb"]
+    assert [s.name for s in found.steps if s.action == UNPAID] == ["position_dependent_friction"]
+    assert found.final.effects[0].coefficients[0] == pytest.approx(0.5, rel=0.1)
+    (words,) = unpaid(found)
+    assert "standard errors" in words
+    assert ("set aside" if set_aside else "predicted from the others") in words
+
+
+def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
+    found = paying(search(RIGHT), here(), aside(), "N m")
+    before, after = (held_out(j, aside(), "N m")["torque"] for j in (found.baseline, found.final))
+    assert after < 0.5 * before
+    sigma = next(e.sigma for e in found.final.equations if e.name == "torque")
+    assert after == pytest.approx(sigma, rel=0.25)
+
+
+def test_what_one_recording_alone_shows_need_not_pay_on_another() -> None:
+    weight = Added(TERM["wrong_weight"], (3.0,), (0.0,))
+    assert weight.term.place is not None
+    found = paying(search(RIGHT, weight), here(), aside(), "N m")
+    assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb", "wrong_weight"}
+
+
+def test_a_recording_that_alone_tells_of_something_is_cut_into_parts() -> None:
+    alike = nominal_fit((campaign({}, 6, 6.0)[0], campaign({}, 7, 6.0)[0]))
+    assert np.array_equal(folds(alike), np.concatenate([e.owner for e in alike.stack.equations]))
+    single = nominal_fit(hidden()[:3])
+    parts = folds(single)
+    for index in range(3):
+        own = np.concatenate([e.owner for e in single.stack.equations]) == index
+        assert len(set(parts[own])) > 1
+
+
+def test_without_a_row_that_moves_the_recordings_fitted_judge() -> None:
+    still = {
+        n: np.full_like(c, c[0]) if "angle" in n else c for n, c in hidden()[-1].channels.items()
+    }
+    quiet = views([replace(hidden()[-1], channels=still)], 25.0)
+    found = paying(search(RIGHT), here(), quiet, "N m")
+    assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
+
+
+def test_a_single_block_has_no_scatter_to_be_compared_with() -> None:
+    stack = nominal().stack
+    whole = replace(
+        stack,
+        gather=tuple(type(g)(np.ones((1, g.shape[1]))) for g in stack.gather),
+        blocks=1,
+    )
+    before = np.ones(len(stack.residual))
+    assert _lessened(whole, [0.5 * before, before], ["torque"]) == np.inf
+    assert _lessened(whole, [before, 0.5 * before], ["torque"]) == 0.0

@@ -1,0 +1,43 @@
+"""A patch of friction that is met one way only is no effect of the catalogue, however well one of
+both ways fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.verdict.one_direction import one_way
+
+from .benches import campaign, nominal_fit
+
+PATCH = {"torque_Nm": 1.5, "center_rad": 0.1, "width_rad": 0.06}
+
+
+def patched(hidden: str, width: float) -> Joint:
+    """Fit a patch of both ways, of a width that is not sought, to a bench that hides an effect."""
+    joint = nominal_fit(campaign({hidden: PATCH}, 31, 6.0))
+    term = replace(next(t for t in TERMS if t.name == "position_dependent_friction"), refine={})
+    return fit(
+        joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.1, width), (1.0,)),), joint
+    )
+
+
+def power(joint: Joint) -> float:
+    return float(np.mean(joint.residual[joint.stack.part("torque")] ** 2))
+
+
+def test_a_patch_of_one_way_is_no_patch_of_both() -> None:
+    joint = patched("x_one_way_patch", 0.06)
+    assert power(joint) > NEAR_FLOOR
+    assert one_way(joint) == ("position_dependent_friction",)
+
+
+def test_a_patch_of_another_width_is_wrong_both_ways() -> None:
+    joint = patched("position_dependent_friction", 0.1)
+    assert power(joint) > NEAR_FLOOR
+    assert one_way(joint) == ()
