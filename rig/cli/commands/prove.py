@@ -17,6 +17,14 @@ from rig.common.errors import InputError
     "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many."
 )
 @click.option(
+    "--plant",
+    type=click.Choice(["own", "mujoco"]),
+    default="own",
+    show_default=True,
+    help="Simulated machine: the project's own, or MuJoCo's in worlds that draw loops, encoders, "
+    "loggers and motions too (needs the extra `mujoco`).",
+)
+@click.option(
     "--seal",
     "home",
     type=click.Path(path_type=Path, file_okay=False),
@@ -46,6 +54,7 @@ from rig.common.errors import InputError
 @shared.result_file
 def command(
     rigs: int,
+    plant: str,
     home: Path | None,
     source: Path | None,
     out: Path,
@@ -66,10 +75,40 @@ def command(
       rig prove --rigs 24 --jobs 2 --out proof
       rig prove --gas --rigs 100 --out gas-proof
       rig prove --seal sealed --rigs 24 --seed 7
+      rig prove --plant mujoco --rigs 12 --jobs 2 --out mujoco-proof
       rig prove --from sealed-by-others --json proof.json
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
+
+    _require_one_task(home, source, gas, plant)
+    require_folder(out, "--out")
+    require_file(json_file, "--json")
+    started = time.perf_counter()
+    try:
+        if home is not None:
+            require_folder(home, "--seal")
+            _seal(home, plant, rigs, seed, jobs)
+            return
+        if plant != OWN:
+            source = out / WORLDS
+            _seal(source, plant, rigs, seed, jobs)
+        if source is not None:
+            rows = _judge(source, out, rigs, seed, jobs)
+        else:
+            rows = _prove(out, rigs, seed, gas, jobs, keep)
+        _show(rows, out, seed, started, json_file)
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or out}: cannot be written: {error.strerror}; give --out or --seal "
+            f"another place"
+        ) from error
+
+
+def _show(
+    rows: list[dict[str, Any]], out: Path, seed: int, started: float, json_file: Path | None
+) -> None:
+    """Write a proof's result and report, and print it."""
     from rig.common.result_files import Provenance
     from rig.results.files import PAGE_FILE, write_page, write_record
     from rig.results.prove.run import PROOF_FILE
@@ -77,25 +116,7 @@ def command(
     from rig.results.prove.scoring.score import RESULT_FILE, proof_record
     from rig.results.terminal import text
 
-    _require_one_task(home, source, gas)
-    require_folder(out, "--out")
-    require_file(json_file, "--json")
-    started = time.perf_counter()
-    try:
-        if home is not None:
-            require_folder(home, "--seal")
-            _seal(home, rigs, seed, jobs)
-            return
-        if source is not None:
-            rows = _judge(source, out, rigs, seed, jobs)
-        else:
-            rows = _prove(out, rigs, seed, gas, jobs, keep)
-        provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
-    except OSError as error:
-        raise InputError(
-            f"{error.filename or out}: cannot be written: {error.strerror}; give --out or --seal "
-            f"another place"
-        ) from error
+    provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     result = proof_record(rows, provenance)
     write_record(result, out / RESULT_FILE, json_file)
     document = prove_document(result, provenance)
@@ -104,7 +125,10 @@ def command(
     click.echo(f"report: {out / PAGE_FILE}")
 
 
-def _require_one_task(home: Path | None, source: Path | None, gas: bool) -> None:
+OWN, WORLDS = "own", "worlds"
+
+
+def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: str) -> None:
     """Check that options do not contradict each other.
 
     Raises:
@@ -112,8 +136,10 @@ def _require_one_task(home: Path | None, source: Path | None, gas: bool) -> None
     """
     if home is not None and source is not None:
         raise InputError("--seal writes trials and --from reads them; give one of the two")
-    if gas and (home is not None or source is not None):
-        raise InputError("--gas cannot be combined with --seal or --from; leave it out")
+    if gas and (home is not None or source is not None or plant != OWN):
+        raise InputError("--gas cannot be combined with --seal, --from or --plant; leave it out")
+    if source is not None and plant != OWN:
+        raise InputError("--from judges trials that are made already; leave --plant out")
 
 
 def _prove(
@@ -132,13 +158,20 @@ def _prove(
         return work(proof, judge, jobs, keep, bar)
 
 
-def _seal(home: Path, rigs: int, seed: int, jobs: int) -> None:
+def _seal(home: Path, plant: str, rigs: int, seed: int, jobs: int) -> None:
     """Draw and seal trials for others; print their digests."""
     from rig.results.prove.interchange.own import seal_own
     from rig.terminal.bar import ShareBar
 
     with ShareBar() as bar:
-        sealed = seal_own(home, rigs, seed, jobs, bar)
+        if plant == OWN:
+            sealed = seal_own(home, rigs, seed, jobs, bar)
+        else:
+            from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
+            from rig.results.prove.worlds.seal import seal_worlds
+
+            require_mujoco()
+            sealed = seal_worlds(home, MujocoPlant(), rigs, seed, jobs, bar)
     for rig in sealed:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 

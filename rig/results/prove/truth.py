@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Literal
 
 from pydantic import Field
 
+from drivers.mock.plant.effects.gas import GAS_CATALOGUE
+from drivers.mock.plant.effects.table import CATALOGUE
 from identification.diagnosis.catalogue import ENTRIES
 from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
+INJECTED: Mapping[str, Mapping[str, object]] = {**CATALOGUE, **GAS_CATALOGUE}
+"""Effect to the parameters that a simulated machine takes, some of which no diagnosis gives."""
 Axis = bool | float | str | None
 
 
@@ -103,7 +107,7 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
                 "no effect of the catalogue; see `rig effects`, or list the name under outside",
             )
             continue
-        known = {p.name for p in ENTRIES[name].parameters}
+        known = {p.name for p in ENTRIES[name].parameters} | INJECTED.get(name, {}).keys()
         for key in given.keys() - known:
             yield (
                 ("effects", name, key),
