@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from identification.numerics.compiled import compiled
 from rig.results.prove.worlds.world import Array, World
 
 DAMPING = 0.8
@@ -44,8 +44,7 @@ def settings(world: World) -> Array:
         out[VELOCITY] = constants.J * omega
         out[INTEGRAL] = constants.J * omega**2 / 5.0
     else:
-        smallest = min(float(np.abs(r.command).max()) for r in world.recordings)
-        out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / smallest
+        out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / world.smallest_rad
         out[VELOCITY] = 2.0 * DAMPING * math.sqrt(out[POSITION] * constants.J)
     out[PERIOD], out[CASCADE] = 1.0 / drive.rate_Hz, float(drive.kind == "cascade")
     out[FORWARD] = drive.feedforward
@@ -61,7 +60,7 @@ def settings(world: World) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def asked(p: Array, s: Array, command: float, speed: float, angle: float, current: float) -> float:
     """Return the voltage that the drive asks for; updates its states.
 

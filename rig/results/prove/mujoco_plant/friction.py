@@ -7,8 +7,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from identification.numerics.compiled import compiled
 from rig.results.prove.mujoco_plant.model import two_bodies
 from rig.results.prove.worlds.world import Array, World
 
@@ -78,7 +78,7 @@ def values(world: World, k: int, began_s: float) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def dry(f: Array, s: Array, t: float, q: float, w: float, push: float, dt: float) -> float:
     """Return the level of dry friction of the joint, N m; updates the states ``s``.
 
@@ -122,7 +122,7 @@ def dry(f: Array, s: Array, t: float, q: float, w: float, push: float, dt: float
     return float(max(own, 0.0))
 
 
-@njit(cache=True)
+@compiled
 def damping(f: Array, t: float, q: float) -> float:
     """Return the viscous friction of the joint, N m s/rad."""
     own = f[VISCOUS]
@@ -131,7 +131,7 @@ def damping(f: Array, t: float, q: float) -> float:
     return float(own * (1.0 - f[SHARE]) + f[ARM] * f[FORCE] * (1.0 + f[SLOPE] * q) * f[MU_2])
 
 
-@njit(cache=True)
+@compiled
 def further(
     f: Array, s: Array, since: float, phi: float, w: float, current: float, dt: float
 ) -> float:

@@ -13,8 +13,8 @@ from collections.abc import Collection, Iterator
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from identification.numerics.compiled import compiled
 from rig.common.errors import InputError
 from rig.results.prove.mujoco_plant.drive import COUNT, LAST, PERIOD, STATES, asked, settings
 from rig.results.prove.mujoco_plant.friction import (
@@ -201,7 +201,7 @@ def _stage(world: World, session_s: float) -> Array:
     return out
 
 
-@njit(cache=True)
+@compiled
 def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> None:
     """Do what the drive and the further physics do before one of MuJoCo's steps.
 

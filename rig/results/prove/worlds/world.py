@@ -221,6 +221,14 @@ class World:
             (p.mass_kg * p.length_m for p in hung), default=0.0
         )
 
+    @property
+    def smallest_rad(self) -> float:
+        """Return the greatest angle of the smallest motion, at least a twentieth of the greatest
+        motion's.
+        """
+        most = [float(np.abs(r.command).max()) for r in self.recordings]
+        return max(min(most), max(most) / 20.0, 1e-3)
+
     def contact_N(self, k: int) -> float:
         """Return the contact force of recording ``k``, whose weight may not be what its label
         says.
