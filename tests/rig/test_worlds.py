@@ -175,8 +175,7 @@ def test_each_way_of_logging_a_current_is_as_late_as_it_says() -> None:
     exact = logged(world_with({}, current="sampled"))["current"]
     averaged = logged(world_with({}, current="averaged"))["current"]
     filtered = logged(world_with({}, current="filtered", filter_Hz=100.0))["current"]
-    # A mean over 8 samples that ends at the stamp lies 3.5 samples of the loop earlier.
-    assert lag_s(averaged, exact) == pytest.approx(3.5 / 4000.0, rel=0.02)
+    assert lag_s(averaged, exact) == pytest.approx(0.5 / 500.0, rel=0.02)
     assert lag_s(filtered, exact) == pytest.approx(1.0 / (2.0 * np.pi * 100.0), rel=0.15)
 
 

@@ -58,8 +58,9 @@ def _current(
     current = _late(world, signals.current, "current")
     log, sensing = world.log, world.sensing
     if log.current == "averaged":
-        sums = np.concatenate(([0.0], np.cumsum(current)))
-        logged = (sums[rows + 1] - sums[rows + 1 - step]) / step
+        # Between two ticks the current is a line, the voltage a constant.
+        sums = np.concatenate(([0.0], np.cumsum(0.5 * (current[1:] + current[:-1]))))
+        logged = (sums[rows] - sums[rows - step]) / step
         noise = sensing.current_noise_A / np.sqrt(step)
     else:
         if log.current == "filtered":
@@ -81,7 +82,7 @@ def _voltage(
     if world.log.voltage == "commanded":
         return np.asarray(signals.voltage[rows])
     sums = np.concatenate(([0.0], np.cumsum(signals.terminal)))
-    mean = (sums[rows + 1] - sums[rows + 1 - step]) / step
+    mean = (sums[rows] - sums[rows - step]) / step
     return np.asarray(mean + world.sensing.voltage_noise_V * rng.standard_normal(len(rows)))
 
 
