@@ -75,6 +75,12 @@ ARGUED: Mapping[tuple[str, str], str] = {
     ("arguments", "identification.filter.kalman:innovations"): (
         "compiled kernel: takes numbers and arrays and no records; Filter is its only caller"
     ),
+    ("arguments", "identification.filter.sensitivity:sensitivities"): (
+        "compiled kernel: takes numbers and arrays and no records; Filter is its only caller"
+    ),
+    ("long function", "identification.filter.sensitivity:sensitivities"): (
+        "a third documents its arrays; parts of the loop would each take the state and all arrays"
+    ),
     ("long function", "identification.filter.kalman:innovations"): (
         "a third documents its arrays; parts of the loop would each take the state and all arrays"
     ),

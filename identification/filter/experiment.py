@@ -5,7 +5,7 @@ segments.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +17,8 @@ from identification.filter.kalman import innovations
 from identification.filter.noise import Noise
 from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
 from identification.filter.segments import Motion
+from identification.filter.sensitivity import sensitivities
+from identification.filter.tangents import seeded
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Model
@@ -29,6 +31,9 @@ Theory 3 (1956) 266).
 """
 _LEAST_SHARED = 30000.0
 """Integration steps above which a second thread saves time."""
+
+COST_OF_SENSITIVITIES = 3
+"""Passes of the filter that a pass with sensitivities takes."""
 
 _Part = list[tuple[int, slice]]
 """A subset of the segments: pairs of recording number and rows of its table."""
@@ -163,15 +168,8 @@ class Filter:
         motions = self.experiment.motions
         tables = [m.table for m in motions] if heads is None else heads.tables
         self.evaluations += 1 if heads is None else 0
-        one, other = self._halves if heads is None else (_whole(tables), [])
-        case = (tables, p, times, noise)
-        if other:
-            with ThreadPoolExecutor(1) as beside:
-                half = beside.submit(self._filter, other, *case)
-                self._filter(one, *case)
-            half.result()
-        else:
-            self._filter(one, *case)
+        halves = self._halves if heads is None else (_whole(tables), [])
+        self._shared(halves, lambda part: self._filter(part, tables, p, times, noise))
         inside = [m.inside for m in motions] if heads is None else heads.inside
         return _joined(self._errors, inside), _joined(self._deviations, inside)
 
@@ -181,6 +179,49 @@ class Filter:
         """
         self.run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
+
+    def sensitivities(
+        self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
+    ) -> tuple[Array, Array]:
+        """Return the derivatives of the innovations inside segments, rad, and those of the
+        logarithms of their standard deviations, shape (r - m, d) each.
+
+        Args:
+            p: Vector of :mod:`identification.model.parameters`.
+            times: Breakaway times, s, one array per recording.
+            noise: Noise of torque and angle; held.
+            seeds: Directions, shape (d, :data:`identification.filter.sensitivity.SEEDS`).
+        """
+        motions = self.experiment.motions
+        self.evaluations += COST_OF_SENSITIVITIES
+        shape = len(seeds)
+        slopes, widenings = ([np.zeros((len(m.time), shape)) for m in motions] for _ in range(2))
+
+        def part_of(part: _Part) -> None:
+            tangents = seeded(seeds)
+            for j, rows in part:
+                m = motions[j]
+                samples = (m.time, m.angle, m.torque, m.slope, m.moment, m.steps, m.unsure)
+                sensitivities(
+                    m.table[rows], times[j][rows], samples, m.extra_inertia, _levels(m, noise), p,
+                    tangents, slopes[j], widenings[j],
+                )  # fmt: skip
+
+        self._shared(self._halves, part_of)
+        inside = [m.inside for m in motions]
+        return _joined(slopes, inside), _joined(widenings, inside)
+
+    @staticmethod
+    def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
+        """Do both halves of the work, the second one in another thread if there is one."""
+        one, other = halves
+        if not other:
+            return work(one)
+        with ThreadPoolExecutor(1) as beside:
+            half = beside.submit(work, other)
+            work(one)
+        half.result()
+        return None
 
     def _filter(
         self,
@@ -195,16 +236,18 @@ class Filter:
         """
         for j, rows in part:
             m = self.experiment.motions[j]
-            variance = m.angle_variance + noise.angle**2
-            staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
-            level = np.array(
-                [noise.torque, variance, noise.correlated, noise.correlation_s, staying]
-            )
             innovations(
                 tables[j][rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, level, m.steps, m.unsure, p,
+                m.extra_inertia, _levels(m, noise), m.steps, m.unsure, p,
                 self._errors[j], self._deviations[j], self._speeds[j], self._correlated[j],
             )  # fmt: skip
+
+
+def _levels(m: Motion, noise: Noise) -> Array:
+    """Return the noise of a recording as the kernels take it, shape (5,)."""
+    variance = m.angle_variance + noise.angle**2
+    staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
+    return np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
 
 
 def _joined(values: Sequence[Array], inside: Sequence[NDArray[np.bool_]]) -> Array:

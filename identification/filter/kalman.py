@@ -29,7 +29,7 @@ from identification.numerics.compiled import compiled, inlined
 # readings at rest, rad^2.
 WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
-_LEAST_SPEED = 1e-7
+LEAST_SPEED = 1e-7
 _SLIP = 0.7
 """Mean square difference between a random walk reflected at zero and a free one, under a drift that
 rises through zero, in natural units (M21); simulated in the tests.
@@ -67,13 +67,13 @@ def _predict(
     h = (stop - start) / steps
     now, inverse = start, 1.0 / inertia
     for _ in range(int(steps)):
-        speed = max(side * omega, _LEAST_SPEED)
+        speed = max(side * omega, LEAST_SPEED)
         force, grade = expected_friction(speed, p22, moment, p)
         u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET] + hidden)
         half = -0.5 * h * inverse * grade
         share = 1.0 / max(1.0 - half, 0.5)
         after = speed + h * (u - force) * inverse * share
-        missing = max(_LEAST_SPEED - after, 0.0)
+        missing = max(LEAST_SPEED - after, 0.0)
         after += missing
         growth = min((1.0 + half) * share, 3.0)
         angle += side * h * 0.5 * (speed + after)
@@ -97,7 +97,7 @@ def _predict(
 
 
 @inlined
-def _reading_at_rest(
+def reading_at_rest(
     here: float, p11: float, error: float, angle_noise: float, staying: float
 ) -> tuple[float, float]:
     """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
@@ -114,7 +114,7 @@ def _reading_at_rest(
 
 
 @inlined
-def _corrected(
+def corrected(
     state: State, error: float, variance: float, new: float, unsure: float, side: float
 ) -> State:
     """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps
@@ -129,7 +129,7 @@ def _corrected(
     less = new * (2.0 - new)
     angle += new * g1 * error
     omega += new * g2 * error
-    missing = max(_LEAST_SPEED - side * omega, 0.0)
+    missing = max(LEAST_SPEED - side * omega, 0.0)
     omega += side * missing
     p22 += missing * missing - less * g2 * p12 + unsure
     if p33 > 0.0:
@@ -152,7 +152,7 @@ def _corrected(
 
 
 @compiled
-def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
+def slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
     """Return the mean square speed that noise causes before the mean torque reaches the static
     limit, (rad/s)^2 (M21).
 
@@ -219,8 +219,8 @@ def innovations(
         side = float(segments[j, DIRECTION])
         if segments[j, TORQUE_RATE] > 0:
             begin = breakaway_times[j]
-            omega = side * _LEAST_SPEED
-            p22 = _slip_variance(
+            omega = side * LEAST_SPEED
+            p22 = slip_variance(
                 noise[WHITE], time[first] - time[first - 1], segments[j, TORQUE_RATE], inertia
             )
         else:
@@ -261,10 +261,10 @@ def innovations(
             out[k] = error
             spread[k] = math.sqrt(variance)
             if start >= time[k]:
-                here, p11 = _reading_at_rest(here, p11, error, noise[ANGLE], noise[STAYING])
+                here, p11 = reading_at_rest(here, p11, error, noise[ANGLE], noise[STAYING])
                 speeds[k] = omega
                 continue
-            here, omega, p11, p12, p22, hidden, p13, p23, p33 = _corrected(
+            here, omega, p11, p12, p22, hidden, p13, p23, p33 = corrected(
                 (here, omega, p11, p12, p22, hidden, p13, p23, p33),
                 error,
                 variance,

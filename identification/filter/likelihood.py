@@ -15,14 +15,12 @@ from identification.filter.experiment import Experiment, Filter, Heads
 from identification.filter.noise import Noise
 from identification.filter.segment_table import DIRECTION
 from identification.filter.segments import Motion
+from identification.filter.static_limit import static_crossings, static_limit, static_slopes
+from identification.filter.tangents import SEEDS, START
 from identification.model.parameters import (
     ALPHA,
-    LOAD_RISE,
     LOGARITHMIC,
-    MC,
-    MU_C,
     OFFSET,
-    SYSTEM_RISE,
 )
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
@@ -37,6 +35,12 @@ _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
+_GREATEST_CHANGE = 10.0
+"""Greatest change of an error, in standard deviations, or of a logarithm of its deviation, over
+one step of a finite difference.
+"""
+_TIE_STEP_S = 1e-6
+"""Step of a breakaway time for the slope of the torque there."""
 _LONGEST_SHIFT_S = _SHIFTS_S[-1]
 _UNFELT = 1e-6
 """Change of a residual, in standard deviations, below which its sample does not feel a shift of the
@@ -191,18 +195,44 @@ class Point:
         return np.asarray(np.concatenate([deviations, ties]) * self.inflation[self.owners])
 
     def derivatives(
-        self, x: Array, errors: Array, deviations: Array
+        self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
-        """Return d errors / d x over the deviations, and d log deviations / d x, by finite
-        differences.
+        """Return d errors / d x over the deviations, and d log deviations / d x."""
+        errors, widening = self._sensitivities(x, deviations)
+        return self._arrow(errors), self._arrow(widening)
+
+    def _sensitivities(self, x: Array, deviations: Array) -> tuple[Array, Array]:
+        """Return d errors / d x over the deviations, and d log deviations / d x, shape (r, p + 1)
+        each; the last column is of the breakaway time of the row's segment.
+
+        They are bounded as finite differences would be: in stick-slip an error depends irregularly
+        on the parameters, and its slope says nothing of a step.
         """
+        p, times, seeds = self.parameters(x), self.times(x), self._seeds(x)
+        errors, widening = self.filter.sensitivities(p, times, self.noise, seeds)
+        later = [t + _TIE_STEP_S for t in times]
+        along = (self.ties(p, later) - self.ties(p, times)) / _TIE_STEP_S
+        limits = [static_slopes(seeds[:, :START], m) for m in self.motions]
+        offsets = [m.table[:, DIRECTION, None] * seeds[:, OFFSET] for m in self.motions]
+        ties = -np.concatenate(limits) - np.concatenate(offsets) + along[:, None] * seeds[:, START]
+        steps = PARAMETER_STEP * np.maximum(np.abs(x[: len(self.free)]), _LEAST_SCALE)
+        bound = _GREATEST_CHANGE / np.append(steps, _TIME_STEP)
+        slopes = np.concatenate([errors, ties]) / deviations[:, None]
+        widening = np.concatenate([widening, np.zeros_like(ties)])
+        return _bounded(slopes, bound), _bounded(widening, bound)
 
-        def change(there: Array) -> Array:
-            e, d = self.predictions(there)
-            return np.stack([(e - errors) / deviations, np.log(d / deviations)])
-
-        parameters, times = self.differences(x, change)
-        return self._arrow(parameters[0], times[0]), self._arrow(parameters[1], times[1])
+    def _seeds(self, x: Array) -> Array:
+        """Return the derivatives of all parameters with respect to each free one, and of the
+        breakaway times with respect to their common shift, shape (p + 1, SEEDS).
+        """
+        seeds = np.zeros((len(self.free) + 1, SEEDS))
+        p = self.parameters(x)
+        for j, k in enumerate(self.free):
+            seeds[j, k] = p[k] if k in LOGARITHMIC else 1.0
+        for coulomb, rise, _ in self.experiment.statics:
+            seeds[:, rise] = -seeds[:, coulomb]
+        seeds[-1, START] = _TIME_SCALE_S
+        return seeds
 
     def weighted(self, step: float = PARAMETER_STEP) -> Weighted:
         """Return the residuals around this point, weighted with the standard deviations at this
@@ -233,8 +263,11 @@ class Point:
         along = change(there) / _TIME_STEP
         return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
 
-    def _arrow(self, parameters: Array, times: Array) -> BlockArrow:
-        return BlockArrow(parameters, times, self.owners, self.breakaways)
+    def _arrow(self, slopes: Array) -> BlockArrow:
+        """Return the Jacobian of slopes of shape (r, p + 1), the breakaway time's last."""
+        return BlockArrow(
+            np.ascontiguousarray(slopes[:, :-1]), slopes[:, -1].copy(), self.owners, self.breakaways
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,9 +291,11 @@ class Weighted:
         return np.asarray(errors / self.deviations)
 
     def jacobian(self, x: Array, here: Array) -> BlockArrow:
-        """Return d residuals / d x at ``x`` by finite differences; ``here`` are the residuals at
-        ``x``.
+        """Return d residuals / d x at ``x``: by sensitivities, or with wider steps by finite
+        differences; ``here`` are the residuals at ``x``.
         """
+        if self.step == PARAMETER_STEP:
+            return self.point._arrow(self.point._sensitivities(x, self.deviations)[0])
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )
@@ -349,13 +384,6 @@ class Searched(NamedTuple):
     iterations: int
 
 
-def static_limit(p: Array, m: Motion) -> Array:
-    """Return the static limit Ms + F_P L1 mu_s (M3) at each breakaway, N m, shape (m,)."""
-    return np.asarray(p[MC] + p[SYSTEM_RISE] + m.breakaway_moment * (p[MU_C] + p[LOAD_RISE]))
-
-
-def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
-    """Return when the torque first reaches the static limit at each breakaway, s, one array per
-    recording.
-    """
-    return tuple(m.static_crossing(static_limit(p, m)) for m in motions)
+def _bounded(slopes: Array, bound: Array) -> Array:
+    """Return slopes within a bound for each column; zero where undefined, shape (r, d)."""
+    return np.asarray(np.clip(np.nan_to_num(slopes, nan=0.0), -bound, bound))

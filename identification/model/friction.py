@@ -32,7 +32,7 @@ from identification.model.parameters import (
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import inlined
 
-_NEGLIGIBLE = 37.0
+NEGLIGIBLE = 37.0
 """Exponent beyond which the falling part is below the rounding error of the other parts:
 exp(-37).
 """
@@ -96,7 +96,7 @@ def _falling(
     if alpha != 2.0:
         x = (speed / omega_s) ** alpha
         rate = x / (speed * speed)
-    if x >= _NEGLIGIBLE:
+    if x >= NEGLIGIBLE:
         return 0.0, 0.0
     part = height * math.exp(-x)
     curved = part * alpha * rate

@@ -12,7 +12,7 @@ from identification.filter import kalman as kernel
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import deviance, likeliest_noise
-from identification.filter.segment_table import TORQUE_RATE
+from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording
@@ -171,8 +171,8 @@ def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero(
         )
     excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
     # Coarse steps miss part of what the walk meets at zero.
-    assert kernel._slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
-    assert kernel._slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
+    assert kernel.slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
+    assert kernel.slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
 
 
 def test_inside_steps_converge() -> None:
@@ -276,26 +276,54 @@ def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) ->
         assert deviance(*replace(point, vector=wrong).run()) > right, name
 
 
+@pytest.mark.parametrize("noise", [Noise(0.06), Noise(0.05, 2e-6, 0.04, 0.01)], ids=str)
+@pytest.mark.parametrize("alpha", [2.0, 1.4])
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
-def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case: int) -> None:
+def test_sensitivities_are_the_slopes_of_the_predictions(
+    motions: tuple[Motion, Motion], case: int, alpha: float, noise: Noise
+) -> None:
     """Every column by central differences of its own, breakaway times included one by one."""
-    short = replace(motions[case], table=motions[case].table[:3], seen=motions[case].seen[:3])
-    inside = np.zeros(len(short.time), dtype=bool)
-    for first, last in short.table[:, :2].astype(int):
-        inside[first:last] = True
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J", "offset") + (
         ("mu_c", "mu_s", "omega_sL", "mu_2") if case else ()
     )
-    point = at_truth(replace(short, inside=inside), free=tuple(INDEX[n] for n in names))
-    held, x = point.weighted(), point.origin()
-    found = held.jacobian(x, held.residuals(x)).dense()
+    free = tuple(INDEX[n] for n in names)
+    short = first_segments(motions[case], 3)
+    if alpha == 2.0:
+        # The second segment continues the first, as far as the filter knows.
+        short.table[1, [FIRST, TORQUE_RATE]] = short.table[0, LAST], 0.0
+    point = Point.of([short], pack({**TRUTH, "offset": 0.02}, alpha), free, Model(), noise)
+    x = point.origin()
+    errors, deviations = point.predictions(x)
+    slopes, widening = (found.dense() for found in point.derivatives(x, errors, deviations))
     for k in range(len(x)):
-        step = 2e-5 * max(abs(x[k]), 0.05) if k < len(names) else 1e-3
+        step = 1e-6 * max(abs(x[k]), 0.05) if k < len(names) else 1e-4
         up, down = x.copy(), x.copy()
         up[k] += step
         down[k] -= step
-        column = (held.residuals(up) - held.residuals(down)) / (2.0 * step)
-        assert np.linalg.norm(found[:, k] - column) < 0.05 * np.linalg.norm(column), k
+        (e1, d1), (e0, d0) = point.predictions(up), point.predictions(down)
+        for found, column in (
+            (slopes[:, k], (e1 - e0) / deviations / (2.0 * step)),
+            (widening[:, k], np.log(d1 / d0) / (2.0 * step)),
+        ):
+            assert np.linalg.norm(found - column) <= 1e-4 * np.linalg.norm(column) + 1e-12, k
+
+
+def test_a_wide_step_is_a_difference_of_residuals(motions: tuple[Motion, Motion]) -> None:
+    point = at_truth(first_segments(motions[0], 2), free=(INDEX["Mc"],))
+    held, x = point.weighted(0.01), point.origin()
+    here = held.residuals(x)
+    away = x.copy()
+    away[0] *= 1.01
+    column = (held.residuals(away) - here) / (0.01 * x[0])
+    assert held.jacobian(x, here).dense()[:, 0] == pytest.approx(column)
+
+
+def first_segments(m: Motion, count: int) -> Motion:
+    """Return a recording with its first segments only."""
+    table, inside = m.table[:count].copy(), np.zeros(len(m.time), dtype=bool)
+    for first, last in table[:, :2].astype(int):
+        inside[first:last] = True
+    return replace(m, table=table, seen=m.seen[:count], inside=inside)
 
 
 def test_packing_keeps_static_limits_as_rises() -> None:

@@ -9,6 +9,7 @@ noise, the errors need only have zero mean.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -135,6 +136,8 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
             break
         point = replace(point, noise=likeliest_noise(point))
         step, deviation = _inertia_step(point)
+        if not math.isfinite(step):
+            raise np.linalg.LinAlgError("the estimating equation does not determine the inertia")
         here = float(np.log(point.vector[INERTIA]))
         low, high = ((here, step), high) if step > 0.0 else (low, (here, step))
         there = here + float(np.clip(step, -_LONGEST_LOG, _LONGEST_LOG))

@@ -115,14 +115,14 @@ def _best_of(
         best: The best end so far.
         found: Gains the chi-square of every solution.
     """
-    for start in starts:
+    for number, start in enumerate(starts):
+        if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
+            break
         solved = _solved_from(start, free)
         if solved is not None:
             found.append(solved.chi2)
             if best is None or solved.chi2 < best.chi2:
                 best = solved
-        if (best is not None and best.chi2 < SOLVED) or spent(start):
-            break
     return best
 
 
