@@ -13,6 +13,10 @@ from rig.results.prove.worlds.world import COMMAND_S, Array
 
 SMOOTHED_S = 0.12
 EASED_S = 0.6
+SLOWER = (1.0, 0.6, 0.35, 0.2)
+"""Shares of its pace at which a motion is tried, until the acceleration leaves it worth making."""
+WORTH = 0.3
+"""Least share of the travel of a motion that is worth making."""
 Shape = Callable[[np.random.Generator, Array], Array]
 """(generator, times) to a path without scale."""
 
@@ -38,15 +42,23 @@ def command(
         reach: Its limits; the drawn scale uses 55 to 100 % of the one that binds.
     """
     t: Array = np.arange(round((duration_s + lead_s) / COMMAND_S), dtype=np.float64) * COMMAND_S
-    path = MOTIONS[motion](rng, t)
-    window = np.hanning(round(SMOOTHED_S / COMMAND_S) + 3)[1:-1]
+    seed, share = int(rng.integers(1 << 62)), rng.uniform(0.55, 1.0)
+    for slower in SLOWER:
+        path = _smooth(MOTIONS[motion](np.random.default_rng(seed), t * slower), slower)
+        path = (path - path[0]) * _eased(t)
+        speed = np.gradient(path, COMMAND_S)
+        most = (np.abs(x).max() for x in (path, speed, np.gradient(speed, COMMAND_S)))
+        scale = min(limit / max(m, 1e-12) for limit, m in zip(reach, most, strict=True))
+        if scale * np.abs(path).max() > WORTH * reach.travel:
+            break
+    return np.asarray(path * scale * share)
+
+
+def _smooth(path: Array, slower: float) -> Array:
+    """Return a path with round corners."""
+    window = np.hanning(round(SMOOTHED_S / slower / COMMAND_S) + 3)[1:-1]
     padded = np.pad(path, len(window) // 2, mode="edge")
-    path = np.convolve(padded, window / window.sum(), mode="valid")[: len(t)]
-    path = (path - path[0]) * _eased(t)
-    speed = np.gradient(path, COMMAND_S)
-    asked = (np.abs(path).max(), np.abs(speed).max(), np.abs(np.gradient(speed, COMMAND_S)).max())
-    scale = min(limit / max(most, 1e-12) for limit, most in zip(reach, asked, strict=True))
-    return np.asarray(path * scale * rng.uniform(0.55, 1.0))
+    return np.convolve(padded, window / window.sum(), mode="valid")[: len(path)]
 
 
 def _eased(t: Array) -> Array:
