@@ -120,6 +120,18 @@ def test_a_world_has_what_its_effect_needs_to_show(name: str) -> None:
         assert all(has[need] for need in NEEDS[name])
 
 
+@pytest.mark.usefixtures("brief")
+def test_a_stop_is_on_the_side_that_is_commanded() -> None:
+    sides = set()
+    for k in range(12):
+        world = draw_world("one", ("end_stop",), (7, k))
+        end = world.effects["end_stop"]["angle_rad"]
+        fitted = [r.command for r in world.recordings if r.role == "fit"]
+        assert max(float((np.sign(end) * c).max()) for c in fitted) > abs(end)
+        sides.add(np.sign(end))
+    assert sides == {-1.0, 1.0}
+
+
 def test_names_come_in_turn_and_pairs_share_a_load() -> None:
     drawn = worlds_assignment(100, 2, IN_CATALOGUE, ("x_bursts",))
     kinds = [kind for kind, _ in drawn]

@@ -183,6 +183,8 @@ def _scale(body: Body, recordings: Sequence[Planned]) -> Scale:
     """Return what the sizes of effects are drawn against, from the motions of the fit."""
     fitted = [(k, r) for k, r in enumerate(recordings, start=1) if r.role == "fit"]
     steps = [np.abs(np.diff(r.command)).max() for _, r in fitted]
+    ends = [end for _, r in fitted for end in (r.command.min(), r.command.max())]
+    farthest = float(max(ends, key=abs))
     speed = float(max(steps)) / 1e-3
     constants = body.constants
     torque = constants.Mc + constants.sigma_2 * speed
@@ -194,7 +196,8 @@ def _scale(body: Body, recordings: Sequence[Planned]) -> Scale:
         Mc=constants.Mc,
         sigma_2=constants.sigma_2,
         J=constants.J,
-        travel=float(max(np.abs(r.command).max() for _, r in fitted)),
+        travel=abs(farthest),
+        farthest=farthest,
         speed=speed,
         current=torque / body.motor.torque_per_A,
         resistance=body.motor.resistance_ohm,

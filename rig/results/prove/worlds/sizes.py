@@ -24,6 +24,7 @@ class Scale:
         sigma_2: Viscous friction, N m s/rad.
         J: Inertia, kg m^2.
         travel: Greatest commanded angle, rad.
+        farthest: The same with its sign: the side on which a stop would be met.
         speed: Greatest commanded speed, rad/s.
         current: Current of the greatest friction, A.
         resistance: Of the winding, ohm.
@@ -38,6 +39,7 @@ class Scale:
     sigma_2: float
     J: float
     travel: float
+    farthest: float
     speed: float
     current: float
     resistance: float
@@ -52,11 +54,10 @@ Draw = Callable[[np.random.Generator, Scale], Parameters]
 
 
 def _stop(rng: np.random.Generator, s: Scale) -> Parameters:
-    at = s.travel * even(0.6, 0.88)(rng)
-    stiffness = s.Mc * log(0.3, 2.0)(rng) / (s.travel - at)
-    sides = rng.uniform()
-    given = {"angle_rad": at if sides > 0.25 else -at, "stiffness_Nm_rad": stiffness}
-    return given | ({"other_rad": -at} if sides > 0.5 else {})
+    at = s.farthest * even(0.5, 0.85)(rng)
+    stiffness = s.Mc * log(0.3, 2.0)(rng) / abs(s.farthest - at)
+    given = {"angle_rad": at, "stiffness_Nm_rad": stiffness}
+    return given | ({"other_rad": -at} if rng.uniform() < 0.5 else {})
 
 
 def _wrong_weight(rng: np.random.Generator, s: Scale) -> Parameters:
