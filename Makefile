@@ -22,7 +22,7 @@ help:
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
-	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
+	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)"
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
@@ -113,6 +113,7 @@ literal: $(VENV)/.runtime
 
 real: $(VENV)/.runtime
 	$(BIN)/python benchmarks/real_recordings.py
+	$(BIN)/python benchmarks/real_diagnoses.py tests/campaigns/*.yaml
 
 loop: $(VENV)/.runtime
 	$(BIN)/python tests/long/close_loop.py

@@ -217,7 +217,7 @@ class Servo(ABC):
         """Read back the limits held in the drive."""
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return what the drive neither holds nor tells. Sends nothing."""
+        """Return what the drive neither holds nor tells. Nothing is sent."""
         return NOTHING
 
     def speed_remedy(self, factor: float) -> str:
@@ -225,11 +225,11 @@ class Servo(ABC):
         return "correct the unit of its speed in the bench file"
 
     def limit_steps(self) -> LimitSteps | None:
-        """Return the resolution of those limits; None where it is not known. Sends nothing."""
+        """Return the resolution of those limits; None where it is not known. Nothing is sent."""
         return None
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield what :meth:`write_limits` would refuse before it writes. Sends nothing."""
+        """Yield what :meth:`write_limits` would refuse before it writes. Nothing is sent."""
         yield from ()
 
     @abstractmethod

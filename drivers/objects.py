@@ -55,7 +55,7 @@ class ObjectAccess(Protocol):
         ...
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that an object is described and can hold a value. Sends nothing.
+        """Check that an object is described and can hold a value. Nothing is sent.
 
         Raises:
             ConfigurationError: The object is not described, or cannot hold the value.
@@ -114,19 +114,19 @@ class ProcessChannel(ObjectAccess, Protocol):
         in process data. Without ``mappable`` a faulty description of it counts, so that its use is
         refused.
 
-        Sends nothing.
+        Nothing is sent.
         """
         ...
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
         """Return whether these objects can travel in one layout; True for unknown ones, which
-        :meth:`require_mappable` refuses. Sends nothing.
+        :meth:`require_mappable` refuses. Nothing is sent.
         """
         ...
 
     def require_watchable(self) -> None:
         """Check against the description that the device can watch the control loop, as far as the
-        transport leaves this to the device. Sends nothing.
+        transport leaves this to the device. Nothing is sent.
 
         Raises:
             ConfigurationError: It cannot.
@@ -144,7 +144,7 @@ class ProcessChannel(ObjectAccess, Protocol):
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check against the device's description that process data can be mapped.
 
-        Sends nothing.
+        Nothing is sent.
 
         Raises:
             ConfigurationError: An object is not described or is no integer, or too many travel

@@ -1,1 +1,1 @@
-"""CANopen: link, node, SDO, PDO, EMCY, EDS files, and the profiles CiA 402, 404 and 406."""
+"""CANopen master: link, node, SDO, PDO, EMCY, EDS files, and the profiles CiA 402, 404 and 406."""

@@ -1,4 +1,4 @@
-"""CiA 402 power drive system, host side: states, commands, and the table of permitted commands.
+"""State machine of CiA 402 drives, host side: states, commands, table of permitted commands.
 
 States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
 that lead toward power.
@@ -51,27 +51,29 @@ QUICK_STOP: Final = 0x02
 FAULT_RESET: Final = 0x80
 
 CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
-    # Toward power, one transition at a time.
+    # A command toward power makes one transition.
     (S.SWITCH_ON_DISABLED, Command.ENABLE): SHUTDOWN,
     (S.READY, Command.ENABLE): SWITCH_ON,
     (S.SWITCHED_ON, Command.ENABLE): ENABLE_OPERATION,
     (S.OPERATION_ENABLED, Command.ENABLE): ENABLE_OPERATION,
-    # Away from power, from anywhere.
+    # Commands away from power are permitted in every state.
     **{(state, Command.DISABLE): DISABLE_VOLTAGE for state in S},
     **{(state, Command.QUICK_STOP): QUICK_STOP for state in S},
     # Fault reset leads to SWITCH ON DISABLED only; bit 7 acts on its rising edge.
     (S.FAULT, Command.RESET_FAULT): FAULT_RESET,
     (S.SWITCH_ON_DISABLED, Command.RESET_FAULT): DISABLE_VOLTAGE,
 }
-"""Controlword that executes a command in a state; an absent pair is not permitted."""
+"""Controlword that executes a command in a state; a pair that is absent is not permitted."""
 
 STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
-"""States that a quick stop may end in."""
+"""States in which a quick stop may end."""
 
 _REMEDY: Final[Mapping[Command, str]] = {
-    Command.ENABLE: "disable it, or reset its fault, first",
-    Command.RESET_FAULT: "disable it first; there is no fault to reset, or its reaction is not "
-    "over",
+    Command.ENABLE: "disable the drive, or reset its fault, first",
+    Command.RESET_FAULT: (
+        "disable the drive first; there is no fault to reset, or the reaction to the "
+        "fault is not over"
+    ),
 }
 
 

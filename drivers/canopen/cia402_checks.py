@@ -1,4 +1,4 @@
-"""Checks of a CiA 402 drive before its servo is used: objects, units and cycle."""
+"""Checks a CiA 402 drive before the first motion: objects in its EDS, units and cycle time."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from drivers.lacks import Lacks
 from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
 from drivers.units import ServoScales
 
-_ONLY_HOST = "only this program checks it, in every cycle"
+_ONLY_HOST = "only this program checks the limit, in every cycle"
 
 
 def description_refusals(
     channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool
 ) -> Iterator[DeviceError]:
-    """Yield the objects that the servo needs and the EDS lacks. Sends nothing."""
+    """Yield an error for each object that the servo needs and the EDS lacks. Nothing is sent."""
     yield from refusal(channel.require_fit, *VENDOR, 0)
     lacking = False
     for address, purpose in objects.NEEDED.items():
@@ -29,14 +29,16 @@ def description_refusals(
     for address in scales.named_objects:
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
-            yield ConfigurationError(f"{error}; the bench file names it: correct the bench file")
+            yield ConfigurationError(
+                f"{error}; the bench file names this object: correct the bench file"
+            )
     yield from refusal(channel.require_watchable)
     if told.current is None:
         lacking = True
         yield ConfigurationError(
             "neither the current 6078h nor the torque 6077h is in the device's EDS as process "
-            "data; one of them is needed, as the limits of current and torque are checked against "
-            "it: name the drive's own object with servo.current_object and current_unit_A"
+            "data; one of them is needed, because the limits of current and torque are checked "
+            "against it: name the drive's own object with servo.current_object and current_unit_A"
         )
     if not lacking:
         settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
@@ -49,17 +51,18 @@ def description_refusals(
 
 
 def held_limits(channel: ProcessChannel) -> tuple[ObjectAddress, ...]:
-    """Return the objects of limits that the drive's EDS has. Sends nothing."""
+    """Return the objects of limits that the drive's EDS has. Nothing is sent."""
     return tuple(address for address in servo_limits.OBJECTS if channel.describes(*address))
 
 
 def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float) -> Lacks:
-    """Return what the drive neither holds nor tells, according to its EDS. Sends nothing.
+    """Return the limits and values that the drive does not have, according to its EDS. Nothing is
+    sent.
 
     Args:
         channel: The drive.
-        scales: Its units.
-        told: What it tells in every cycle.
+        scales: Units of the drive.
+        told: Objects that the drive sends in every cycle.
         cycle_s: Control cycle, s.
     """
     held = held_limits(channel)
@@ -68,49 +71,57 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
         for address, (field, what) in servo_limits.FIELDS.items()
         if address not in held
     }
-    words = [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
+    words = [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
     supply, temperature = _name(scales.supply_object), _name(scales.temperature_object)
     words += [
         text
         for there, text in (
-            (told.supply, f"not watched: supply voltage ({supply}); servo.supply_object names it"),
+            (
+                told.supply,
+                f"not monitored: supply voltage ({supply}); servo.supply_object names it",
+            ),
             (
                 told.temperature,
-                f"not watched: temperature ({temperature}); servo.temperature_object names it",
+                f"not monitored: temperature ({temperature}); servo.temperature_object names it",
             ),
             (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
-            (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
-            (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
+            (told.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
+            (told.speed, "no motor speed (606Ch): computed from the change of the position"),
             (
                 told.current if scales.current_object or told.current != objects.TORQUE else None,
-                "no motor current (6078h): it is taken from the torque 6077h",
+                "no motor current (6078h): the current is computed from the torque 6077h",
             ),
-            *(
-                (
-                    channel.describes(*rated) or None,
-                    f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
-                    f"values are; read it with the maker's tool",
-                )
-                for what, rated in (
-                    ("rated current", scales.rated_current_object),
-                    ("rated torque", scales.rated_torque_object),
-                )
-            ),
+            *_rated_values(channel, scales),
             (
                 channel.describes(*objects.CYCLE) or None,
-                f"no interpolation period (60C2h): set it to {cycle_s * 1e3:g} ms with the maker's "
-                f"tool",
+                f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
+                "maker's tool",
             ),
             (
                 channel.describes(*objects.ON_ABORT) or None,
                 "no reaction to a lost master (6007h), so that the drive counts as one without a "
-                "watchdog; servo.stops_alone: true where its manual says that it takes the power "
-                "off when the heartbeat of this program ends",
+                "watchdog; set servo.stops_alone: true if the drive's manual states that the "
+                "drive takes the power off when the heartbeat of this program ends",
             ),
         )
         if there is None
     ]
     return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
+
+
+def _rated_values(
+    channel: ProcessChannel, scales: ServoScales
+) -> Iterator[tuple[bool | None, str]]:
+    """Yield for each rated value whether the drive has its object, None if not, and a text."""
+    for what, rated in (
+        ("rated current", scales.rated_current_object),
+        ("rated torque", scales.rated_torque_object),
+    ):
+        yield (
+            channel.describes(*rated) or None,
+            f"not checked: {what} ({_name(rated)}), the unit of the drive's values is a "
+            "thousandth of it; read it with the maker's tool",
+        )
 
 
 def _name(address: tuple[int, int]) -> str:
@@ -121,8 +132,8 @@ def _name(address: tuple[int, int]) -> str:
 def refusals(
     channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield units that differ from the bench file, a cycle that cannot be set, and missing
-    objects.
+    """Yield an error for each unit that differs from the bench file, a cycle time that cannot be
+    set, and each missing object.
     """
     yield from unit_refusals(channel, scales, torque_offset, cycle_s)
     inputs = objects.inputs(told, channel)
@@ -137,13 +148,14 @@ def refusals(
 def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield refusals that mapping the process data does not detect."""
+    """Yield the errors that the mapping of the process data does not detect."""
     yield from scales.mismatches(channel)
     yield from velocity_unit.refusals(channel, scales)
     milliseconds = round(cycle_s * 1e3)
     if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
         yield ConfigurationError(
-            f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)"
+            f"the cycle time is {cycle_s * 1e3:g} ms; it must be a whole number of milliseconds "
+            "(60C2h)"
         )
     if torque_offset:
         yield from _offset_refusals(channel)

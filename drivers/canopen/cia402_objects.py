@@ -1,7 +1,7 @@
-"""Objects of a CiA 402 drive that its servo uses, and the PDOs with the cyclic ones.
+"""Selects the objects of a CiA 402 drive that the servo uses, and divides them among PDOs.
 
-Needed are state, mode, position, target, and a current or a torque. Of the others those are used
-that the drive's EDS has.
+The servo needs state, mode, position, target, and a current or a torque. Other objects are used if
+the drive's EDS contains them.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from drivers.units import ServoScales
 OUTPUT_PDO: Final = 1
 SUPPLY_EVERY: Final = 10
 FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, SUPPLY_EVERY))
-"""Data bytes of each PDO, and its period in cycles; for a drive with all objects and a 16-bit
+"""Data bytes of each PDO and its period in cycles, for a drive with all objects and a 16-bit
 voltage object.
 """
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
@@ -38,23 +38,23 @@ MODE_DISPLAY: Final = (0x6061, 0)
 MODES: Final = (0x6502, 0)
 ERROR_CODE: Final = (0x603F, 0)
 NEEDED: Final[Mapping[ObjectAddress, str]] = {
-    cia402.CONTROLWORD: "it takes the power off",
-    cia402.STATUSWORD: "it tells whether the power is off",
+    cia402.CONTROLWORD: "it switches the power off",
+    cia402.STATUSWORD: "it shows whether the power is off",
     MODE: "it selects cyclic synchronous position",
-    MODE_DISPLAY: "it tells whether that mode is in force",
-    POSITION: "it is what the limits are checked against",
-    TARGET: "it is what a run commands",
+    MODE_DISPLAY: "it shows whether that mode is active",
+    POSITION: "the limits are checked against it",
+    TARGET: "it carries the commanded position",
 }
-"""Objects without which no drive can be used, and what for."""
+"""Objects that every drive must have, with the purpose of each."""
 
 
 @dataclass(frozen=True)
 class Cyclic:
-    """Objects that the drive tells in every cycle, None for each that it lacks.
+    """Objects that the drive sends in every cycle; None for each object that the drive lacks.
 
     Attributes:
-        current: Motor current, or the torque that stands in for it.
-        current_unit_A: Current of one unit of that object, without sign.
+        current: Motor current, or the torque from which the current is computed.
+        current_unit_A: Current that one unit of ``current`` means, A, without sign.
         speed: Motor speed.
         time: Time stamp.
         voltage: Motor voltage.
@@ -72,9 +72,9 @@ class Cyclic:
 
 
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
-    """Return what a drive tells in every cycle, according to its EDS. Sends nothing.
+    """Return the objects that a drive sends in every cycle, according to its EDS. Nothing is sent.
 
-    Objects that the bench file names are taken for there; the checks refuse those that are not.
+    Objects that the bench file names are assumed to exist; the checks report those that do not.
     """
     named = scales.named_objects
 
@@ -105,8 +105,8 @@ def outputs(torque_offset: bool) -> list[PdoLayout]:
 
 
 def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
-    """Return the inputs of a control cycle. What does not fit beside the others of its kind goes
-    with the next ones.
+    """Return the inputs of a control cycle. An object that does not fit into one PDO with others of
+    its kind is put into the next PDO.
     """
     motion = (cia402.STATUSWORD, POSITION, told.current)
     layouts: list[PdoLayout] = []

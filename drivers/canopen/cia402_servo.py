@@ -1,6 +1,4 @@
-"""A position servo behind the CiA 402 profile, in cyclic synchronous position mode, over any
-transport.
-"""
+"""Position servo for CiA 402 drives in cyclic synchronous position mode, over any transport."""
 
 from __future__ import annotations
 
@@ -45,17 +43,19 @@ _INT16: Final = range(-(1 << 15), 1 << 15)
 
 
 class Cia402Servo(Servo):
-    """A drive in cyclic synchronous position mode. Only :meth:`enable` ever moves it toward power.
+    """A drive in cyclic synchronous position mode. No method but :meth:`enable` leads toward power.
 
     Args:
         channel: The device.
-        link: The link it is on; exchanged here only while :meth:`enable` changes the states.
-        scales: Its units, from the bench file.
-        watch_s: Silence of the control loop after which the drive stops by itself, s.
+        link: The link to the device; this class exchanges process data only while :meth:`enable`
+            changes the states.
+        scales: Units of the drive, from the bench file.
+        watch_s: Time without a heartbeat of the control loop after which the drive stops by itself,
+            s.
         state_timeout_s: Time-out for reaching a state, s.
-        torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
-        stops_alone: Whether the drive takes the power off by itself when the control loop is
-            silent; None where its EDS shows it (6007h).
+        torque_offset: Whether to map 60B2h, which :meth:`set_torque_offset` needs.
+        stops_alone: Whether the drive switches the power off by itself when the heartbeat ends;
+            None to decide this by object 6007h in the EDS.
     """
 
     def __init__(
@@ -99,23 +99,27 @@ class Cia402Servo(Servo):
         return decode_state(self._channel.read(*cia402.STATUSWORD))
 
     def read_limits(self) -> ServoLimits:
-        """Read back the limits the drive itself holds."""
+        """Read the limits that are stored in the drive."""
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
+        """Return the limits and values that the drive does not have, according to its EDS. Nothing
+        is sent.
+        """
         return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one."""
+        """Return a text with the setting to change if the reported speed is ``factor`` times the
+        true speed.
+        """
         return velocity_unit.remedy(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
-        """Return one unit of each limit's object, at the joint."""
+        """Return the resolution of each limit at the joint: one unit of its object."""
         return servo_limits.steps(self._scales)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield each limit that its object cannot hold."""
+        """Yield an error for each limit that does not fit into its object."""
         for address, value in servo_limits.encode(limits, self._scales).items():
             if address in self._held:
                 yield from refusal(self._channel.require_fit, *address, value)
@@ -124,13 +128,14 @@ class Cia402Servo(Servo):
         """Write limits into the drive and verify them by reading back.
 
         Raises:
-            ConfigurationError: The drive holds another value, or one does not fit.
-            ObjectAccessError: The drive refuses one.
+            ConfigurationError: The drive stores another value, or a limit does not fit into its
+                object.
+            ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
 
     def readings(self) -> ServoReadings:
-        """Read each value singly; NaN for values that the drive does not have."""
+        """Read each value by SDO; NaN for values that the drive does not have."""
         scales, told = self._scales, self._told
         counts, speed, current, supply, temperature = map(
             self._read_or_nan,
@@ -151,21 +156,26 @@ class Cia402Servo(Servo):
         )
 
     def fault(self) -> DriveFault:
-        """Read why the drive is in fault (603Fh)."""
+        """Read the cause of the drive's fault (603Fh)."""
         code, label = optional(self._channel.read, *objects.ERROR_CODE), self._channel.label
         if code is None:
-            return DriveFault(0, f"{label} is in fault, and has no code 603Fh: see its display")
+            return DriveFault(
+                0,
+                f"{label} is in fault, and has no fault code (603Fh): see the display of the drive",
+            )
         return DriveFault(code, f"{label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
+        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
+        sent.
+        """
         yield from cia402_checks.description_refusals(
             self._channel, self._scales, self._told, self._takes_offset
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield units that differ from the bench file, a cycle that cannot be set, and missing
-        objects.
+        """Yield an error for each unit that differs from the bench file, a cycle time that cannot
+        be set, and each missing object.
         """
         yield from cia402_checks.refusals(
             self._channel, self._scales, self._told, self._takes_offset, cycle_s
@@ -176,11 +186,11 @@ class Cia402Servo(Servo):
         be set. Nothing is energised.
 
         The heartbeat time-out is active only from :meth:`enable` to :meth:`disable`, so that the
-        loop may pause otherwise.
+        loop may pause at all other times.
 
         Raises:
-            ConfigurationError: Scale or unit differ from the bench file, or the drive did not take
-            a setting.
+            ConfigurationError: Scale or unit differ from the bench file, or the drive did not store
+                a setting.
             StateError: The drive is energised.
         """
         state = self.state()
@@ -214,8 +224,8 @@ class Cia402Servo(Servo):
         """Energise and hold the present position, with process data exchanged throughout.
 
         Raises:
-            StateError: Not prepared, not allowed in this state, or not reached in time; the drive
-                is left de-energised.
+            StateError: The drive is not prepared, the command is not allowed in the present state,
+                or the drive does not reach the state in time; the drive is then de-energised.
             DriveFault: The drive is in fault.
         """
         if not self._cycle_ns:
@@ -236,7 +246,7 @@ class Cia402Servo(Servo):
             raise
 
     def disable(self) -> None:
-        """Take the power off, verify this by reading 6041h, and end the heartbeat time-out.
+        """Switch the power off, verify this by reading 6041h, and end the heartbeat time-out.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -261,10 +271,10 @@ class Cia402Servo(Servo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. Ends in SWITCH ON DISABLED; never restarts motion.
+        """Clear a fault. The drive is then in SWITCH ON DISABLED; motion never restarts.
 
         Raises:
-            StateError: There is no fault to reset, or it comes back.
+            StateError: There is no fault to reset, or the fault occurs again.
         """
         word = controlword(self.state(), Command.RESET_FAULT)
         self._command(Command.DISABLE)
@@ -274,10 +284,10 @@ class Cia402Servo(Servo):
         self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
 
     def set_target(self, angle_rad: float) -> None:
-        """Stage the joint angle that the next exchange sends.
+        """Set the joint angle that the next exchange sends.
 
         Raises:
-            ConfigurationError: The angle is beyond what 607Ah can hold.
+            ConfigurationError: The angle is beyond the range of 607Ah.
         """
         counts = self._scales.counts(angle_rad)
         if counts not in _INT32:
@@ -287,14 +297,14 @@ class Cia402Servo(Servo):
         self._stage(counts)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, to the nearest per mille of its
-        rated torque (60B2h).
+        """Set a joint torque that the drive adds to the torque of its controller (60B2h), to the
+        nearest per mille of the rated torque.
 
-        Zero is staged instead while the drive is not commanded to operate.
+        While the drive is not commanded to operate, zero is sent instead.
 
         Raises:
-            ConfigurationError: The drive was not prepared for it, or the torque is beyond what
-                60B2h can hold.
+            ConfigurationError: The drive was not prepared for a torque offset, or the torque is
+                beyond the range of 60B2h.
         """
         if not self._takes_offset:
             super().set_torque_offset(torque_N_m)
@@ -311,8 +321,7 @@ class Cia402Servo(Servo):
         statusword, position = self._values.motion()
         following = 0
         if statusword & 0x6F == 0x27:
-            # The target of the previous exchange is the one that the drive has reached at this
-            # SYNC.
+            # At this SYNC the drive has reached the target of the previous exchange.
             demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
             following = demand - position
         return self._values.sample(following)
@@ -347,7 +356,7 @@ class Cia402Servo(Servo):
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> bool:
-        """Select the mode and wait for it; returns whether it came."""
+        """Select the mode and wait until it is active; return whether it is."""
         cia402_mode.select(self._channel)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             if cia402_mode.in_force(self._channel):

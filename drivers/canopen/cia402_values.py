@@ -1,4 +1,4 @@
-"""The cyclic values of a CiA 402 drive in SI units, whichever objects it has for them."""
+"""Converts the cyclic values of a CiA 402 drive to SI units, from the objects that it has."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from drivers.units import ServoScales, Unwrapper
 
 _US: Final = 1e-6
 _SPAN: Final = 8
-"""Exchanges over which a speed is taken from positions: a count a cycle is too coarse a unit."""
+"""Number of exchanges over which a speed is computed from positions; over one cycle the resolution,
+one count per cycle, is too coarse.
+"""
 _NOT_TOLD: Final = -1
-"""Place of NaN behind the values."""
+"""Index of a NaN that follows the values."""
 
 
 class CyclicValues:
-    """Reads what the last exchange brought.
+    """Converts the values of the last exchange.
 
     Args:
         channel: The drive.
         scales: Its units.
-        told: The objects that it tells.
-        layouts: How they travel; the first two objects are state and position.
+        told: The objects that the drive sends.
+        layouts: PDOs of these objects; the first two objects are state and position.
     """
 
     def __init__(
@@ -52,14 +54,14 @@ class CyclicValues:
         self._time = Unwrapper(1 << 32)
 
     def begin(self, cycle_ns: int) -> None:
-        """Begin with newly mapped inputs."""
+        """Start with newly mapped inputs."""
         self._cycle_ns = cycle_ns
         self._speed = 0.0
         self._passed.clear()
         self._time = Unwrapper(1 << 32)
 
     def motion(self) -> tuple[int, int]:
-        """Return statusword and position."""
+        """Return statusword and position, counts."""
         statusword, position, *_ = self._channel.latest(self._numbers[0])
         return statusword, position
 
@@ -92,8 +94,8 @@ class CyclicValues:
         )
 
     def _change(self, position: int) -> float:
-        """Return the joint speed from the change of the position over the last fresh exchanges,
-        rad/s.
+        """Return the joint speed, rad/s, from the change of the position over the last exchanges
+        with new values.
         """
         cycle, passed = self._channel.cycle, self._passed
         if self._channel.fresh and (not passed or passed[-1][0] != cycle):

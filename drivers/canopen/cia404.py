@@ -1,4 +1,4 @@
-"""A pressure transmitter behind the CiA 404 profile for measuring devices."""
+"""Pressure transmitter with the CANopen profile CiA 404 for measuring devices."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drivers.interfaces import Identity, PressureSample, PressureTransmitter
 from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, refusal
 
 FRAMES: Final = ((5, 1),)
-"""As for the drive."""
+"""Time-out as for the drive."""
 PASCALS: Final = {0x22: 1.0, 0x4E: 1e5, 0xAB: 6894.757293168}
 """Unit codes of CiA 303-2 (bits 16 to 23 of 6131h): pascal, bar, psi."""
 
@@ -21,8 +21,8 @@ _UNIT: Final = (0x6131, 1)
 _DIGITS: Final = (0x6132, 1)
 _STATUS: Final = (0x6150, 1)
 _VALUE: Final = (0x9130, 1)
-# A controller sends in order, so a heartbeat of lowest priority may delay a frame to the end of the
-# cycle; pressure hardly changes meanwhile.
+# A CAN controller sends its frames in order, so that a heartbeat of lowest priority may delay a
+# frame to the end of the cycle; the pressure hardly changes in this time.
 _INPUTS: Final = (PdoLayout(_PRESSURE, (_VALUE, _STATUS), slack=1),)
 
 
@@ -32,7 +32,7 @@ class Cia404Transmitter(PressureTransmitter):
 
     Args:
         channel: The device.
-        unit_Pa: Unit of its process value from the bench file, Pa.
+        unit_Pa: Unit of the process value from the bench file, Pa.
     """
 
     def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:
@@ -52,13 +52,17 @@ class Cia404Transmitter(PressureTransmitter):
         return math.nan if status else value * self._unit_Pa
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
+        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
+        sent.
+        """
         for address in (VENDOR, _UNIT, _DIGITS):
             yield from refusal(self._channel.require_fit, *address, 0)
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a unit that differs from the bench file, an invalid value, and missing objects."""
+        """Yield an error for a unit that differs from the bench file, an invalid value, and each
+        missing object.
+        """
         yield from refusal(self._require_unit)
         yield from refusal(self._require_valid)
         unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
@@ -88,13 +92,13 @@ class Cia404Transmitter(PressureTransmitter):
         found = unit_of(code, channel.read(*_DIGITS))
         if found is None:
             raise ConfigurationError(
-                f"{channel.label}: 6131h says {code:08X}h, which is no unit of pressure known "
-                f"here; "
+                f"{channel.label}: 6131h says {code:08X}h, which is no known unit of pressure; "
                 "set the transmitter to bar or Pa"
             )
         if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
             raise ConfigurationError(
-                f"{channel.label}: 6131h and 6132h make {found:g} Pa a unit, the bench file "
+                f"{channel.label}: 6131h and 6132h make {found:g} Pa per unit, the bench file "
+                "states "
                 f"{self._unit_Pa:g} Pa; "
                 "correct unit_Pa, or check that this is the right transmitter"
             )

@@ -1,4 +1,4 @@
-"""A joint encoder behind the CiA 406 profile."""
+"""Joint encoder with the CANopen profile CiA 406."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from drivers.units import EncoderScales, Unwrapper, nearest
 
 _POSITION: Final = 1
 FRAMES: Final = ((8, 1),)
-"""As for the drive."""
+"""Time-out as for the drive."""
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
-"""Steps per turn: as set (class 2), and of the disc (class 1)."""
+"""Objects with the steps per turn: as configured (class 2), and of the disc (class 1)."""
 _RANGE: Final = (0x6002, 0)
 _TURNS: Final = (0x6502, 0)
 _ALARMS: Final = (0x6503, 0)
@@ -31,15 +31,15 @@ _VALUE: Final = (0x6004, 0)
 _TIME: Final = (0x1013, 0)
 _WHOLE: Final = 1 << 32
 _WHOLE_WORDS: Final = (0, _WHOLE - 1)
-"""Values of 6002h that stand for 2^32, which it cannot hold."""
+"""Values of 6002h that mean 2^32, which exceeds the range of the object."""
 
 
 class Cia406Encoder(Encoder):
-    """An absolute encoder that answers every SYNC with its position and its own time.
+    """An absolute encoder that answers every SYNC with its position and its time stamp.
 
     Args:
         channel: The device.
-        scales: Its resolution, direction and zero, from the bench file.
+        scales: Resolution, direction and zero of the encoder, from the bench file.
     """
 
     def __init__(self, channel: ProcessChannel, scales: EncoderScales) -> None:
@@ -62,12 +62,16 @@ class Cia406Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield the objects that this profile needs and the EDS lacks. Sends nothing."""
+        """Yield an error for each object that this profile needs and the EDS lacks. Nothing is
+        sent.
+        """
         yield from refusal(self._channel.require_fit, *VENDOR, 0)
         yield from refusal(self._channel.require_mappable, (), [self._inputs(stamped=False)])
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a resolution that differs from the bench file, alarms, and missing objects."""
+        """Yield an error for a resolution that differs from the bench file, alarms, and each
+        missing object.
+        """
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
         yield from refusal(self._modulus)
@@ -81,7 +85,8 @@ class Cia406Encoder(Encoder):
     def prepare(self, cycle_s: float) -> None:
         """Check resolution and alarms, and map process data.
 
-        The time stamp is the encoder's (1013h) where it has one, else the host's of the SYNC.
+        The time stamp is that of the encoder (1013h), or the host's time of the SYNC if the encoder
+        has none.
 
         Raises:
             ConfigurationError: 6001h differs from the bench file, or the encoder reports an alarm.
@@ -111,8 +116,9 @@ class Cia406Encoder(Encoder):
     def _modulus(self) -> int:
         """Return the range of the position in steps.
 
-        An encoder of class 1 has no 6002h, but the steps and turns of its discs. If an encoder has
-        none of these objects, its range is taken as one turn, of which every range is a multiple.
+        An encoder of class 1 has the steps and turns of its discs instead of 6002h. If an encoder
+        has none of these objects, one turn is assumed as the range; every true range is a multiple
+        of one turn.
         """
         channel, turn = self._channel, self._scales.counts_per_turn
         span = optional(channel.read, *_RANGE)
@@ -128,7 +134,8 @@ class Cia406Encoder(Encoder):
             if counts != self._scales.counts_per_turn:
                 raise ConfigurationError(
                     f"{self._channel.label}: {address[0]:04X}h says {counts} counts per turn, the "
-                    f"bench file {self._scales.counts_per_turn}; correct the bench file, or check "
+                    f"bench file states {self._scales.counts_per_turn}; correct the bench file, "
+                    "or check "
                     f"that this is the right encoder"
                 )
             return

@@ -1,4 +1,4 @@
-"""Reads the object dictionary of a device from its EDS or DCF file, which may be damaged."""
+"""Reads the object dictionary of a CANopen device from its EDS or DCF file, even a faulty one."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Described(ObjectDictionary):
     """Objects of a device as its EDS describes them.
 
     Attributes:
-        faults: Index and subindex of each object whose description cannot be used, to why; with
-            file and line. Such an object is left out.
+        faults: Reason, with file and line, why the description of an object cannot be used, by
+            index and subindex. Such an object is left out.
     """
 
     def __init__(self) -> None:
@@ -47,14 +47,15 @@ class Described(ObjectDictionary):
 def read_eds(eds: Path, node_id: int) -> Described:
     """Read the object dictionary of a device.
 
-    Only the sections of objects are used; a header or a comment never prevents reading.
+    Only the sections of objects are used; an error in a header or a comment does not prevent
+    reading.
 
     Args:
         eds: The file; EDS or DCF.
         node_id: Node identifier, for values that depend on it.
 
     Raises:
-        ConfigurationError: It cannot be read, or describes no object.
+        ConfigurationError: The file cannot be read, or describes no object.
     """
     try:
         require_plain(eds)
@@ -76,7 +77,7 @@ def read_eds(eds: Path, node_id: int) -> Described:
 
 
 def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
-    """Return index and subindex of everything that can be read or written."""
+    """Return index and subindex of every object that can be read or written."""
     return frozenset(
         (variable.index, variable.subindex)
         for item in dictionary.values()
@@ -85,12 +86,12 @@ def addresses(dictionary: ObjectDictionary) -> frozenset[Address]:
 
 
 class _Reader:
-    """Turns sections into objects.
+    """Converts the sections of a file into objects.
 
     Args:
         eds: The file, for messages.
         node_id: Node identifier.
-        found: Its sections, from :func:`~drivers.canopen.eds_text.sections`.
+        found: Sections of the file, from :func:`~drivers.canopen.eds_text.sections`.
     """
 
     def __init__(self, eds: Path, node_id: int, found: Mapping[str, Section]) -> None:
@@ -134,7 +135,7 @@ class _Reader:
         ):
             if variable is not None:
                 item.add_member(variable)
-        # canopen derives members of an array from the first one.
+        # The library canopen derives the members of an array from the first one.
         return item if len(item) and (kind != _ARRAY or 1 in item) else None
 
     def _compact(
@@ -178,7 +179,7 @@ class _Reader:
             )
         kind = self._number(section, "DataType")
         if kind > _LAST_STANDARD_TYPE:
-            # Some tools name a type with limits of its own, and describe it in a section.
+            # Some tools name a type with its own limits, and describe the type in a section.
             own = self._sections.get(f"{kind:X}SUB1", Section("", 0))
             kind = self._number(own, "DefaultValue", _DOMAIN)
         return kind
@@ -201,7 +202,7 @@ class _Reader:
         except ValueError:
             return None
         signed = variable.data_type in datatypes.SIGNED_TYPES
-        # Limits of signed objects are also written as the bits of the value.
+        # Some files give the limits of signed objects as the unsigned bits of the value.
         bits = len(variable)
         return limit - (1 << bits) if signed and limit >= 1 << (bits - 1) else limit
 

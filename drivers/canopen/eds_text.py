@@ -1,8 +1,9 @@
-"""Sections of the text of an EDS or DCF file (CiA 306): names, values and their lines.
+"""Divides the text of an EDS or DCF file (CiA 306) into sections with names, values and lines.
 
 Makers' files differ from CiA 306 in ways that change no object: local encodings, a byte order mark,
-text before the first section, repeated sections and keys. They are read as the Windows functions
-for such files do, which most tools use: names without regard to case, the first of two values.
+text before the first section, repeated sections and keys. This module reads files as the Windows
+functions for such files do, which most tools use: upper and lower case of names are equal, and the
+first of two values counts.
 """
 
 from __future__ import annotations
@@ -13,12 +14,12 @@ from dataclasses import dataclass, field
 
 @dataclass
 class Section:
-    """One section.
+    """One section of the file.
 
     Attributes:
         name: Name as in the file.
-        line: Line of its head, from 1.
-        values: Key in lower case to value and line.
+        line: Line of the section's head, from 1.
+        values: Value and line of each key; keys are in lower case.
     """
 
     name: str
@@ -26,16 +27,16 @@ class Section:
     values: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def text(self, key: str, default: str = "") -> str:
-        """Return a value; the default where there is none or it is blank."""
+        """Return the value of a key; the default if the key is absent or its value is blank."""
         return self.values.get(key.lower(), (default, 0))[0] or default
 
     def place(self, key: str) -> int:
-        """Return the line of a value; that of the section where there is none."""
+        """Return the line of a key; the line of the section if the key is absent."""
         return self.values.get(key.lower(), ("", self.line))[1]
 
 
 def decode(content: bytes) -> str:
-    """Return a file's text. CiA 306 allows only ASCII, and only ASCII matters here; other bytes
+    """Return the text of a file. CiA 306 allows only ASCII, and only ASCII is used; other bytes
     occur in names and comments, in local encodings.
     """
     for encoding in ("utf-8-sig", "utf-16" if content[:2] in _WIDE else "latin-1"):
@@ -50,7 +51,9 @@ _WIDE = (b"\xff\xfe", b"\xfe\xff")
 
 
 def sections(text: str) -> Mapping[str, Section]:
-    """Return the sections by their names in upper case; lines that belong to none are skipped."""
+    """Return the sections by their names in upper case; lines that belong to no section are
+    skipped.
+    """
     found: dict[str, Section] = {}
     current: Section | None = None
     for number, raw in enumerate(text.split("\n"), start=1):
@@ -66,12 +69,12 @@ def sections(text: str) -> Mapping[str, Section]:
 
 
 def integer(text: str) -> int:
-    """Return a number: decimal, also with zeros in front, or hexadecimal with 0x.
+    """Return the number of a text: decimal, also with leading zeros, or hexadecimal with 0x.
 
     Raises:
-        ValueError: It is none.
+        ValueError: The text is not a number.
     """
-    # Octal numbers of CiA 306 (a zero in front) are not used for any value that is read here, but
-    # decimal ones with zeros in front are.
+    # No value that is read here uses the octal numbers of CiA 306 (with a leading zero), but some
+    # have decimal numbers with leading zeros.
     text = text.replace(" ", "")
     return int(text, 16 if text.lower().startswith("0x") else 10)

@@ -1,4 +1,4 @@
-"""Text for the error codes of EMCY frames and object 603Fh (CiA 301, CiA 402)."""
+"""Meaning and remedy of the error codes in EMCY frames and object 603Fh (CiA 301, CiA 402)."""
 
 from __future__ import annotations
 
@@ -6,18 +6,22 @@ from collections.abc import Mapping
 from typing import Final
 
 _MEANINGS: Final[Mapping[int, str]] = {
-    0x2310: "continuous over-current: check for a jam, lower the torque asked for",
+    0x2310: "continuous over-current: check for a jam, lower the commanded torque",
     0x2320: "short circuit at the output: check the motor cable before power is switched on again",
     0x3210: "DC link over-voltage: fit a brake resistor or lower the deceleration",
     0x3220: "DC link under-voltage: check the supply",
-    0x4210: "device over-temperature: let it cool, check the ventilation",
-    0x4310: "drive over-temperature: let it cool, check the ventilation",
+    0x4210: "device over-temperature: let the device cool, check the ventilation",
+    0x4310: "drive over-temperature: let the drive cool, check the ventilation",
     0x7320: "position sensor: check the encoder and its cable",
-    0x8100: "communication lost: the drive was told to stop, or the bus failed",
-    0x8130: "heartbeat lost: the control loop stopped or the bus is overloaded; find out why "
-    "before enabling again",
-    0x8210: "process data frame too short: the mapping in the device is not the one configured; "
-    "prepare it again",
+    0x8100: "communication lost: the drive received a stop command, or the bus failed",
+    0x8130: (
+        "heartbeat lost: the control loop stopped or the bus is overloaded; find the "
+        "cause before enabling again"
+    ),
+    0x8210: (
+        "process data frame too short: the mapping in the device differs from the "
+        "configured one; prepare the device again"
+    ),
     0x8611: "following error: the axis did not keep up with the target; check for a jam and the "
     "limits, then reset",
 }

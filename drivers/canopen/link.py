@@ -1,4 +1,7 @@
-"""CANopen over any python-can interface, without threads: callers run the link's receive loop."""
+"""CANopen network with this program as master, over any python-can interface, without threads.
+
+The callers run the receive loop of the link.
+"""
 
 from __future__ import annotations
 
@@ -39,16 +42,16 @@ _HIGHEST_ID: Final = 0x7FF
 
 
 class _Network(canopen.Network):
-    """canopen's dispatcher, sending through the link."""
+    """Dispatcher of the library canopen, which sends through the link."""
 
     def __init__(self, send: Callable[[int, bytes], None]) -> None:
         super().__init__()
         self._send = send
 
     def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
-        """Send a frame of canopen's own requests."""
+        """Send a frame of a request of the library canopen."""
         if remote:
-            raise NotImplementedError("remote frames are not used here")
+            raise NotImplementedError("this program sends no remote frames")
         self._send(can_id, bytes(data))
 
 
@@ -56,7 +59,7 @@ class CanopenLink(Link):
     """A CANopen network with this program as its only master.
 
     Args:
-        clock: Real or simulated clock, matching the bus.
+        clock: Real or simulated clock, as the bus.
         connect: Opens the bus.
         name: Name of the bus in messages.
         master_id: Node identifier of the master's heartbeat.
@@ -105,8 +108,8 @@ class CanopenLink(Link):
         """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``,
         ``pcan``...).
 
-        ``bus_options`` are further options of this interface; see python-can. ``slcan`` is a port
-        of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
+        ``bus_options`` are further options of this interface; see python-can. This package has its
+        own port for ``slcan``, see :class:`~drivers.can.slcan_port.SlcanPort`.
         """
         options = dict(bus_options or {})
 
@@ -124,7 +127,7 @@ class CanopenLink(Link):
         """Declare a device on the bus.
 
         Raises:
-            ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
+            ConfigurationError: The identifier is out of range or in use, or the EDS cannot be read.
         """
         require_node(node_id, {self.master_id, *self._nodes})
         dictionary = read_eds(eds, node_id)
@@ -134,18 +137,20 @@ class CanopenLink(Link):
         return node
 
     def open(self) -> None:
-        """Open the bus. Sends nothing.
+        """Open the bus. Nothing is sent.
 
         Raises:
-            LinkError: It cannot be opened.
+            LinkError: The bus cannot be opened.
         """
         if self._port is not None:
             return
-        advice = "check the interface, its driver and the rights to use it"
+        advice = "check the interface, its driver and your permission to use it"
         self._port = opened(self._connect, self._name, advice)
 
     def close(self) -> None:
-        """Close the bus; safe to call twice and after a failure. Raises nothing."""
+        """Close the bus. The method raises no error, may be called twice, and may be called after a
+        failure.
+        """
         port, self._port = self._port, None
         if port is not None:
             close_all(port.shutdown)
@@ -164,8 +169,9 @@ class CanopenLink(Link):
     def exchange(self) -> None:
         """Send every device's outputs and SYNC, and collect the inputs.
 
-        The master's heartbeat is sent only here (except the one that starts a device's time-out),
-        so it stops when the control loop does. Waits for process data at most 80 % of the cycle.
+        Only this method sends the master's heartbeat (except the first one, which starts a device's
+        time-out), so that the heartbeat ends when the control loop stops. The method waits for
+        process data at most 80 % of the cycle.
 
         Raises:
             LinkError: The bus failed, or a device was lost, stopped or restarted.
@@ -194,7 +200,9 @@ class CanopenLink(Link):
             self._raise_troubles()
 
     def take_frames(self) -> list[RawFrame]:
-        """Return the raw frames seen since the last call, oldest first; at most the last 65 536."""
+        """Return the raw frames that were sent or received since the last call, oldest first; at
+        most the last 65 536.
+        """
         frames = list(self._frames)
         self._frames.clear()
         return frames
@@ -203,7 +211,7 @@ class CanopenLink(Link):
         """Send one frame.
 
         Raises:
-            LinkError: The bus refuses it.
+            LinkError: The bus refuses the frame.
         """
         port = self._port or self._opened()
         try:
@@ -220,7 +228,7 @@ class CanopenLink(Link):
         self.send(0x700 + self.master_id, _OPERATIONAL_HEARTBEAT)
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()``; False after ``timeout_s``.
+        """Receive and dispatch frames until ``ready()`` is true; return False after ``timeout_s``.
 
         Raises:
             LinkError: The bus failed.
@@ -239,7 +247,7 @@ class CanopenLink(Link):
         return self._port
 
     def _receive(self, timeout_s: float) -> None:
-        """Dispatch received frames; wait if there are none."""
+        """Dispatch the received frames; wait if there are none."""
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)
@@ -266,7 +274,8 @@ class CanopenLink(Link):
             return
         slot = node.inputs.get(identifier)
         if slot is not None:
-            # A frame of the wrong length updates nothing, and its cycle counts as missed.
+            # A frame of the wrong length updates nothing, and the value counts as missing in this
+            # cycle.
             if len(data) == slot.size:
                 slot.values = slot.layout.unpack(data)
                 if slot.cycle != self.cycle and not slot.slack:
@@ -280,9 +289,9 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0] & 0x7F, time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            # Only these frames need canopen's dispatcher; its callbacks raise on shorter ones. A
-            # frame that a callback rejects counts as lost, since waiting for an answer has a
-            # time-out.
+            # Only these frames need the dispatcher of the library canopen, whose callbacks raise
+            # errors on shorter frames. A frame that a callback rejects counts as lost, because
+            # waiting for an answer has a time-out.
             with suppress(Exception):
                 self._network.notify(identifier, bytearray(data), time_ns / NS)
 
@@ -292,7 +301,7 @@ class CanopenLink(Link):
             fault = DriveFault(code, f"{node.label} sent an emergency message: {explain(code)}")
             self._troubles.append((node.node_id, fault))
         else:
-            # "Error reset": all errors reported before are cleared.
+            # "Error reset": all errors that were reported before are cleared.
             self._troubles = [
                 (origin, trouble)
                 for origin, trouble in self._troubles
@@ -308,7 +317,10 @@ class CanopenLink(Link):
                 if state == INITIALISING
                 else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
             )
-            lost = LinkError(f"{node.label} {what}; check its supply, then prepare it again")
+            lost = LinkError(
+                f"{node.label} {what}; check the supply of the device, then prepare the device "
+                "again"
+            )
             self._troubles.append((node.node_id, lost))
 
     def _lost(self, node: CanopenNode) -> LinkError:
@@ -321,5 +333,5 @@ class CanopenLink(Link):
     def _raise_troubles(self) -> None:
         troubles = [trouble for _, trouble in self._troubles]
         self._troubles = []
-        # A lost bus explains whatever else happened; of several faults the first is the cause.
+        # A lost bus explains all other troubles; of several faults the first is the cause.
         raise next((trouble for trouble in troubles if isinstance(trouble, LinkError)), troubles[0])

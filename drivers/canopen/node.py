@@ -17,11 +17,11 @@ from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
 _MS: Final = 1_000_000
 _BOOT_TIMEOUT_S: Final = 1.0
 HEARTBEAT_S: Final = 0.05
-"""Wanted period of the device's own heartbeat (1017h); devices may round it up."""
+"""Desired period of the device's heartbeat (1017h); a device may round the period up."""
 _CONSUMER: Final = (0x1016, 1)
 _PRODUCER: Final = (0x1017, 0)
 HEARTBEATS_MISSED: Final = 4
-"""The device counts as lost after this many periods without one."""
+"""Number of periods without a heartbeat after which the device counts as lost."""
 
 INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 NMT_NAMES: Final = {
@@ -33,14 +33,15 @@ NMT_NAMES: Final = {
 
 
 def require_node(node_id: int, taken: Container[int]) -> None:
-    """Check the identifier of a device that is to be added to a link.
+    """Check the node identifier of a new device on a link.
 
     Raises:
-        ConfigurationError: It is out of range or taken.
+        ConfigurationError: The identifier is out of range or in use.
     """
     if not 1 <= node_id <= 127 or node_id in taken:
         raise ConfigurationError(
-            f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
+            f"node identifier {node_id} is not in 1 to 127, or is in use already: correct the "
+            "bench file"
         )
 
 
@@ -50,16 +51,16 @@ class CanopenNode:
 
     Attributes:
         node_id: 1 to 127.
-        remote: canopen's object for the device.
-        outputs: Identifier to data of each RPDO for the next exchange.
-        inputs: Identifier to the last frame of each TPDO.
-        expected: Number of TPDOs that come with every SYNC.
-        missing: Number of these not received since the last exchange began.
+        remote: Object of the library canopen for the device.
+        outputs: Data of each RPDO for the next exchange, by CAN identifier.
+        inputs: Last frame of each TPDO, by CAN identifier.
+        expected: Number of TPDOs that the device sends with every SYNC.
+        missing: Number of these TPDOs that have not been received since the last exchange began.
         cycle: Number of the last exchange.
-        nmt_state: NMT state in its last heartbeat; None before the first.
-        heard_ns: Time of its last heartbeat.
-        silence_ns: Time without one after which it counts as lost.
-        monitored: True once process data is running.
+        nmt_state: NMT state in the last heartbeat; None before the first heartbeat.
+        heard_ns: Time of the last heartbeat, ns.
+        silence_ns: Time without a heartbeat after which the device counts as lost, ns.
+        monitored: Whether process data is exchanged, so that a lost device is detected.
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
@@ -87,7 +88,7 @@ class CanopenNode:
 
     @property
     def fresh(self) -> bool:
-        """Whether all data due at the last exchange arrived complete."""
+        """Whether all data that were due in the last exchange arrived complete."""
         if self.missing:
             return False
         for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
@@ -114,7 +115,7 @@ class CanopenNode:
         return int(item.decode_raw(data))
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; raises as :meth:`read`."""
+        """Read a visible-string object; the errors are those of :meth:`read`."""
         return self._upload(index, subindex).decode("ascii", errors="replace").rstrip("\0")
 
     def write(self, index: int, subindex: int, value: int) -> None:
@@ -131,47 +132,53 @@ class CanopenNode:
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the last SYNC, microseconds modulo 2^32."""
+        """Time of the last SYNC by the host's clock, microseconds modulo 2^32."""
         return self._wire.sync_ns // 1000 & 0xFFFFFFFF
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS has an object, and allows it in process data. Sends nothing."""
+        """Return whether the EDS contains an object and allows the object in process data. Nothing
+        is sent.
+        """
         return described(self._dictionary, index, subindex, mappable)
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether a PDO can hold these objects. Sends nothing."""
+        """Return whether a PDO can hold these objects. Nothing is sent."""
         found = (self._dictionary.get_variable(*address) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
     def require_watchable(self) -> None:
-        """Check that the EDS has a heartbeat consumer; raises as :meth:`watch`. Sends nothing."""
+        """Check that the EDS contains a heartbeat consumer; the errors are those of :meth:`watch`.
+        Nothing is sent.
+        """
         for error in refusal(self._packed, *_CONSUMER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs it: by it the drive notices that this program died"
+                f"{error}; every run needs it: with it the drive detects that this "
+                "program has ended"
             ) from error
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object whose type can hold a value; raises as :meth:`write`.
+        """Check that the EDS contains an object and that a value fits its type; the errors are
+        those of :meth:`write`.
 
-        Sends nothing.
+        Nothing is sent.
         """
         self._packed(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object; the SDO request is sent even if no answer comes.
 
-        Raises as :meth:`write`.
+        The errors are those of :meth:`write`.
         """
         self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Make the checks of :meth:`map_process_data` that need no write; raises the same.
+        """Make the checks of :meth:`map_process_data` that need no write; the errors are the same.
 
-        Sends nothing.
+        Nothing is sent.
         """
         for error in refusal(self._packed, *_PRODUCER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs it: by it a lost device is noticed"
+                f"{error}; every run needs it: with it this program detects that the device is lost"
             ) from error
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
             plan(self._dictionary, self.label, direction, layouts)
@@ -181,11 +188,11 @@ class CanopenNode:
     ) -> None:
         """Configure PDOs and heartbeat by SDO in PRE-OPERATIONAL, then start the node.
 
-        Inputs start out with values read by SDO.
+        The first values of the inputs are read by SDO.
 
         Raises:
-            ConfigurationError: Another device has another cycle, an object is not in the EDS, or a
-            PDO is too long.
+            ConfigurationError: Another device has another cycle time, an object is not in the EDS,
+                or a PDO is too long.
             ObjectAccessError: The device refuses the mapping.
             LinkError: No answer.
         """
@@ -214,19 +221,20 @@ class CanopenNode:
         self._start()
 
     def stage(self, number: int, *values: int) -> None:
-        """Set the values that RPDO ``number`` carries from the next exchange on."""
+        """Set the values that RPDO ``number`` contains from the next exchange on."""
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the last good values of TPDO ``number``."""
+        """Return the values of the last valid frame of TPDO ``number``."""
         return self._numbered[number].values
 
     def watch(self, limit_s: float) -> None:
-        """Arm the device's heartbeat consumer (1016h), and send the first heartbeat to start it.
+        """Activate the device's heartbeat consumer (1016h), and send the first heartbeat, which
+        starts the time-out.
 
         Raises:
-            ConfigurationError: 1016h does not read back as written.
+            ConfigurationError: The value of 1016h that is read back differs from the written value.
         """
         setting = self._wire.master_id << 16 | round(limit_s * 1e3)
         self.write(*_CONSUMER, setting)
@@ -234,38 +242,38 @@ class CanopenNode:
         found = self.read(*_CONSUMER)
         if found != setting:
             raise ConfigurationError(
-                f"{self.label}: heartbeat watch 1016h:01h reads {found:08X}h after writing "
+                f"{self.label}: heartbeat consumer 1016h:01h reads {found:08X}h after writing "
                 f"{setting:08X}h; "
-                "the drive would not notice a stopped control loop"
+                "the drive would not detect that the control loop has stopped"
             )
 
     def unwatch(self) -> None:
-        """Disarm the heartbeat consumer."""
+        """Deactivate the heartbeat consumer."""
         self.write(*_CONSUMER, 0)
 
     def _disarm(self) -> None:
-        """Disarm a heartbeat consumer that a program which died left armed.
+        """Deactivate a heartbeat consumer that a former program left active when it ended.
 
-        The heartbeat before it ends the wait of a device that lost its master; the one before the
-        start of the node would otherwise start the time-out again.
+        A heartbeat is sent first, because a device that lost its master waits for it. Without the
+        deactivation, the heartbeat before the start of the node would start the time-out again.
         """
         if optional(self.read, *_CONSUMER):
             self._wire.heartbeat()
             self.unwatch()
 
     def _produce_heartbeat(self) -> None:
-        """Set the device's heartbeat, and take its period as the device holds it.
+        """Set the period of the device's heartbeat, and read the period that the device stores.
 
         Raises:
-            ConfigurationError: It sends none.
+            ConfigurationError: The device sends no heartbeat.
         """
         wanted_ms = round(HEARTBEAT_S * 1e3)
         self.write(*_PRODUCER, wanted_ms)
         period_ms = self.read(*_PRODUCER)
         if not period_ms:
             raise ConfigurationError(
-                f"{self.label}: heartbeat period 1017h reads 0 after writing {wanted_ms} ms; a "
-                f"lost device would not be noticed"
+                f"{self.label}: heartbeat period 1017h reads 0 after writing {wanted_ms} ms; this "
+                "program would not detect a lost device"
             )
         self.silence_ns = HEARTBEATS_MISSED * period_ms * _MS
 
@@ -288,7 +296,7 @@ class CanopenNode:
 
     def _start(self) -> None:
         self.nmt_state = None
-        # A device may refuse to start until it hears its master.
+        # A device may refuse to start until it receives a heartbeat of its master.
         self._wire.heartbeat()
         self._command(0x01)
         timeout_s = _BOOT_TIMEOUT_S + self.silence_ns / NS

@@ -1,4 +1,4 @@
-"""Host side of PDOs: configure them by SDO, pack and unpack them by struct."""
+"""CANopen process data (PDOs), host side: configures PDOs by SDO, packs and unpacks values."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CODES: Final[Mapping[int, str]] = {
 
 
 class Node(Protocol):
-    """A device whose PDOs are configured."""
+    """Interface of a device whose PDOs are configured."""
 
     node_id: int
 
@@ -46,13 +46,13 @@ class Node(Protocol):
 
 
 class Input:
-    """The last good frame of one TPDO.
+    """The last valid frame of one TPDO.
 
     Attributes:
-        layout: Layout of its values.
-        slack: Age in cycles up to which it counts as fresh.
-        values: Values of the last good frame.
-        cycle: Cycle in which that frame came.
+        layout: Layout of the values in the frame.
+        slack: Age of the frame, in cycles, up to which its values count as new.
+        values: Values of the last valid frame.
+        cycle: Cycle in which this frame was received.
     """
 
     __slots__ = ("cycle", "layout", "size", "slack", "values")
@@ -60,14 +60,15 @@ class Input:
     def __init__(self, layout: struct.Struct, every: int, slack: int = 0) -> None:
         self.layout = layout
         self.size = layout.size
-        # The device chooses the phase of a slow PDO, so one more period is allowed.
+        # The device chooses the phase of a PDO with a period of several cycles, so that one more
+        # period is allowed.
         self.slack = slack if every == 1 else 2 * every
         self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
 
 
 def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
-    """Return the packing of a PDO's values from the types in the device's EDS.
+    """Return the binary format of a PDO, from the types of its objects in the device's EDS.
 
     Raises:
         ConfigurationError: An object is not in the EDS or not an integer, or the PDO exceeds 8
@@ -79,24 +80,27 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
         if item.data_type not in _CODES:
             raise ConfigurationError(
                 f"object {index:04X}h:{subindex:02X}h ({item.name}) is no integer of at most 32 "
-                f"bits: leave it out"
+                "bits: remove the object"
             )
         codes += _CODES[item.data_type]
     packed = struct.Struct(codes)
     if packed.size > _MAX_BYTES:
         raise ConfigurationError(
-            f"PDO {layout.number} would have {packed.size} bytes, limit {_MAX_BYTES}: split it"
+            f"PDO {layout.number} would have {packed.size} bytes, the limit is {_MAX_BYTES}: "
+            "divide the values among more PDOs"
         )
     return packed
 
 
 @dataclass(frozen=True)
 class Direction:
-    """The PDOs of one direction, as the device sees it (CiA 301, 7.5.2.33).
+    """The PDOs of one direction from the device's side: receive (RPDO) or transmit (TPDO); CiA 301,
+    7.5.2.33.
 
     Attributes:
         name: Name in messages.
-        communication: Index of the communication record of PDO 1; of the mapping, 200h above.
+        communication: Index of the communication record of PDO 1; the mapping record has an index
+            200h higher.
         identifiers: CAN identifier of PDO 1 less the node identifier, in the predefined connection
             set.
     """
@@ -113,16 +117,16 @@ _MOST: Final = 512
 _MAPPING: Final = 0x200
 _OFF: Final = 1 << 31
 _NO_REMOTE: Final = 1 << 30
-"""Bits of a COB-ID: the PDO does not exist; it is not sent on a remote frame (TPDO)."""
+"""Bits of a COB-ID: the PDO does not exist; a remote frame does not request the PDO (TPDO)."""
 _IDENTIFIER: Final = 0x7FF
 _NODE: Final = 0x7F
-"""Part of an identifier of the predefined connection set that is the node's."""
+"""Bits of an identifier of the predefined connection set that contain the node identifier."""
 _OUT_OF_RANGE: Final = 0x06090030
 _READ_ONLY: Final = (0x06010002, 0x06010000)
 
 
 def numbers(dictionary: ObjectDictionary, direction: Direction) -> list[int]:
-    """Return the numbers of the PDOs that the EDS describes, both records of each."""
+    """Return the numbers of the PDOs of which the EDS describes both records."""
     first = direction.communication
     return [
         index - first + 1
@@ -134,16 +138,16 @@ def numbers(dictionary: ObjectDictionary, direction: Direction) -> list[int]:
 def plan(
     dictionary: ObjectDictionary, label: str, direction: Direction, layouts: Sequence[PdoLayout]
 ) -> dict[int, struct.Struct]:
-    """Return the packing of the PDOs of one direction, by number; sends nothing.
+    """Return the binary formats of the PDOs of one direction, by number. Nothing is sent.
 
-    Raises as :func:`configure`.
+    The errors are those of :func:`configure`.
     """
     missing = {layout.number for layout in layouts} - set(numbers(dictionary, direction))
     if missing:
         index = direction.communication + min(missing) - 1
         raise ConfigurationError(
             f"{label}: {direction.name} {min(missing)} ({index:04X}h, {index + _MAPPING:04X}h) is "
-            f"not in the device's EDS; cyclic values need {len(layouts)} {direction.name}s"
+            f"not in the device's EDS; the cyclic values need {len(layouts)} {direction.name}s"
         )
     return {layout.number: packing(dictionary, layout) for layout in layouts}
 
@@ -154,24 +158,25 @@ def configure(
     direction: Direction,
     layouts: Sequence[PdoLayout],
 ) -> list[tuple[int, struct.Struct]]:
-    """Write the mapping of all PDOs of one direction into a device; PDOs not listed are disabled.
+    """Write the mapping of all PDOs of one direction into a device, and disable all other PDOs.
 
-    What already reads as wanted is not written, as devices may have it fixed. The flags of a COB-ID
-    stay as the device has them: one without remote frames refuses to have bit 30 cleared.
+    A setting that already has the desired value is not written, because it may be read-only. The
+    flags of a COB-ID keep their values, because a device without remote frames refuses a COB-ID
+    with bit 30 cleared.
 
     Args:
         device: The device, in PRE-OPERATIONAL.
-        dictionary: Its objects.
-        direction: Which PDOs.
-        layouts: Objects to map; synchronous, every ``layout.every``-th SYNC.
+        dictionary: Objects of the device.
+        direction: Direction of the PDOs.
+        layouts: Objects to map; a PDO is synchronous, with every ``layout.every``-th SYNC.
 
     Returns:
-        Identifier and packing of each layout.
+        CAN identifier and binary format of each layout.
 
     Raises:
-        ConfigurationError: The EDS has no such PDO or object, the PDO is too long, or the device
-            holds other settings than those written.
-        ObjectAccessError: The device refuses; names the object that was written.
+        ConfigurationError: The EDS has no such PDO or object, the PDO is too long, or the settings
+            that are read back differ from those written.
+        ObjectAccessError: The device refuses a setting; the message names the object.
         LinkError: No answer.
     """
     packings = plan(dictionary, device.label, direction, layouts)
@@ -198,8 +203,9 @@ def _map(
         own = direction.identifiers + (layout.number - 1) * 0x100 + device.node_id
     elif own & _NODE != device.node_id:
         raise ConfigurationError(
-            f"{device.label}: {direction.name} {layout.number} has the identifier {own:03X}h of "
-            f"another node, and {index:04X}h:01h is read only: set it with the maker's tool"
+            f"{device.label}: {direction.name} {layout.number} has the identifier {own:03X}h, "
+            f"which belongs to another node, and {index:04X}h:01h is read only: set it with the "
+            "maker's tool"
         )
     _store(device, index, 2, layout.every)
     _store_mapping(device, dictionary, index + _MAPPING, layout)
@@ -209,7 +215,9 @@ def _map(
 
 
 def _switch_off(device: Node, index: int, cob_id: int) -> bool:
-    """Switch a PDO off, so that it may be changed; False where its COB-ID is fixed and on."""
+    """Disable a PDO before it is changed; return False if the COB-ID is read-only and the PDO is
+    enabled.
+    """
     if cob_id & _OFF:
         return True
     try:
@@ -222,7 +230,7 @@ def _switch_off(device: Node, index: int, cob_id: int) -> bool:
 
 
 def _write_cob_id(device: Node, index: int, cob_id: int) -> None:
-    """Write a COB-ID; with the flag "no remote frames" where a device refuses it without."""
+    """Write a COB-ID; if the device refuses it, write it with the flag "no remote frames"."""
     try:
         device.write(index, 1, cob_id)
     except ObjectAccessError as refused:

@@ -1,4 +1,4 @@
-"""SDO access without threads: canopen's client pumps the bus while it waits for an answer."""
+"""CANopen SDO client without threads: it receives frames itself while it waits for an answer."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from drivers.errors import ConfigurationError, LinkError, NotDescribedError, Obj
 
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
-"""Multiplexer of an abort by a server that does not name the object."""
+"""Object address in an abort message of a server that does not state the object."""
 _LATE_ANSWERS = 64
-"""Number of answers to other requests that are skipped; beyond it the server counts as not
+"""Number of answers to other requests that are skipped; after more of them the server counts as not
 answering.
 """
 _INITIATE = (1, 2)
-"""Command specifiers of a client that begins a download or an upload (CiA 301, 7.2.4.3)."""
+"""Command specifiers with which a client starts a download or an upload (CiA 301, 7.2.4.3)."""
 
 
 class Wire(Protocol):
-    """Interface of the link for a node."""
+    """Interface of the link that a node uses."""
 
     sdo_timeout_s: float
     cycle: int
@@ -38,7 +38,7 @@ class Wire(Protocol):
         ...
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
-        """Receive and dispatch frames until ``ready()``; False after ``timeout_s``."""
+        """Receive and dispatch frames until ``ready()`` is true; False after ``timeout_s``."""
         ...
 
     def heartbeat(self) -> None:
@@ -51,8 +51,8 @@ class Wire(Protocol):
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that pumps the link while it waits; the same code runs in simulated and real
-    time.
+    """SDO client that runs the receive loop of the link while it waits; the same code runs in
+    simulated and in real time.
     """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
@@ -61,14 +61,14 @@ class PumpedSdoClient(SdoClient):
         self._asked: bytes | None = None
 
     def send_request(self, request: bytes) -> None:
-        """Send a request and note its object."""
+        """Send a request and store the address of its object."""
         self._asked = bytes(request[1:4]) if request[0] >> 5 in _INITIATE else None
         super().send_request(request)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:
         """Return the next response; a late response to an earlier request is skipped.
 
-        Otherwise every later request would receive the answer to its predecessor.
+        Otherwise every later request would receive the answer to the request before it.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
@@ -89,17 +89,18 @@ class PumpedSdoClient(SdoClient):
                     raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
                 return response
         raise SdoCommunicationError(
-            f"{_LATE_ANSWERS} SDO responses to other requests, none to this one"
+            f"{_LATE_ANSWERS} SDO responses belong to other requests, none to this request"
         )
 
 
 class PumpedNode(canopen.RemoteNode):
-    """canopen's remote node with :class:`PumpedSdoClient` as its SDO client."""
+    """Remote node of the library canopen, with :class:`PumpedSdoClient` as its SDO client."""
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
         self._wire = wire
         self._described = dictionary
-        # canopen would look up all PDO records, and fails where the EDS has only some of them.
+        # The library canopen looks up all PDO records by default, and fails if the EDS contains
+        # only some of them.
         super().__init__(node_id, ObjectDictionary())  # type: ignore[no-untyped-call]
 
     def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
@@ -113,7 +114,7 @@ class PumpedNode(canopen.RemoteNode):
 
 @contextmanager
 def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
-    """Translate canopen's SDO errors into those of this package.
+    """Convert the SDO errors of the library canopen into errors of this package.
 
     Raises:
         ObjectAccessError: The device refuses.
@@ -138,10 +139,10 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
 
     Raises:
         NotDescribedError: The EDS has no such object.
-        ConfigurationError: It describes the object wrongly.
+        ConfigurationError: The EDS describes the object wrongly.
     """
     found = dictionary.get_variable(index, subindex)
-    # For an object without members canopen returns that object, whatever the subindex.
+    # For an object without members the library canopen returns this object for every subindex.
     if found is None or found.subindex != subindex:
         fault = getattr(dictionary, "faults", {}).get((index, subindex))
         name = f"object {index:04X}h:{subindex:02X}h"
@@ -152,9 +153,10 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
 
 
 def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable: bool) -> bool:
-    """Return whether the EDS has an object, and, with ``mappable``, allows it in process data.
+    """Return whether the EDS contains an object and, with ``mappable``, allows the object in
+    process data.
 
-    An object whose description is faulty counts, except for process data.
+    An object with a faulty description counts as contained, except for process data.
     """
     if (index, subindex) in getattr(dictionary, "faults", {}):
         return not mappable

@@ -1,4 +1,4 @@
-"""Waits for a drive to change its state, for all servos with CiA 402 states."""
+"""Waits until a drive reaches a commanded state; used by all servos with CiA 402 states."""
 
 from __future__ import annotations
 
@@ -17,18 +17,19 @@ def await_state(
     timeout_s: float,
     again: Callable[[], object] = lambda: None,
 ) -> None:
-    """Read the state until it is reached.
+    """Read the state of a drive until the expected state is reached.
 
     Args:
-        read: Reads the state from the device.
-        reached: Returns whether a state is the expected one.
+        read: Function that reads the state from the device.
+        reached: Function that returns whether a state is the expected one.
         wanted: Name of the expected state.
         clock: Measures the time.
         timeout_s: Time-out, s.
-        again: Called each time the state is not reached yet; may repeat the command.
+        again: Function that is called each time that the state is not reached yet, for example to
+            repeat the command.
 
     Raises:
-        StateError: It was not reached in time.
+        StateError: The state was not reached in time.
     """
     deadline = clock.now_ns() + timeout_s * NS
     while not reached(state := read()):
@@ -36,13 +37,13 @@ def await_state(
             raise StateError(
                 f"the drive reports '{state.value}' {timeout_s:g} s after the command, "
                 f"wanted {wanted}: "
-                "take its power away by hand"
+                "switch the supply of the drive off by hand"
             )
         again()
 
 
 def exchanges(link: Link, cycle_ns: int, timeout_s: float) -> Iterator[bool]:
-    """Exchange process data at the cycle rate; yield after each exchange whether time is left."""
+    """Exchange process data once per cycle; yield after each exchange whether time is left."""
     clock = link.clock
     due = clock.now_ns()
     deadline = due + timeout_s * NS

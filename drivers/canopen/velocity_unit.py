@@ -1,4 +1,4 @@
-"""Unit of the speed of a CiA 402 drive: what the drive says of it, and what to set for it."""
+"""Checks the unit of the speed of a CiA 402 drive, and states the setting for the bench file."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.units import ServoScales
 UNIT: Final[ObjectAddress] = (0x60A9, 0)
 """SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
 RPM: Final = 2.0 * math.pi / 60.0
-"""Speed of one turn a minute, rad/s."""
+"""Speed of one turn per minute, rad/s."""
 _NUMERATORS: Final[Mapping[int, float]] = {
     0x10: 1.0,
     0x41: math.pi / 180.0,
@@ -21,16 +21,18 @@ _NUMERATORS: Final[Mapping[int, float]] = {
 }
 """Codes of CiA 303-2: radian, degree, revolution."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
-"""Second, minute, hour."""
+"""Codes of the time units: second, minute, hour."""
 _SAME: Final = 0.01
-"""Relative difference up to which two units are the same."""
+"""Relative difference up to which two units count as equal."""
 _FOUND: Final = 1.6
-"""Ratio up to which a unit found by measurement is a known one; known ones differ by far more."""
+"""Greatest ratio between a measured unit and a known unit at which both count as equal; known units
+differ by far more.
+"""
 
 
 def decode(word: int) -> float | None:
-    """Return the motor speed of one unit, rad/s, that 60A9h states; None for units without SI
-    meaning, such as counts.
+    """Return the motor speed of one unit, rad/s, as object 60A9h states it; None for units without
+    SI meaning, such as counts.
     """
     numerator = _NUMERATORS.get(word >> 16 & 0xFF)
     denominator = _DENOMINATORS.get(word >> 8 & 0xFF)
@@ -41,7 +43,7 @@ def decode(word: int) -> float | None:
 
 
 def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
-    """Yield a unit that differs from the bench file."""
+    """Yield an error if the unit differs from that of the bench file."""
     word = optional(channel.read, *UNIT) if channel.describes(*UNIT) else None
     told = None if word is None else decode(word & 0xFFFFFFFF)
     if word is None or told is None:
@@ -49,15 +51,18 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
     unit = scales.motor_speed_unit_rad_s
     if abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the speed, 60A9h: the drive says {told:.6g} rad/s "
-            f"({word & 0xFFFFFFFF:08X}h), the bench file {unit:.6g} rad/s: {_words(told, scales)}"
+            f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s "
+            f"({word & 0xFFFFFFFF:08X}h), the bench file states {unit:.6g} rad/s: "
+            f"{_words(told, scales)}"
         )
 
 
 def remedy(scales: ServoScales, factor: float) -> str:
-    """Return what to set where the reported speed is ``factor`` times the true one."""
+    """Return a text with the setting to change if the reported speed is ``factor`` times the true
+    speed.
+    """
     if factor <= 0.0:
-        return "606Ch has the other sign than 6064h; correct the drive with its maker's tool"
+        return "606Ch has the opposite sign of 6064h; correct the drive with its maker's tool"
     return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
 

@@ -1,1 +1,1 @@
-"""Servos whose frames a DBC file describes."""
+"""Drives with their own CAN frames: a DBC file describes the frames, a map their meaning."""

@@ -1,4 +1,7 @@
-"""Binds a map to a DBC: resolves all names, reports all problems at once, prepares all layouts."""
+"""Checks a signal map against a DBC file and resolves its names to bit positions in CAN frames.
+
+All problems of a map are reported together.
+"""
 
 from __future__ import annotations
 
@@ -23,14 +26,14 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
     """Bind a map to the messages of a DBC.
 
     Raises:
-        DbcMapError: Unknown names, with the nearest known ones; values that do not fit; missing
-            entries.
+        DbcMapError: The map has unknown names (the message states the nearest known ones), values
+            that do not fit, or missing entries.
     """
     return _Binder(spec, layouts).bind()
 
 
 class _Binder:
-    """Binds part by part; problems are collected, so that all are reported at once."""
+    """Binds a map part by part, and collects the problems, so that all are reported together."""
 
     def __init__(self, spec: DbcMap, layouts: Mapping[str, Layout]) -> None:
         self._spec = spec
@@ -88,7 +91,7 @@ class _Binder:
         )
 
     def _check_offset(self, targets: Sequence[BoundQuantity | None]) -> None:
-        """Report a torque offset that cannot be zero, or has no room beside the target."""
+        """Report a torque offset that cannot be zero, or whose signal overlaps the target."""
         target, offset, *_ = (*targets, None)
         if offset is None:
             return
@@ -137,7 +140,7 @@ class _Binder:
     def _quantity(self, place: Place, quantity: Quantity, find: _Find) -> BoundQuantity | None:
         if not (math.isfinite(quantity.scale) and quantity.scale > 0):
             self._names.report(
-                (*place, "scale"), f"must be more than zero, not {quantity.scale:g}; use sign"
+                (*place, "scale"), f"must be more than zero, not {quantity.scale:g}; set sign"
             )
             return None
         found = find((*place, "signal"), quantity.signal)
@@ -146,7 +149,9 @@ class _Binder:
         key, signal = found
         if (after := quantity.wraps_after) is not None:
             if place not in (("inputs", "position"), ("target",)):
-                self._names.report((*place, "wraps_after"), "is for position and target; remove it")
+                self._names.report(
+                    (*place, "wraps_after"), "is allowed for position and target only; remove it"
+                )
             elif not (math.isfinite(after) and after > 0):
                 self._names.report(
                     (*place, "wraps_after"), f"must be more than zero, not {after:g}"
@@ -157,13 +162,14 @@ class _Binder:
             self._names.report(
                 (*place, "scale"),
                 f"with the factor {signal.factor:g} and offset {signal.offset:g} of signal "
-                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct it, or the DBC",
+                f"{signal.name!r}, a raw unit would be {gain:g} SI units; correct the scale, or "
+                "the DBC",
             )
             return None
         return BoundQuantity(key, signal, gain, bias, quantity.wraps_after)
 
     def _heard(self, place: Place, name: str) -> tuple[str, Signal] | None:
-        """Find a signal that the drive sends; returns its message or page."""
+        """Find a signal that the drive sends; return the signal with its message or page."""
         found = self._names.signal(place, name)
         if found is None:
             return None
@@ -204,16 +210,16 @@ class _Binder:
                 raw = names.raw(place, signal, value)
                 if raw is not None and states.setdefault(raw, STATES[name]) is not STATES[name]:
                     names.report(
-                        place, f"value {value!r} already means another state; name it once"
+                        place, f"value {value!r} already means another state; state the value once"
                     )
         for needed in self._needed_states():
             if needed not in states.values():
                 word = next(word for word, state in STATES.items() if state is needed)
-                names.report(("status", "states"), f"no value means {word!r}; name one")
+                names.report(("status", "states"), f"no value means {word!r}; state one")
         return states
 
     def _needed_states(self) -> list[ServoState]:
-        """Return the states that must have a value; a fault may show in the fault code alone."""
+        """Return the states that must have a value; the fault code alone may report a fault."""
         needed = [ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED]
         return needed if self._spec.inputs.fault_code else [*needed, ServoState.FAULT]
 
@@ -242,7 +248,8 @@ class _Binder:
         if signal is None:
             if last is not None:
                 self._names.report(
-                    ("messages", name, "counter_last"), "is of a counter, and there is none"
+                    ("messages", name, "counter_last"),
+                    "belongs to a counter, and there is no counter",
                 )
             return 0
         if last is None:
@@ -250,7 +257,7 @@ class _Binder:
         if not 1 <= last <= signal.mask:
             self._names.report(
                 ("messages", name, "counter_last"),
-                f"{last} is outside 1 to {signal.mask}, what {signal.name!r} can hold",
+                f"{last} is outside 1 to {signal.mask}, the range of {signal.name!r}",
             )
         return last + 1
 
@@ -261,7 +268,9 @@ class _Binder:
         place: Place = ("messages", name, "prefix")
         if signal is None:
             if guard.prefix or guard.own_byte != "zero":
-                self._names.report(place[:2], "says how a checksum is computed, and has none")
+                self._names.report(
+                    place[:2], "states how a checksum is computed, and there is no checksum"
+                )
             return sum
         if not all(0 <= byte <= 0xFF for byte in guard.prefix):
             self._names.report(place, f"{list(guard.prefix)} are not bytes of 0 to 255")
@@ -281,7 +290,9 @@ class _Binder:
         if signal is None:
             return None
         if role == "checksum" and signal.width != 8:
-            self._names.report(place, f"signal {name!r} has {signal.width} bits; a checksum has 8")
+            self._names.report(
+                place, f"signal {name!r} has {signal.width} bits; a checksum must have 8"
+            )
         for key in ("target", "torque_offset"):
             quantity: Quantity | None = getattr(self._spec, key)
             if quantity is not None and quantity.signal == f"{layout.name}.{name}":
@@ -291,7 +302,7 @@ class _Binder:
     def _check_whole(self, sent: Set[str], stop: Set[str]) -> None:
         spec, report = self._spec, self._names.report
         if (spec.inputs.current is None) == (spec.inputs.torque is None):
-            report(("inputs",), "give one of current and torque")
+            report(("inputs",), "state one of current and torque")
         for state, does in (
             ("disabled", "for a drive that is 'disabled'"),
             ("running", "that keeps a 'running' drive running"),
@@ -302,11 +313,14 @@ class _Binder:
         for name, guard in spec.messages.items():
             place: Place = ("messages", name)
             if self._names.layout(place, name) is not None and name not in used:
-                report(place, f"message {name!r} carries nothing in this map; remove it")
+                report(place, f"message {name!r} contains no signal of this map; remove it")
             if guard.period_ms is not None and guard.period_ms < 0:
                 report((*place, "period_ms"), "must be zero or more")
             if guard.remote and name not in self._received:
-                report((*place, "remote"), "is for a message that the drive sends; remove it")
+                report(
+                    (*place, "remote"),
+                    "is allowed for messages that the drive sends only; remove it",
+                )
         numbers: dict[int, str] = {}
         for name in sorted(used):
             first = numbers.setdefault(self._layouts[name].identifier, name)
@@ -318,5 +332,5 @@ class _Binder:
         if both:
             report(
                 ("inputs",),
-                f"message {min(both)!r} has two uses (input, command or setting); it may have one",
+                f"message {min(both)!r} has two uses (input, command or setting); one is allowed",
             )

@@ -1,5 +1,6 @@
-"""State of one drive with its own CAN frames: received values and next commands, with counters
-and checksums. No I/O.
+"""State of one drive with its own CAN frames: received values and the next frames to send.
+
+The module adds and checks counters and checksums; it does no I/O.
 """
 
 from __future__ import annotations
@@ -15,24 +16,24 @@ from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 
 PERIODS_KEPT: Final = 2.5
-"""A periodic message counts as fresh for this many of its periods."""
+"""Number of its periods for which a periodic message counts as new."""
 
 
 class Slot:
-    """The last good frame of one message.
+    """The last valid frame of one message.
 
-    A frame with wrong length or checksum, or with a life counter that stood still or ran backwards,
-    updates nothing. After a backward counter the next frame is accepted, as after a restart of the
-    drive.
+    A frame with a wrong length or checksum, or with a life counter that did not change or went
+    backwards, updates nothing. After a counter that went backwards the next frame is accepted,
+    because the drive may have restarted.
 
     Attributes:
         message: The message.
-        data: The frame.
-        count: Good frames so far.
-        cycle: Exchange in which the last good frame came.
-        time_ns: Time of the last good frame.
-        refused: Number of bad frames.
-        pages: Slots of the pages of this message, with the page that each is for.
+        data: Data of the frame.
+        count: Number of valid frames so far.
+        cycle: Number of the exchange in which the last valid frame was received.
+        time_ns: Time of the last valid frame, ns.
+        refused: Number of invalid frames.
+        pages: Pages of this message, each with its slot.
     """
 
     def __init__(self, message: BoundMessage) -> None:
@@ -48,7 +49,7 @@ class Slot:
         self._last: int | None = None
 
     def accept(self, data: bytes, cycle: int, time_ns: int) -> bool:
-        """Accept a frame if it is good."""
+        """Store a frame if it is valid."""
         if not self._good(data):
             self.refused += 1
             for _, slot in self.pages:
@@ -84,8 +85,8 @@ class Slot:
 
 
 class _Output:
-    """One message of the host: current order, target (if it carries one), life counter,
-    checksum.
+    """One message of the host with the current order, the target (if the message contains one),
+    life counter and checksum.
     """
 
     def __init__(self, message: BoundMessage) -> None:
@@ -95,7 +96,7 @@ class _Output:
         self._count = 0
 
     def frame(self, image: bytes | None = None) -> bytes:
-        """Return the next frame, or the next one with another image."""
+        """Return the next frame; ``image`` replaces the data of the current order."""
         data, message = self.image if image is None else image, self.message
         if (counter := message.counter) is not None:
             self._count = (self._count + 1) % message.turn
@@ -106,17 +107,18 @@ class _Output:
 
 
 class DbcChannel:
-    """The drive as seen from its link.
+    """State of one drive for its link.
 
     Args:
-        wiring: Its messages.
+        wiring: Messages of the drive.
         label: Name of the drive in messages.
 
     Attributes:
-        slots: Its messages by CAN identifier.
+        slots: Slots of the messages of the drive, by CAN identifier.
         cycle: Number of exchanges so far.
-        heard: Number of frames received from it, good or bad.
-        commanded: Whether any frame has been sent to it; if not, closing sends nothing either.
+        heard: Number of frames received from the drive, valid or invalid.
+        commanded: Whether any frame has been sent to the drive; if not, closing the link sends no
+            stop frame.
     """
 
     def __init__(self, wiring: Wiring, label: str) -> None:
@@ -130,7 +132,7 @@ class DbcChannel:
         self._by_name = by_name
         for key, page in wiring.pages.items():
             base = by_name[page.message]
-            # A page comes once in as many messages as there are pages.
+            # Each page is sent once in as many messages as there are pages.
             period_s = base.message.period_s * page.count
             by_name[key] = slot = Slot(replace(base.message, period_s=period_s))
             base.pages.append((page, slot))
@@ -184,15 +186,16 @@ class DbcChannel:
                 self._timed.append((slot, period_s))
 
     def order(self, order: Order, *, hold: bool = False) -> None:
-        """Put an order into every frame from now on; messages that go only with an order go once.
+        """Put an order into every frame from now on; a message that is sent only with an order is
+        sent once.
 
         Args:
             order: The order.
-            hold: Whether the drive must keep running; if it stops by itself, the order becomes
-                disable.
+            hold: Whether the drive must keep running; if the drive stops by itself, the order
+                becomes ``disable``.
         """
         outputs, once = self._outputs, self._once
-        # What an earlier order has not sent yet is not sent any more.
+        # Frames of an earlier order that have not been sent yet are dropped.
         self._pending = []
         for name, image in order.frames.items():
             output = outputs.get(name)
@@ -207,23 +210,23 @@ class DbcChannel:
         self._fill()
 
     def aim(self, bits: int) -> None:
-        """Put a target into every frame from now on, as raw bits; not into those of an order that
-        sets the target itself.
+        """Put a target, as raw bits, into every frame from now on, except the frames of an order
+        that sets the target itself.
         """
         self._target_bits = bits
         self._fill()
 
     def push(self, bits: int) -> None:
-        """Put a torque that the drive adds into every frame from now on, as raw bits.
+        """Put a torque offset, as raw bits, into every frame from now on.
 
-        Zero is put there instead while the drive is not ordered to run.
+        While the drive is not ordered to run, the frames contain zero instead.
         """
         if self._holding:
             self._offset_bits = bits
             self._fill()
 
     def rest(self) -> None:
-        """Let the drive add no torque from now on."""
+        """Put a torque offset of zero into every frame from now on."""
         offset = self.wiring.torque_offset
         if offset is not None:
             self._offset_bits = offset.bits(0.0)
@@ -245,15 +248,16 @@ class DbcChannel:
             output.image = signal.insert(image, bits)
 
     def frames(self, *, all_now: bool = False) -> Iterator[tuple[int, bytes]]:
-        """Yield identifier and data of each frame that is due in this cycle, or of all.
+        """Yield identifier and data of each frame that is due in this cycle, or of all frames.
 
-        A message that goes only with an order is due until it has been sent.
+        A message that is sent only with an order is due until it has been sent.
         """
         self.commanded = True
         for output in self._outputs.values():
             if all_now or self.cycle % output.every == 0:
                 yield output.message.identifier, output.frame()
-        # The target comes first: a drive takes the one at hand when an order makes it run.
+        # The target is sent first, because a drive uses the last received target when an order
+        # starts it.
         while self._pending:
             output = self._pending[0]
             yield output.message.identifier, output.frame()
@@ -261,7 +265,9 @@ class DbcChannel:
                 del self._pending[0]
 
     def requests(self, *, all_now: bool = False) -> Iterator[int]:
-        """Yield the identifier of each remote frame that is due in this cycle, or of all."""
+        """Yield the identifier of each remote frame that is due in this cycle, or of all remote
+        frames.
+        """
         for slot in self._requests:
             identifier = slot.message.identifier
             if all_now or self.cycle % self._request_every.get(identifier, 1) == 0:
@@ -272,20 +278,20 @@ class DbcChannel:
         return self._stop.message.identifier, self._stop.frame(self.wiring.stop_image)
 
     def settings(self, images: Images) -> list[tuple[int, bytes]]:
-        """Return identifier and data of the frames that carry settings."""
+        """Return identifier and data of the frames that contain settings."""
         for name, image in images.items():
             self._settings[name].image = image
         return [(output.message.identifier, output.frame()) for output in self._settings.values()]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits in their last good frames, by name in the map."""
+        """Return the limits in the last valid frames, by name in the map."""
         return {
             name: quantity.read(self._by_name[quantity.message].data)
             for name, quantity in self.wiring.reported.items()
         }
 
     def pin(self, limits: dict[str, float]) -> None:
-        """Set the limits that the drive is expected to hold; none for no check."""
+        """Set the limits that the drive is expected to report; none for no check."""
         self._pinned = limits
 
     def begin(self, now_ns: int) -> None:
@@ -300,13 +306,15 @@ class DbcChannel:
 
     @property
     def answered(self) -> bool:
-        """Whether all messages in answer to the command came in this exchange."""
+        """Whether all messages that answer the command were received in this exchange."""
         cycle = self.cycle
         return all([slot.cycle == cycle for slot in self._answers])
 
     @property
     def fresh(self) -> bool:
-        """Whether all messages of a sample, periodic ones included, came complete and in time."""
+        """Whether all messages of a sample, including periodic ones, were received complete and in
+        time.
+        """
         begun = self._begun_ns
         return self.answered and all(
             [
@@ -317,9 +325,10 @@ class DbcChannel:
 
     @property
     def state(self) -> ServoState | None:
-        """State in its last good frames; None for a value that is not in the map.
+        """State of the drive in the last valid frames; None for a value that is not in the map.
 
-        A fault code is a fault whatever the state word shows: with power on, until it is off.
+        A fault code counts as a fault for every value of the status signal: as a fault with power
+        on until the power is off.
         """
         wiring = self.wiring
         shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
@@ -331,7 +340,9 @@ class DbcChannel:
 
     @property
     def fault_code(self) -> int:
-        """Fault code in its last good frame; 0 before the first, and where it reports none."""
+        """Fault code in the last valid frame; 0 before the first frame, and if the drive reports no
+        fault code.
+        """
         if self._fault is None:
             return 0
         slot, read = self._fault
@@ -341,8 +352,8 @@ class DbcChannel:
         """End an exchange: a drive that has stopped by itself is not commanded to run again.
 
         Raises:
-            DriveFault: It went into fault while it was running.
-            StateError: It holds other limits than those written into it; raised once.
+            DriveFault: The drive went into fault while it was running.
+            StateError: The drive reports other limits than those written into it; raised once.
         """
         self._check_limits()
         if not self._holding or (state := self.state) is ServoState.OPERATION_ENABLED:
@@ -362,10 +373,10 @@ class DbcChannel:
         if changed:
             self._pinned = {}
             raise StateError(
-                f"{self.label} no longer holds the limits written into it ({', '.join(changed)}): "
-                f"it has restarted, "
-                "or something else has written into it; check its supply and what else is on the "
-                "bus"
+                f"{self.label} no longer reports the limits written into it "
+                f"({', '.join(changed)}): "
+                f"the drive has restarted, or another program or device has changed the limits; "
+                "check the supply of the drive and the other devices on the bus"
             )
 
     def fault(self) -> DriveFault:

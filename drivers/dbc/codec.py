@@ -1,6 +1,6 @@
-"""Packs and unpacks signals of CAN frames by shifts from a precomputed layout; checksums.
+"""Packs and unpacks signals of CAN frames by bit shifts, and computes checksums of frames.
 
-Pure functions of bytes.
+All functions are pure functions of bytes.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ class Signal:
 
     Attributes:
         name: Name in the DBC.
-        size: Bytes of its frame.
+        size: Number of bytes of the frame.
         shift: Position of the least significant bit.
         width: Number of bits.
         motorola: Byte order (``@0`` in the DBC).
-        signed: Whether it is in two's complement.
-        real: Whether it is IEEE 754 of 32 or 64 bits.
+        signed: Whether the value is in two's complement.
+        real: Whether the value is an IEEE 754 number of 32 or 64 bits.
         factor: Physical value of one raw unit.
         offset: Physical value at raw 0.
         labels: Names of raw values (``VAL_``).
-        selector: In a multiplexed message, the signal whose value says whether this one is in the
-            frame; None for a signal that always is.
-        pages: Raw values of the selector with which this signal is in the frame.
+        selector: In a multiplexed message, the signal whose value determines whether this signal is
+            in the frame; None for a signal that is in every frame.
+        pages: Raw values of the selector for which this signal is in the frame.
     """
 
     name: str
@@ -60,7 +60,7 @@ class Signal:
 
     @cached_property
     def covers(self) -> int:
-        """The signal's bits in its frame, read as one big-endian number."""
+        """Bits of the signal in the frame, read as one big-endian number."""
         return int.from_bytes(self.insert(bytes(self.size), self.mask), "big")
 
     @cached_property
@@ -100,7 +100,7 @@ class Signal:
         """Return the bits of a raw value, to the nearest step.
 
         Raises:
-            ValueError: The value does not fit; names the range in physical units.
+            ValueError: The value does not fit; the message states the range in physical units.
         """
         if self.real:
             code, unsigned = _FLOATS[self.width]
@@ -119,8 +119,8 @@ class Signal:
             ends = sorted((low * self.factor + self.offset, high * self.factor + self.offset))
             found = raw * self.factor + self.offset
             raise ValueError(
-                f"{self.name} = {found:g} is outside {ends[0]:g} to {ends[1]:g}, what its bits "
-                f"can hold"
+                f"{self.name} = {found:g} is outside {ends[0]:g} to {ends[1]:g}, the range of the "
+                "signal"
             )
         return whole & self.mask
 
@@ -130,14 +130,14 @@ class Signal:
         return (-self._half, self._half - 1) if self.signed else (0, self.mask)
 
     def insert(self, data: bytes, bits: int) -> bytes:
-        """Return the frame with these raw bits in place."""
+        """Return the frame with the raw bits of this signal replaced by ``bits``."""
         word = int.from_bytes(data, self.order) & ~(self.mask << self.shift) | bits << self.shift
         return word.to_bytes(self.size, self.order)
 
 
 def motorola_shift(start: int, width: int, size: int) -> int:
-    """Return the shift of a big-endian signal whose most significant bit a DBC numbers
-    ``start``.
+    """Return the shift of a big-endian signal; a DBC gives the number ``start`` of its most
+    significant bit.
     """
     from_left = start // 8 * 8 + 7 - start % 8
     return 8 * size - from_left - width
@@ -193,20 +193,21 @@ CHECKSUMS: Final[Mapping[ChecksumKind, Callable[[bytes], int]]] = {
     "sum8": sum8,
     "xor8": xor8,
 }
-"""Each runs over the bytes that :func:`checksum_of` chooses."""
+"""Checksum algorithms by name; :func:`checksum_of` selects the bytes."""
 
 
 def checksum_of(
     kind: ChecksumKind, signal: Signal, prefix: bytes = b"", *, left_out: bool = False
 ) -> Callable[[bytes], int]:
-    """Return the function that computes the checksum of a frame, whatever is in its place.
+    """Return the function that computes the checksum of a frame; the result does not depend on the
+    present value of the checksum.
 
     Args:
         kind: The algorithm.
-        signal: The checksum's signal, of 8 bits.
-        prefix: Bytes covered before those of the frame.
-        left_out: Whether the checksum's own byte is left out; else it counts as zero. Its signal
-            then is a whole byte.
+        signal: Signal of the checksum, 8 bits.
+        prefix: Bytes that the checksum covers before those of the frame.
+        left_out: Whether the byte of the checksum is left out, which requires a signal of a whole
+            byte; else the checksum counts as zero.
     """
     algorithm = CHECKSUMS[kind]
     if not left_out:

@@ -1,4 +1,4 @@
-"""Reads the values that a drive reports in its own frames, and waits for those frames."""
+"""Waits for frames of a drive with its own CAN frames and returns their values in SI units."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Feedback:
     """The quantities that a drive reports.
 
     Args:
-        link: The link it is on.
+        link: The link to the drive.
         channel: The drive.
     """
 
@@ -38,13 +38,13 @@ class Feedback:
         self.restart_time()
 
     def restart_time(self) -> None:
-        """Restart counting the overflows of the drive's time."""
+        """Restart the count of overflows of the drive's time."""
         time = self._inputs.get("time")
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
     def unasked(self, *names: str) -> list[float]:
-        """Return quantities from their next good frames; NaN if these come only in answer to a
-        command, and for a quantity that the drive does not report.
+        """Return quantities from their next valid frames; NaN if the drive sends the frames only in
+        answer to a command, and for a quantity that the drive does not report.
         """
         slots = {name: self._reads[name][0] for name in names if name in self._reads}
         heard = {
@@ -60,7 +60,7 @@ class Feedback:
         """Return the limits that the drive reports next.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         reported = self._channel.wiring.reported.values()
         for message in sorted({held.message for held in reported}):
@@ -68,9 +68,9 @@ class Feedback:
         return self._channel.limits()
 
     def fault_code(self, *, again: bool = False) -> None:
-        """Wait for the fault code, if none has come yet or ``again``.
+        """Wait for the fault code, if none has been received yet or if ``again`` is true.
 
-        A drive that sends it only in answer to a command is waited for once.
+        For a drive that sends the fault code only in answer to a command, the function waits once.
         """
         quantity = self._inputs.get("fault_code")
         if quantity is None or quantity.message == self._channel.wiring.status_message:
@@ -81,7 +81,9 @@ class Feedback:
             self._await(slot)
 
     def value(self, name: str) -> float:
-        """Return a quantity from its last good frame; NaN if the drive does not report it."""
+        """Return a quantity from its last valid frame; NaN if the drive does not report the
+        quantity.
+        """
         if name not in self._reads:
             return math.nan
         slot, read = self._reads[name]
@@ -93,8 +95,8 @@ class Feedback:
         return self._position
 
     def device_time(self) -> float:
-        """Return the drive's time of its last sample, s; if it reports none, the host's time at
-        which its position came.
+        """Return the drive's time of the last sample, s; if the drive reports no time, the host's
+        time at which the position was received.
         """
         quantity = self._inputs.get("time")
         if quantity is None:
@@ -104,10 +106,11 @@ class Feedback:
         return whole * quantity.gain + quantity.bias
 
     def told(self, name: str, otherwise: int) -> int:
-        """Return an integer that the drive reports next, ``otherwise`` if it reports none.
+        """Return an integer from the next frame of the drive; ``otherwise`` if the drive does not
+        report the value.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         quantity = self._inputs.get(name)
         if quantity is None:
@@ -116,10 +119,10 @@ class Feedback:
         return round(self.value(name))
 
     def await_frame(self, name: str) -> None:
-        """Wait for the next good frame of a message.
+        """Wait for the next valid frame of a message.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         slot = self._channel.slot(name)
         refused = slot.refused
@@ -127,8 +130,8 @@ class Feedback:
             raise self._silent(slot, refused)
 
     def _await(self, slot: Slot) -> bool:
-        """Wait for the next good frame of a slot; ask for it with the order in force where the
-        drive is silent otherwise.
+        """Wait for the next valid frame of a slot; if the drive sends frames only in answer to a
+        command, repeat the current order.
         """
         link, channel, message = self._link, self._channel, slot.message
         patience_s = _patience_s(slot)
@@ -144,10 +147,11 @@ class Feedback:
         return False
 
     def hear(self, name: str) -> None:
-        """Send the current order until a message has come; some come only as an answer.
+        """Send the current order until a message is received; a drive may send a message only as an
+        answer.
 
         Raises:
-            LinkError: It does not come, or never complete.
+            LinkError: The message is not received, or is never complete.
         """
         slot = self._channel.slot(name)
         count, refused = slot.count, slot.refused
@@ -162,13 +166,13 @@ class Feedback:
     def _silent(self, slot: Slot, refused: int) -> LinkError:
         bad = slot.refused - refused
         why = (
-            f"{bad} came with a bad length, checksum or counter: check the map"
+            f"{bad} had a wrong length, checksum or counter: check the map"
             if bad
-            else "check its supply and bus"
+            else "check the supply and the bus of the drive"
         )
         name, identifier = slot.message.name, hexadecimal(slot.message.identifier)
         return LinkError(
-            f"{self._channel.label} sent no good {name} ({identifier}) "
+            f"{self._channel.label} sent no valid {name} ({identifier}) "
             f"in {_patience_s(slot):g} s: {why}"
         )
 

@@ -1,4 +1,7 @@
-"""Reads a DBC file into layouts; the only module that uses ``cantools``."""
+"""Reads a DBC file: returns its messages, and the signals of each with their bit positions.
+
+No other module uses the library ``cantools``.
+"""
 
 from __future__ import annotations
 
@@ -27,11 +30,11 @@ _MARKS: Final = (
     (codecs.BOM_UTF16_LE, ("utf-16",)),
     (codecs.BOM_UTF16_BE, ("utf-16",)),
 )
-"""Byte order mark to the encoding that it stands for."""
+"""Encoding that belongs to each byte order mark."""
 _ENCODINGS: Final = ("utf-8", "cp1252", "cp932", "gb18030", "big5")
-"""Tried in this order where there is no byte order mark."""
+"""Encodings that are tried, in this order, if a file has no byte order mark."""
 _ODD: Final = (ArithmeticError, AttributeError, LookupError, TypeError, ValueError)
-"""What ``cantools`` raises on files whose syntax is right and whose references are not."""
+"""Errors that ``cantools`` raises for files with correct syntax and wrong references."""
 _TWICE: Final = "is defined twice in the DBC; remove one"
 _PLACE: Final = re.compile(r"line (\d+), column (\d+)")
 
@@ -42,11 +45,11 @@ class Layout:
 
     Attributes:
         name: Name in the DBC.
-        identifier: CAN identifier; with bit 31 set where it has 29 bits.
+        identifier: CAN identifier; bit 31 is set if the identifier has 29 bits.
         size: Number of bytes.
-        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s; None if there is none.
+        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s; None if the DBC has none.
         signals: Signals by name.
-        obstacle: Reason why it cannot be used here; empty if it can.
+        obstacle: Reason why the message cannot be used; empty if it can.
     """
 
     name: str
@@ -61,10 +64,11 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     """Read a DBC file.
 
     Returns:
-        Message name to layout.
+        Layouts by message name.
 
     Raises:
-        ConfigurationError: It cannot be read; ``file:line:column`` where the syntax is wrong.
+        ConfigurationError: The file cannot be read; the message gives ``file:line:column`` of a
+            syntax error.
     """
     try:
         require_plain(path)
@@ -88,18 +92,20 @@ def read_dbc(path: Path) -> dict[str, Layout]:
 
 
 class _NotTextError(Exception):
-    """The bytes cannot be the text of a DBC file."""
+    """The bytes are not the text of a DBC file."""
 
 
 def _load(data: bytes) -> Database:
-    """Parse a DBC file in the first encoding in which its syntax is right.
+    """Parse a DBC file with the first encoding for which the syntax is correct.
 
-    The names that a map uses are ASCII; what no encoding can read is in comments and labels, and is
-    replaced. The encodings of East Asia come last: their second bytes include the backslash, which
-    another encoding would read as an escape of the quote after it.
+    The names that a map uses are ASCII. Bytes that no encoding can decode are in comments and
+    labels, and are replaced. The encodings of East Asia are tried last: the second byte of a
+    character may be a backslash, which another encoding would read as an escape of the following
+    quote.
 
     Raises:
-        DbcError: The syntax is wrong in each; the error in the first that can decode the file.
+        DbcError: The syntax is wrong in every encoding; the error is that of the first encoding
+            that can decode the file.
         _NotTextError: There is a zero byte.
     """
     encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
@@ -108,7 +114,8 @@ def _load(data: bytes) -> Database:
     first: DbcError | None = None
     for encoding in encodings:
         try:
-            # UTF-8 is known by its bytes; the others take almost any, and are tried by the syntax.
+            # Wrong bytes show that a text is not UTF-8; the other encodings accept almost all
+            # bytes, so that the syntax decides.
             strict = encodings is _ENCODINGS and encoding == "utf-8"
             text = data.decode(encoding, "strict" if strict else "replace").removeprefix("\ufeff")
         except UnicodeDecodeError:
@@ -129,7 +136,9 @@ def _load(data: bytes) -> Database:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep the warnings of ``cantools`` off the terminal; what matters in them is an obstacle."""
+    """Hide the warnings of ``cantools`` from the terminal; those that matter are stored as
+    obstacles.
+    """
     log, handler = logging.getLogger("cantools"), logging.NullHandler()
     log.addHandler(handler)
     try:
@@ -156,7 +165,9 @@ def _layout(message: Message) -> Layout:
 
 
 def _period_s(cycle_time_ms: object) -> float | None:
-    """Return a cycle time; None where it is not a number, as nothing checks attributes."""
+    """Return a cycle time; None if the attribute is not a number, which ``cantools`` does not
+    check.
+    """
     if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
         return None
     return cycle_time_ms / 1e3
@@ -164,10 +175,13 @@ def _period_s(cycle_time_ms: object) -> float | None:
 
 def _obstacle(message: Message) -> str:
     if message.length > 8:
-        return f"has {message.length} bytes; classical CAN carries at most 8"
+        return f"has {message.length} bytes; a classical CAN frame has at most 8"
     selectors = {s.name: s for s in message.signals if s.is_multiplexer}
     if len(selectors) > 1 or any(s.multiplexer_ids for s in selectors.values()):
-        return f"is multiplexed by more than one signal ({', '.join(selectors)}); one is supported"
+        return (
+            f"is multiplexed by more than one signal ({', '.join(selectors)}); only one is "
+            "supported"
+        )
     if odd := [s.name for s in message.signals if s.is_float and s.length not in (32, 64)]:
         return f"has floating-point signals that are not of 32 or 64 bits: {', '.join(odd)}"
     return ""

@@ -1,5 +1,6 @@
-"""Limits of a drive with its own CAN frames: those written over the bus, and those set with its
-maker's tool.
+"""Limits of a drive with its own CAN frames: converts, writes and verifies them.
+
+Limits are written over the bus, or set with the maker's tool and stated in the bench file.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ FIELDS: Final[Mapping[str, tuple[str, ...]]] = {
     "current": ("torque_N_m", "current_A"),
     "following_error": ("following_error_rad",),
 }
-"""Limit in the map to the fields of :class:`~drivers.interfaces.ServoLimits` that it holds."""
+"""Fields of :class:`~drivers.interfaces.ServoLimits` that each limit of the map contains."""
 _HELD: Final = {
     "angle_min_rad": "angle_min_deg",
     "angle_max_rad": "angle_max_deg",
@@ -42,15 +43,16 @@ class DbcDrive:
     """Data of the bench file about the drive, other than its signals.
 
     Attributes:
-        identity: Identity of the drive; ``serial_number`` and ``revision`` are overridden by
-        signals named in the map.
+        identity: Identity of the drive; signals of the map override ``serial_number`` and
+            ``revision``.
         held: Limits set in the drive with its maker's tool; limits that the drive reports over the
-        bus replace these.
+            bus replace these limits.
         gear_ratio: Motor turns per joint turn.
-        torque_constant_N_m_A: Converts a torque signal into a current.
+        torque_constant_N_m_A: Torque constant, N m/A, which converts a torque signal into a
+            current.
         offset_rad: Joint angle at position 0.
-        watchdog_s: Time without a command after which the drive stops by itself; None if it never
-            does.
+        watchdog_s: Time without a command after which the drive stops by itself, s; None if the
+            drive has no watchdog.
     """
 
     identity: Identity
@@ -62,25 +64,25 @@ class DbcDrive:
 
 
 def taken(wiring: Wiring) -> frozenset[str]:
-    """Return the fields of the limits that the drive takes over the bus, and reports."""
+    """Return the fields of the limits that are writable over the bus and that the drive reports."""
     return frozenset(field for name in wiring.reported for field in FIELDS[name])
 
 
 def places(wiring: Wiring) -> dict[str, str]:
-    """Return where each limit is: its signal, or its key under ``servo.held``."""
+    """Return the place of each limit: its signal, or its key under ``servo.held``."""
     found = {field: f"servo.held.{key}" for field, key in _HELD.items()}
     for name, limit in wiring.limits.items():
         quantity = limit.held or limit.set
         signal = f"{quantity.message}.{quantity.signal.name}"
         if limit.held is None:
-            signal += ", written and not reported"
+            signal += ", written but not reported"
         found |= dict.fromkeys(FIELDS[name], signal)
     return found
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
-    """Return limits in the map's terms: angles, speed and following error at the motor, torque
-    limit as a current.
+    """Return limits in the quantities of the map: angles, speed and following error at the motor,
+    and the torque limit as a current.
     """
     gear = drive.gear_ratio
     window = limits.following_error_rad
@@ -94,7 +96,9 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
 
 
 def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
-    """Return the drive's limits at the joint: as reported, else as stated in the bench file."""
+    """Return the drive's limits at the joint as the drive reports them, else as the bench file
+    states them.
+    """
     gear, limits = drive.gear_ratio, drive.held
     if "angle_min" in told:
         limits = replace(limits, angle_min_rad=told["angle_min"] / gear + drive.offset_rad)
@@ -132,11 +136,11 @@ def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
 
 
 def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
-    """Return the frames that carry the limits, each rounded to the drive's unit and never to a
-    wider limit.
+    """Return the frames that contain the limits, each rounded to the drive's unit so that no limit
+    becomes wider.
 
     Raises:
-        ConfigurationError: One does not fit its signal.
+        ConfigurationError: A limit does not fit its signal.
     """
     frames = {name: bytes(message.size) for name, message in wiring.settings.items()}
     for name, limit in wiring.limits.items():
@@ -156,7 +160,7 @@ def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     upward = (name in _LOWER) is (quantity.gain > 0)
     if quantity.signal.real:
         return _tighter_real(raw, quantity.signal.width, upward)
-    # The margin keeps a value that was a whole number of units unchanged.
+    # The margin keeps a value that is a whole number of units unchanged.
     return math.ceil(raw - _ROUNDING) if upward else math.floor(raw + _ROUNDING)
 
 
@@ -177,10 +181,10 @@ def verify(
     limits: Mapping[str, BoundLimit],
     who: str,
 ) -> None:
-    """Check that the drive holds the written limits within two of its units, and none wider.
+    """Check that the drive reports the written limits within two of its units, and no wider limit.
 
     Raises:
-        ConfigurationError: Names each limit that it does not hold.
+        ConfigurationError: The message states each limit that differs.
     """
     wrong = []
     for name, found in held.items():
@@ -190,19 +194,20 @@ def verify(
             wrong.append(f"{name} reads {found:g} after writing {wanted[name]:g}")
     if wrong:
         raise ConfigurationError(
-            f"{who} does not take these limits (at the motor, SI units): {'; '.join(wrong)}; "
-            "check its range in the manual"
+            f"{who} does not accept these limits (at the motor, SI units): {'; '.join(wrong)}; "
+            "check the ranges in the drive's manual"
         )
 
 
 def require_room(
     limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str
 ) -> None:
-    """Check that limits which only the maker's tool can set are not tighter than the bench's.
+    """Check that limits which only the maker's tool can set are not tighter than those of the bench
+    file.
 
     Raises:
-        ConfigurationError: Names each that is tighter than the bench's, so that the drive would
-            stop first.
+        ConfigurationError: A limit of the drive is tighter than that of the bench file, so that the
+            drive would stop first; the message states each such limit.
     """
     rows = (
         ("angle_min", -limits.angle_min_rad, -held.angle_min_rad, "rad below zero"),
@@ -217,7 +222,7 @@ def require_room(
     ]
     if tight:
         raise ConfigurationError(
-            f"limits looser than those set in {who}: {', '.join(tight)}; lower them in the bench "
-            f"file, or raise the "
-            "drive's with its maker's tool and write them under servo.held"
+            f"limits looser than those set in {who}: {', '.join(tight)}; lower these limits in "
+            "the bench file, or raise those of the drive with its maker's tool and state them "
+            "under servo.held"
         )

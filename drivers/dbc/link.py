@@ -1,4 +1,4 @@
-"""A CAN bus with drives that use their own frames (described by DBC files) and CANopen devices."""
+"""One CAN bus with CANopen devices and with drives that have their own frames (DBC files)."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _ASK_S: Final = 0.02
 
 
 class DbcLink(CanopenLink):
-    """A :class:`CanopenLink` that also carries drives with their own frames.
+    """A :class:`CanopenLink` for buses that also have drives with their own frames.
 
-    The commands go out first in every exchange, then SYNC, so that drive and encoder sample within
-    one frame time. Closing the link sends every drive that was commanded its stop frame.
+    Every exchange sends the commands first and then SYNC, so that drive and encoder sample within
+    one frame time. Closing the link sends the stop frame to every drive that received a command.
     """
 
     _channels: tuple[DbcChannel, ...] = ()
@@ -39,10 +39,10 @@ class DbcLink(CanopenLink):
         return channel
 
     def open(self) -> None:
-        """Open the bus. Sends nothing.
+        """Open the bus. Nothing is sent.
 
         Raises:
-            LinkError: It cannot be opened.
+            LinkError: The bus cannot be opened.
             ConfigurationError: Two devices use one identifier.
         """
         for conflict in self.conflicts():
@@ -56,7 +56,7 @@ class DbcLink(CanopenLink):
         super().open()
 
     def conflicts(self) -> Iterator[str]:
-        """Yield a message for each CAN identifier of a drive that is used twice on this bus."""
+        """Yield a text for each CAN identifier of a drive that is used twice on this bus."""
         taken: set[int] = set()
         for channel in self._channels:
             wiring = channel.wiring
@@ -80,9 +80,9 @@ class DbcLink(CanopenLink):
         return _RESERVED.get(identifier, "")
 
     def close(self) -> None:
-        """Send each drive that was commanded its stop frame, then close the bus.
+        """Send the stop frame to each drive that received a command, then close the bus.
 
-        Safe to call twice and after a failure. Raises nothing.
+        The method raises no error, may be called twice, and may be called after a failure.
         """
         commanded = (
             [channel for channel in self._channels if channel.commanded]
@@ -93,7 +93,7 @@ class DbcLink(CanopenLink):
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
-        """Send every command, then SYNC, and collect the answers; waits at most 80 % of the cycle.
+        """Send every command, then SYNC, and collect the answers, for at most 80 % of the cycle.
 
         Raises:
             LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
@@ -128,7 +128,7 @@ class DbcLink(CanopenLink):
             self.send(identifier, data)
 
     def drain(self, channel: DbcChannel) -> None:
-        """Receive what has come from a drive so far.
+        """Process the frames of a drive that have arrived so far.
 
         Raises:
             LinkError: The bus failed.
@@ -148,7 +148,7 @@ class DbcLink(CanopenLink):
         self.send(*channel.stop_frame())
 
     def request(self, slot: Slot) -> None:
-        """Ask a drive for a message that it sends only in answer to a remote frame.
+        """Request a message that a drive sends only in answer to a remote frame.
 
         Raises:
             LinkError: The bus refuses it.
@@ -157,9 +157,9 @@ class DbcLink(CanopenLink):
             self.send(slot.message.identifier | REMOTE_FLAG, b"")
 
     def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
-        """Wait for a good frame that comes after this call; False after the time-out.
+        """Wait for a valid frame that arrives after this call; return False after the time-out.
 
-        A message that answers remote frames is asked for again and again.
+        A message that the drive sends in answer to remote frames is requested repeatedly.
 
         Raises:
             LinkError: The bus failed.

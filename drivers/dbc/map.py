@@ -1,8 +1,10 @@
-"""Map of the signals of a drive with its own CAN frames, as given in the bench file.
+"""Signal map of a drive with its own CAN frames: which signal of a DBC file has which meaning.
 
-Signals are named ``Message.Signal`` as in the DBC. Units are those of the DBC (its factor and
-offset applied), brought to SI by ``scale`` and ``sign``; position, velocity, torque and target are
-at the motor then.
+The bench file contains the map.
+
+Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, with its factor
+and offset applied; ``scale`` and ``sign`` convert them to SI. Position, velocity, torque and target
+are then those of the motor.
 """
 
 from __future__ import annotations
@@ -27,10 +29,10 @@ STATES: Final[Mapping[StateName, ServoState]] = {
     "fault reaction": ServoState.FAULT_REACTION,
     "fault": ServoState.FAULT,
 }
-"""State names in the map to states of the program."""
+"""States of the program by their names in the map."""
 
 Assignments = Mapping[str, str | int | float]
-"""Signal to the value it must carry: a label of the DBC, or a raw number."""
+"""Value that each signal must have: a label of the DBC, or a raw number."""
 
 
 @dataclass(frozen=True)
@@ -39,13 +41,13 @@ class Quantity:
 
     Attributes:
         signal: `Message.Signal` as in the DBC file.
-        scale: SI units per unit of the DBC value, whose own factor and offset are applied before.
-        sign: -1 turns the direction.
-        offset: Added after the scale, SI.
-        wraps_after: For position and target: change, in rad, after which the signal shows the same
-            value again. A position is then followed over the jump (it moves less than half of this
-            between two frames), from its first value on; a target is sent as the value of the
-            signal's range that means the same angle.
+        scale: SI units per unit of the DBC value, after factor and offset of the DBC.
+        sign: -1 reverses the direction.
+        offset: Value that is added after the scale, SI.
+        wraps_after: For position and target: change, in rad, after which the signal has the same
+            value again. The program then counts the jumps of a position, from its first value on;
+            between two frames the position must change by less than half of `wraps_after`. A target
+            is sent as the value in the signal's range that means the same angle.
     """
 
     signal: str
@@ -57,20 +59,21 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the drive reports; one of ``current`` and ``torque`` is needed.
+    """Signals that the drive reports; one of ``current`` and ``torque`` is needed.
 
     Attributes:
         position: Motor angle, rad.
         velocity: Motor speed, rad/s.
-        temperature: Temperature of the drive, deg C; left out where the drive reports none, and no
-            limit is checked then.
-        supply_voltage: Supply voltage, V; left out as the temperature.
+        temperature: Temperature of the drive, deg C; left out if the drive reports none, and then
+            no limit is checked.
+        supply_voltage: Supply voltage, V; left out if the drive reports none, and then no limit is
+            checked.
         current: Motor current, A.
         torque: Motor torque, N m.
-        voltage: Motor voltage, V; not a number in the recording where it is left out.
-        time: The drive's own clock, s, modulo the range of its signal; without it the time of
-            arrival is taken.
-        fault_code: The drive's fault code. A code other than 0 is a fault, whatever the state says.
+        voltage: Motor voltage, V; if it is left out, the recording contains NaN.
+        time: Time of the drive's clock, s, modulo the range of its signal; if it is left out, the
+            time of arrival is used.
+        fault_code: The drive's fault code. A code other than 0 counts as a fault in every state.
         serial_number: The drive's serial number.
         revision: The drive's firmware or hardware revision.
     """
@@ -90,13 +93,14 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Status:
-    """The signal that says what state the drive is in, and which of its values mean which state.
+    """The signal that reports the state of the drive, and the meaning of its values.
 
     Attributes:
         signal: `Message.Signal` as in the DBC file.
-        states: State to the values of the signal that mean it: labels of the DBC, or numbers.
-        asked: The drive is silent until it gets a command. The program then asks by repeating the
-            order in force, which is `disable` until a run enables the drive; `check` does so too.
+        states: Values of the signal for each state: labels of the DBC, or numbers.
+        asked: Whether the drive sends frames only in answer to a command. The program then repeats
+            the current order, which is `disable` until a run enables the drive; `rig check` does so
+            too.
     """
 
     signal: str
@@ -106,16 +110,19 @@ class Status:
 
 @dataclass(frozen=True)
 class Orders:
-    """What to send for each verb: signal to label of the DBC, or number.
+    """The orders of the program, each with the values of signals to send: labels of the DBC, or
+    numbers.
 
-    An order that sets the target signal goes without the target. A message that only orders name is
-    sent with these orders alone, and once; with a ``period_ms`` of its own it is sent periodically.
+    If an order sets the target signal, its frames do not contain the program's target. A message
+    that only orders name is sent once with each of these orders; with its own ``period_ms`` it is
+    sent periodically.
 
     Attributes:
-        disable: Takes the power off.
-        stop: Brakes, then takes the power off.
+        disable: Switches the power off.
+        stop: Brakes, then switches the power off.
         reset: Clears a fault.
-        enable: By the state that the drive reports, one step at a time until it runs.
+        enable: Order for each state that the drive reports; one step at a time until the drive
+            runs.
     """
 
     disable: Assignments
@@ -126,11 +133,12 @@ class Orders:
 
 @dataclass(frozen=True)
 class StopFrame:
-    """A frame that stops the drive whatever else is sent; every stop, disable and close sends it.
+    """A frame that stops the drive independently of all other frames; every stop, disable and close
+    sends this frame.
 
     Attributes:
         message: Name of the message in the DBC file.
-        signals: Signal of that message to its value.
+        signals: Value of each signal of this message.
     """
 
     message: str
@@ -139,12 +147,13 @@ class StopFrame:
 
 @dataclass(frozen=True)
 class LimitSignals:
-    """Where a limit is written, and where the drive reports what it holds; in the same units.
+    """The signal with which a limit is written, and the signal with which the drive reports the
+    limit; both in the same units.
 
     Attributes:
-        set: The signal that the limit is written to.
-        held: The signal that reports the limit; left out where none does. Such a limit is written,
-            but counts as one that this program alone holds.
+        set: The signal with which the limit is written.
+        held: The signal that reports the limit; left out if the drive does not report it. Such a
+            limit is written, but counts as a limit that only this program checks.
     """
 
     set: Quantity
@@ -153,7 +162,7 @@ class LimitSignals:
 
 @dataclass(frozen=True)
 class LimitMap:
-    """Limits that the drive takes over the bus, at the motor.
+    """Limits that can be written over the bus, at the motor.
 
     Attributes:
         angle_min: Lowest motor angle, rad.
@@ -172,21 +181,23 @@ class LimitMap:
 
 @dataclass(frozen=True)
 class Protection:
-    """How one message is guarded, and how often it goes.
+    """Counter and checksum of one message, and how often the message is sent.
 
     Attributes:
-        counter: Signal of the message that counts up with every message.
-        checksum: Signal of the message that holds the checksum.
+        counter: Signal of the message that increases by one with every message.
+        checksum: Signal of the message that contains the checksum.
         algorithm: How the checksum is computed.
         prefix: Bytes that the checksum covers before those of the message: an identifier, a length
             or a data ID.
-        own_byte: `zero`: the checksum covers its own byte, as zero; `left out`: it does not.
-        period_ms: How often the message goes; 0 for every control cycle (an input: in answer to
-            each command). Left out, the cycle time of the DBC holds, or 0 where it has none; a
-            message that only orders name is then sent once with each of them.
-        remote: An input that the drive sends only in answer to a remote frame: the program sends
-            one every `period_ms`.
-        counter_last: Value of the counter that 0 follows; left out, the greatest that it can hold.
+        own_byte: `zero`: the checksum covers its own byte, as zero; `left out`: the checksum does
+            not cover its own byte.
+        period_ms: Period of the message; 0 for every control cycle (an input: in answer to each
+            command). If it is left out, the period is the cycle time of the DBC, or 0 if the DBC
+            has none; a message that only orders name is then sent once with each of these orders.
+        remote: Whether the message is an input that the drive sends only in answer to a remote
+            frame: the program then sends a remote frame every `period_ms`.
+        counter_last: Value of the counter that 0 follows; if it is left out, the greatest value of
+            the signal.
     """
 
     counter: str | None = None
@@ -201,7 +212,7 @@ class Protection:
 
 @dataclass(frozen=True)
 class DbcMap:
-    """Everything the bench file says about the signals."""
+    """All data of the bench file about the signals of one drive."""
 
     inputs: Inputs
     status: Status

@@ -1,4 +1,7 @@
-"""Binds the orders of a map: the frames of each, and which messages are sent only with an order."""
+"""Builds the CAN frames of each order (disable, stop, enable, ...) from a signal map and its DBC.
+
+The module also finds the messages that are sent only with an order.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ class BoundOrders:
 
     Attributes:
         orders: Orders by their name in the map, other than those toward power.
-        enable: Orders toward power, by state.
+        enable: Orders toward power, by state of the drive.
         cyclic: Messages that are sent periodically.
         once: Messages that are sent only with an order that names them.
     """
@@ -34,12 +37,13 @@ class BoundOrders:
 
 
 def bind_orders(spec: DbcMap, names: Names, written: Iterable[str]) -> BoundOrders:
-    """Bind all orders; problems go to ``names``.
+    """Build all orders; ``names`` collects the problems.
 
     Args:
         spec: The map.
         names: The DBC.
-        written: Signals ``Message.Signal`` that the program writes in every cycle, target first.
+        written: Signals ``Message.Signal`` that the program writes in every cycle; the target is
+            the first.
     """
     places = order_places(spec)
     named = {
@@ -64,7 +68,9 @@ def bind_orders(spec: DbcMap, names: Names, written: Iterable[str]) -> BoundOrde
 
 
 def order_places(spec: DbcMap) -> list[tuple[Place, Assignments]]:
-    """Return place and values of each order: disable, stop, reset, then those toward power."""
+    """Return the place in the map and the values of each order: disable, stop, reset, then the
+    orders toward power.
+    """
     orders = spec.orders
     return [
         (("orders", "disable"), orders.disable),
@@ -82,7 +88,9 @@ def _order(
     cyclic: frozenset[str],
     filled: list[tuple[Layout, Signal]],
 ) -> Order:
-    """Return an order: values in place, and who wins where both order and program write."""
+    """Return the frames of an order with its values, and whether the order replaces the target of
+    the program.
+    """
     images = _Images(names)
     for name in cyclic:
         images.begin(names.layouts[name])
@@ -103,11 +111,13 @@ def _order(
                 names.report(
                     place,
                     f"sets the target {layout.name}.{signal.name} or another page of its message, "
-                    f"so that a running drive would never get one: leave it out",
+                    "so that a running drive would never receive a target: leave it out",
                 )
         elif number and shared and not own_target:
             names.report(
-                place, f"sets {layout.name}.{signal.name}, which the program writes: leave it out"
+                place,
+                f"sets {layout.name}.{signal.name}, which the program writes in every cycle: "
+                "leave it out",
             )
     return Order(images.frames, own_target)
 
@@ -128,10 +138,10 @@ def _require_free(spec: DbcMap, names: Names, place: Place, layout: Layout, sign
 
 
 class _Images:
-    """Frames in the making, with what has been set in them.
+    """Frames under construction, with the bits that have been set.
 
     Attributes:
-        frames: Message to its frame.
+        frames: Frame of each message.
     """
 
     def __init__(self, names: Names) -> None:
@@ -156,7 +166,7 @@ class _Images:
         return selector.bits(self.frames[layout.name]) not in signal.pages
 
     def put(self, place: Place, layout: Layout, signal: Signal, value: str | int | float) -> None:
-        """Set a signal, and the selector of its page."""
+        """Set a signal and the selector of its page."""
         bits = self._names.bits(place, signal, value)
         if bits is None:
             return
@@ -192,7 +202,9 @@ class _Images:
 
 
 def _quiet(layouts: Mapping[str, Layout], name: str) -> tuple[Layout, Signal] | None:
-    """Look up ``Message.Signal`` where a missing name has been reported already."""
+    """Look up ``Message.Signal`` without a report, because a missing name has been reported
+    already.
+    """
     message, _, part = name.partition(".")
     layout = layouts.get(message)
     if layout is None or layout.obstacle or part not in layout.signals:
@@ -201,7 +213,7 @@ def _quiet(layouts: Mapping[str, Layout], name: str) -> tuple[Layout, Signal] | 
 
 
 def stop_image(spec: DbcMap, names: Names) -> tuple[Layout, bytes] | None:
-    """Return message and data of the stop frame; problems go to ``names``."""
+    """Return message and data of the stop frame; ``names`` collects the problems."""
     stop = spec.stop_frame
     layout = names.layout(("stop_frame", "message"), stop.message)
     if layout is None:

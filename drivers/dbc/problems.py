@@ -1,4 +1,4 @@
-"""Problems of a map, and the names and values that it takes from a DBC."""
+"""Collects the errors of a signal map, and looks up its names and values in a DBC file."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from drivers.dbc.codec import Signal
 from drivers.dbc.file import Layout
 
 Place = tuple[str | int, ...]
-"""Path of keys from the top of the map to the faulty value."""
+"""Keys from the top of the map to the faulty value."""
 Problem = tuple[Place, str]
 
 
@@ -28,7 +28,8 @@ class DbcMapError(Exception):
 
 
 class Names:
-    """Looks up the names of a map in a DBC, and collects problems so that all come at once.
+    """Looks up the names of a map in a DBC, and collects the problems, so that all are reported
+    together.
 
     Attributes:
         problems: The problems found so far.
@@ -43,7 +44,7 @@ class Names:
         self.problems.append((place, text))
 
     def layout(self, place: Place, message: str) -> Layout | None:
-        """Return a message; None, with a problem, if it is unknown or cannot be used."""
+        """Return a message; None, with a problem reported, if it is unknown or cannot be used."""
         layout = self.layouts.get(message)
         if layout is None:
             self.report(
@@ -55,7 +56,9 @@ class Names:
         return layout
 
     def signal(self, place: Place, name: str) -> tuple[Layout, Signal] | None:
-        """Return the message and signal of ``Message.Signal``; None, with a problem, if unknown."""
+        """Return the message and signal of ``Message.Signal``; None, with a problem reported, if
+        unknown.
+        """
         message, dot, signal = name.partition(".")
         if not dot:
             self.report(place, f"{name!r} must be written Message.Signal")
@@ -65,7 +68,9 @@ class Names:
         return None if layout is None or found is None else (layout, found)
 
     def part(self, place: Place, layout: Layout, name: str) -> Signal | None:
-        """Return a signal of a message; None, with a problem, if it has none of this name."""
+        """Return a signal of a message; None, with a problem reported, if the message has no signal
+        of this name.
+        """
         signal = layout.signals.get(name)
         if signal is None:
             near = nearest(name, layout.signals)
@@ -73,15 +78,15 @@ class Names:
         return signal
 
     def require_whole(self, place: Place, signal: Signal) -> bool:
-        """Report a floating-point signal where whole numbers are needed."""
+        """Report a problem if a signal that must be a whole number is floating-point."""
         if signal.real:
             self.report(
-                place, f"signal {signal.name!r} is floating-point; use one of whole numbers"
+                place, f"signal {signal.name!r} is floating-point; use a signal with whole numbers"
             )
         return not signal.real
 
     def raw(self, place: Place, signal: Signal, value: str | int | float) -> int | None:
-        """Return the raw value of a label, or the number itself if it fits."""
+        """Return the raw value of a label, or a number that fits the signal."""
         if isinstance(value, str):
             raw = next((raw for raw, label in signal.labels.items() if label == value), None)
             if raw is None:
@@ -93,14 +98,14 @@ class Names:
         low, high = signal.range
         if isinstance(value, int) and low <= value <= high:
             return value
-        what = f"is outside {low} to {high}, what {signal.name!r} can hold"
+        what = f"is outside {low} to {high}, the range of {signal.name!r}"
         if not isinstance(value, int):
             what = f"is not a whole number, which signal {signal.name!r} needs"
         self.report(place, f"{value} {what}")
         return None
 
     def bits(self, place: Place, signal: Signal, value: str | int | float) -> int | None:
-        """Return the bits of a value, also of a floating-point signal."""
+        """Return the bits of a value, also for a floating-point signal."""
         if signal.real and not isinstance(value, str):
             try:
                 return signal.pack(float(value))
@@ -112,7 +117,7 @@ class Names:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Suggest the names closest to a mistyped one, or list them all."""
+    """Return a text with the known names that are closest to a mistyped one, or with all names."""
     names = sorted(known)
     close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
         name, names, n=3

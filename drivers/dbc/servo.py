@@ -1,4 +1,4 @@
-"""A position servo with its own CAN frames, driven by its DBC file and a map of its signals."""
+"""Position servo for drives with their own CAN frames, by a DBC file and a map of its signals."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(Servo):
-    """A drive with its own frames. Only :meth:`enable` ever moves it toward power.
+    """A drive with its own frames. No method but :meth:`enable` leads toward power.
 
     Args:
-        link: The link it is on.
+        link: The link to the drive.
         channel: The drive.
         drive: Data of the drive from the bench file.
         state_timeout_s: Time-out for reaching a state, s.
@@ -68,10 +68,10 @@ class DbcServo(Servo):
         self._staged_in = 0
 
     def identity(self) -> Identity:
-        """Return the identity from the bench file and the drive's own frames.
+        """Return the identity from the bench file and from the frames of the drive.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         told = self._drive.identity
         return Identity(
@@ -86,8 +86,8 @@ class DbcServo(Servo):
         """Wait for the drive's next status frame and return its state.
 
         Raises:
-            LinkError: The drive is silent.
-            StateError: The map does not name the status value.
+            LinkError: The drive sends no frames.
+            StateError: The map does not contain the status value.
         """
         self._feedback.fault_code()
         self._feedback.await_frame(self._wiring.status_message)
@@ -95,20 +95,22 @@ class DbcServo(Servo):
         if state is None:
             raw = self._wiring.status.raw(self._status.data)
             raise StateError(
-                f"{self._channel.label} reports status {raw:g}, which the map does not name: add it"
+                f"{self._channel.label} reports status {raw:g}, which the map does not contain: "
+                "add it to the map"
             )
         return state
 
     def _told(self) -> ServoState:
-        """Return the state after the next fault code, which may come later than the state."""
+        """Return the state after the next fault code, which may arrive later than the state."""
         self._feedback.fault_code(again=True)
         return self.state()
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits that the drive holds: as reported, else as stated in the bench file.
+        """Return the limits of the drive as the drive reports them, else as the bench file states
+        them.
 
         Raises:
-            LinkError: The drive is silent.
+            LinkError: The drive sends no frames.
         """
         return dbc_limits.decode(self._feedback.limits(), self._drive)
 
@@ -117,7 +119,9 @@ class DbcServo(Servo):
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield limits that do not fit their signal or exceed those set with the maker's tool."""
+        """Yield an error for each limit that does not fit its signal or exceeds the one set with
+        the maker's tool.
+        """
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
         yield from refusal(
@@ -125,12 +129,12 @@ class DbcServo(Servo):
         )
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write the limits that the drive accepts, and verify all limits that it holds.
+        """Write the limits that can be written over the bus, and verify all limits of the drive.
 
         Raises:
-            ConfigurationError: The drive holds another value than the one written, or one that was
-                set with its maker's tool is tighter, so that the drive would stop first.
-            LinkError: The drive is silent.
+            ConfigurationError: The drive reports another value than the written one, or a limit
+                that was set with the maker's tool is tighter, so that the drive would stop first.
+            LinkError: The drive sends no frames.
         """
         wanted = dbc_limits.encode(limits, self._drive)
         settable = self._wiring.limits
@@ -143,9 +147,10 @@ class DbcServo(Servo):
         dbc_limits.require_room(limits, self._drive.held, settable, self._channel.label)
 
     def readings(self) -> ServoReadings:
-        """Wait for the next frame of each message that carries a value.
+        """Wait for the next frame of each message that contains a value.
 
-        Messages that only come in answer to a command are not requested; their values are NaN.
+        A message that the drive sends only in answer to a command is not requested; its values are
+        NaN.
         """
         names = ("position", "velocity", self._effort, "supply_voltage", "temperature")
         position, velocity, effort, supply, temperature = self._feedback.unasked(*names)
@@ -160,10 +165,10 @@ class DbcServo(Servo):
         return self._channel.fault()
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a cycle too slow for the drive's watchdog, and a position that does not fit the
-        target signal.
+        """Yield an error for a cycle that is too slow for the drive's watchdog, and for a position
+        that does not fit the target signal.
 
-        A message that only comes as an answer to a command is not waited for.
+        The method does not wait for a message that the drive sends only in answer to a command.
         """
         yield from refusal(self._require_watchdog, cycle_s)
         (position,) = self._feedback.unasked("position")
@@ -171,14 +176,14 @@ class DbcServo(Servo):
             yield from refusal(self._target_bits, position)
 
     def prepare(self, cycle_s: float) -> None:
-        """Set the cycle, and wait until every message of the drive has come complete. Nothing is
-        energised.
+        """Set the cycle time, and wait until every message of the drive has been received complete.
+        Nothing is energised.
 
         Raises:
             ConfigurationError: The cycle is too slow for the drive's watchdog or differs from
                 another device's, or the drive's position does not fit the target signal.
             StateError: The drive is energised.
-            LinkError: A message does not come, or never complete.
+            LinkError: A message is not received, or is never complete.
         """
         state = self.state()
         if state.energised:
@@ -200,8 +205,8 @@ class DbcServo(Servo):
         """Energise and hold the present position, with process data exchanged throughout.
 
         Raises:
-            StateError: Not prepared, not allowed in this state, or not reached in time; the drive
-                is left de-energised.
+            StateError: The drive is not prepared, the command is not allowed in the present state,
+                or the drive does not reach the state in time; the drive is then de-energised.
             DriveFault: The drive is in fault.
         """
         if not self._cycle_ns:
@@ -219,11 +224,13 @@ class DbcServo(Servo):
             raise
 
     def disable(self) -> None:
-        """Take the power off, send the stop frame, and verify by the drive's status that it is off.
+        """Switch the power off, send the stop frame, and verify by the drive's status that the
+        power is off.
 
         Raises:
             StateError: The drive still reports an energised state.
-            LinkError: The drive cannot be reached; it stops by itself when its watchdog runs out.
+            LinkError: The drive cannot be reached; it stops by itself after the time of its
+                watchdog.
         """
         self._command(self._wiring.disable)
         self._link.stop(self._channel)
@@ -247,15 +254,16 @@ class DbcServo(Servo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. Ends de-energised; never restarts motion.
+        """Clear a fault. The drive is then de-energised; motion never restarts.
 
         Raises:
-            StateError: There is no fault to reset, or it comes back.
+            StateError: There is no fault to reset, or the fault occurs again.
         """
-        # The table of CiA 402 states in which states a fault can be reset.
+        # The table of CiA 402 determines the states in which a fault can be reset.
         word = cia402.controlword(self.state(), cia402.Command.RESET_FAULT)
         disable, reset = self._wiring.disable, self._wiring.reset
-        # Drives act on the edge of a reset, so each reset is sent between two orders to stay off.
+        # A drive reacts to the rising edge of a reset, so that each reset is sent between two
+        # disable orders.
         orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
         self._command(*orders)
         await_state(
@@ -268,26 +276,27 @@ class DbcServo(Servo):
         )
 
     def set_target(self, angle_rad: float) -> None:
-        """Stage the joint angle that the next exchange sends.
+        """Set the joint angle that the next exchange sends.
 
         Raises:
-            ConfigurationError: The angle is beyond what its signal can hold.
+            ConfigurationError: The angle is beyond the range of its signal.
         """
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, where the map has a signal for it.
+        """Set a joint torque that the drive adds to the torque of its controller; the map must have
+        a signal for it.
 
-        Zero is staged instead while the drive is not ordered to run.
+        While the drive is not ordered to run, zero is sent instead.
 
         Raises:
-            ConfigurationError: There is no such signal, or the torque does not fit it.
+            ConfigurationError: The map has no such signal, or the torque does not fit it.
         """
         quantity = self._wiring.torque_offset
         if quantity is None:
             raise ConfigurationError(
-                f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run "
-                f"without feed-forward, or name the signal under servo.torque_offset"
+                f"this drive has no torque offset ({torque_N_m:g} N m was to be added): run "
+                "without feed-forward, or state the signal under servo.torque_offset"
             )
         try:
             bits = quantity.bits(torque_N_m / self._drive.gear_ratio)
@@ -298,15 +307,15 @@ class DbcServo(Servo):
         self._channel.push(bits)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange; ``statusword`` is what a CiA 402 drive would show
-        in this state.
+        """Return the sample of the last exchange; ``statusword`` is that of a CiA 402 drive in the
+        same state.
         """
         channel, drive = self._channel, self._drive
         state = channel.state
         position = self._feedback.value("position")
         following = 0.0
         if state is ServoState.OPERATION_ENABLED:
-            # The target of the previous exchange is the one that the drive has reached now.
+            # The drive has reached the target of the previous exchange now.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) / drive.gear_ratio
         return ServoSample(
@@ -326,9 +335,9 @@ class DbcServo(Servo):
         slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
         if watchdog_s is not None and slowest > watchdog_s / 2:
             raise ConfigurationError(
-                f"commands go every {slowest * 1e3:g} ms, the drive stops after "
-                f"{watchdog_s * 1e3:g} ms without one: "
-                "at most half of that; raise cycle_Hz"
+                f"commands go every {slowest * 1e3:g} ms, and the drive stops after "
+                f"{watchdog_s * 1e3:g} ms without a command; commands must be at most half of "
+                "this time apart: raise cycle_Hz"
             )
 
     def _stage(self, motor_rad: float) -> None:
@@ -354,7 +363,7 @@ class DbcServo(Servo):
             self._link.command(self._channel)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Order) -> None:
-        # The orders are repeated, as a frame may have been lost.
+        # The orders are repeated, because a frame may have been lost.
         await_state(
             self.state,
             reached,
@@ -383,7 +392,8 @@ class DbcServo(Servo):
                     "check its supply and its enable input"
                 )
             if channel.fresh and state is not None and state in wiring.enable:
-                # Once a step: a message that goes only with an order is not to be repeated.
+                # Each step sends its order once, because a message that is sent only with an order
+                # must not be repeated.
                 if state is not step:
                     channel.order(wiring.enable[state])
                     step = state

@@ -1,4 +1,4 @@
-"""A map bound to its DBC: all layouts precomputed, no names left to look up."""
+"""Records of a signal map after its names were resolved: bit layouts of all messages and orders."""
 
 from __future__ import annotations
 
@@ -13,18 +13,19 @@ from drivers.interfaces import ServoState
 
 @dataclass(frozen=True)
 class BoundMessage:
-    """A message in use, with counter and checksum.
+    """A message that the map uses, with counter and checksum.
 
     Attributes:
         name: Name in the DBC.
         identifier: CAN identifier.
         size: Number of bytes.
-        counter: Its life counter signal, if any.
-        checksum: Its checksum signal, if any.
-        algorithm: Computes that checksum of a frame, whatever is in its place.
+        counter: Signal of the life counter, if any.
+        checksum: Signal of the checksum, if any.
+        algorithm: Function that computes the checksum of a frame; the result does not depend on the
+            present value of the checksum.
         turn: Number of values of the life counter.
         period_s: Sending period, s; 0 for every control cycle.
-        remote: Whether the drive sends it only in answer to a remote frame.
+        remote: Whether the drive sends the message only in answer to a remote frame.
     """
 
     name: str
@@ -44,7 +45,7 @@ class BoundPage:
 
     Attributes:
         message: Name of the message.
-        selector: The signal that numbers the page.
+        selector: The signal whose value selects the page.
         number: Raw value of the selector.
         count: Number of pages of the message.
     """
@@ -59,7 +60,8 @@ class BoundPage:
 class BoundQuantity:
     """A quantity in SI units: SI = ``gain`` x raw + ``bias``.
 
-    ``message`` is the name of its message, or the key of its page in :attr:`Wiring.pages`.
+    ``message`` is the name of the message that contains the quantity, or the key of a page in
+    :attr:`Wiring.pages`.
     """
 
     message: str
@@ -70,14 +72,14 @@ class BoundQuantity:
 
     @cached_property
     def read(self) -> Callable[[bytes], float]:
-        """Returns the quantity in a frame, SI."""
+        """Function that returns the quantity of a frame, SI."""
         return self.signal.reader(self.gain, self.bias)
 
     def bits(self, value: float) -> int:
         """Return the bits of a value in SI.
 
         Raises:
-            ValueError: The value does not fit; names the range.
+            ValueError: The value does not fit the signal; the message states the range.
         """
         raw = (value - self.bias) / self.gain
         if self.wraps_after is not None and math.isfinite(raw):
@@ -85,7 +87,7 @@ class BoundQuantity:
         return self.signal.pack(raw)
 
     def _turned(self, raw: float, period: float) -> float:
-        """Return the raw value of the signal's range that means the same after whole periods."""
+        """Return the raw value in the signal's range that differs from ``raw`` by whole periods."""
         signal = self.signal
         low, high = (-period / 2, period / 2) if signal.real else signal.range
         if not signal.real:
@@ -99,14 +101,14 @@ class BoundQuantity:
 
 @dataclass(frozen=True)
 class BoundLimit:
-    """The signals that set and report a limit; ``held`` is None where none reports it."""
+    """The signals that set and report a limit; ``held`` is None if no signal reports it."""
 
     set: BoundQuantity
     held: BoundQuantity | None
 
 
 Images = Mapping[str, bytes]
-"""Message name to the frame with values in place and zeros elsewhere."""
+"""Frame of each message by name, with the values set and zeros elsewhere."""
 
 
 @dataclass(frozen=True)
@@ -114,10 +116,10 @@ class Order:
     """The frames of one order.
 
     Attributes:
-        frames: A frame of every message that is sent in each cycle, and of those that are sent only
-            with an order, the ones that this order names.
-        own_target: Whether the order sets bits of the target itself; the target is then not put
-            into its frame.
+        frames: A frame of every message that is sent in each cycle, and of the messages that this
+            order names and that are sent only with an order.
+        own_target: Whether the order sets bits of the target itself; the program then does not
+            write the target into the frame.
     """
 
     frames: Images
@@ -126,27 +128,27 @@ class Order:
 
 @dataclass(frozen=True)
 class Wiring:
-    """A map bound to its DBC.
+    """A signal map after its names were resolved.
 
     Attributes:
-        received: Messages the drive sends, by name.
-        pages: Pages of multiplexed messages in use, by their key.
+        received: Messages that the drive sends, by name.
+        pages: Pages of multiplexed messages that the map uses, by key.
         sampled: Names of the received messages, and keys of the pages, that make up a sample.
-        sent: Messages the host sends periodically, by name.
-        once: Messages the host sends only with an order that names them, by name.
-        settings: Messages that carry limits, by name.
+        sent: Messages that the host sends periodically, by name.
+        once: Messages that the host sends only with an order that names them, by name.
+        settings: Messages that contain limits, by name.
         inputs: Quantities by name in the map.
         limits: Limits that can be written, by name in the map.
-        status_message: Message or page that carries the state.
+        status_message: Message or page that contains the state.
         status: Signal of the state.
-        states: Raw status value to state.
-        asked: Whether messages without a period come only in answer to a command.
+        states: State of each raw status value.
+        asked: Whether the drive sends messages without a period only in answer to a command.
         target: Signal of the commanded position.
-        torque_offset: Signal of the torque that the drive adds, if there is one.
-        disable: Takes the power off.
+        torque_offset: Signal of the torque offset, if there is one.
+        disable: Order that switches the power off.
         stop: Brakes.
-        reset: Clears a fault.
-        enable: Leads toward power, by state.
+        reset: Order that clears a fault.
+        enable: Orders toward power, by state.
         stop_message: Message of the stop frame.
         stop_image: Data of the stop frame, without counter and checksum.
     """

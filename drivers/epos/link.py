@@ -93,7 +93,7 @@ class EposSerialLink(Link):
         return node
 
     def open(self) -> None:
-        """Open the port. Sends nothing.
+        """Open the port. Nothing is sent.
 
         Raises:
             LinkError: It cannot be opened.

@@ -118,7 +118,7 @@ class EposSerialNode(ObjectAccess):
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
 
-        Sends nothing.
+        Nothing is sent.
         """
         for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
             if address != _HOST_TIME:

@@ -148,7 +148,10 @@ class ObjectAccess:
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
-        """Return whether the EDS has an object; each can be read in every cycle. Sends nothing."""
+        """Return whether the EDS contains an object; every object can be read in every cycle.
+
+        Nothing is sent.
+        """
         return described(self._dictionary, index, subindex, mappable=False)
 
     def fit_together(self, addresses: Sequence[tuple[int, int]]) -> bool:
@@ -161,7 +164,7 @@ class ObjectAccess:
     def require_fit(self, index: int, subindex: int, value: int) -> None:
         """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
 
-        Sends nothing.
+        Nothing is sent.
         """
         self._written(index, subindex, value)
 

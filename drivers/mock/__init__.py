@@ -1,1 +1,1 @@
-"""Simulated counterparts: a bus in simulated time, and devices that use the real protocols."""
+"""Simulated buses and devices: a bus in simulated time, and devices that use the real protocols."""

@@ -1,4 +1,4 @@
-"""Simulated AMT21 encoder on the joint of the simulated machine, exact to the byte."""
+"""Simulated AMT21 encoder at the joint: answers serial requests with the bytes of the real one."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ RESTART_S: Final = 0.2
 class SimulatedAmt21:
     """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Ignores requests for 0.2 s after reset and zero.
+    The encoder ignores requests for 0.2 s after a reset and after setting its zero.
 
     Args:
         clock: Simulated time.
         sampler: Sampler of the machine.
-        address: A multiple of 4.
+        address: Address of the encoder, a multiple of 4.
 
     Attributes:
-        distort: Function by which a faulty sensor changes its counts; None for a good sensor.
+        distort: Function that changes the counts as a faulty sensor does; None for a sensor without
+            fault.
     """
 
     counts_per_turn: Final = COUNTS_PER_TURN
@@ -43,7 +44,9 @@ class SimulatedAmt21:
         self._deaf_until_ns = 0
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the requests in ``data``; requests to other addresses get none."""
+        """Return the answers to the requests in ``data``; requests to other addresses get no
+        answer.
+        """
         if self._clock.now_ns() < self._deaf_until_ns:
             return b""
         return b"".join(self._answer(byte) for byte in data)

@@ -1,4 +1,4 @@
-"""Builds a simulated bench: clock, bus, machine, drive and joint encoder, connected and booted."""
+"""Builds a simulated CANopen bench: clock, bus, machine, drive and joint encoder."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ TRANSMITTER_NODE: Final = 4
 class SimulatedBench:
     """The parts of one simulated bench.
 
-    ``lines`` are the serial lines of ``drive`` and ``encoder``, if any; ``transmitter`` measures
-    the chamber pressure, if fitted.
+    ``lines`` are the serial lines of ``drive`` and ``encoder``, if the bench has any;
+    ``transmitter`` measures the chamber pressure, if the bench has a transmitter.
     """
 
     clock: SimulatedClock
@@ -51,21 +51,21 @@ def simulated_bench(
     rating: Rating | None = None,
     shown: Container[tuple[int, int]] | None = None,
 ) -> SimulatedBench:
-    """Build and boot a bench. The same seed gives the same bytes on the bus.
+    """Build a bench and boot its devices. The same seed gives the same bytes on the bus.
 
     Args:
         machine: Constants of the machine.
-        seed: Seed of its noise and of the devices' clock offsets.
+        seed: Seed of the machine's noise and of the devices' clock offsets.
         bitrate: Bit rate of the bus, bit/s.
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
         transmitter_node: Node identifier of the pressure transmitter; None for a bench without one.
-        rating: Rated values of the drive; 15 A unless given.
-        shown: Index and subindex of the objects that the drive shows to its bus; None for all.
+        rating: Rated values of the drive; None for 15 A.
+        shown: Index and subindex of the objects that the drive has on its bus; None for all.
 
     Returns:
-        The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up
-        frames have gone.
+        The bench, at rest at angle 0, with power off; all devices are in PRE-OPERATIONAL after
+        their boot-up frames.
     """
     noise, offsets, pressure = np.random.default_rng(seed).spawn(3)
     clock = SimulatedClock()

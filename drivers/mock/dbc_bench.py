@@ -1,4 +1,4 @@
-"""Simulated bench with a drive with its own CAN frames and a CANopen joint encoder on one bus."""
+"""Builds a simulated bench with the generic DBC drive and a CANopen joint encoder on one bus."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ def simulated_dbc_bench(
     bitrate: int = 1_000_000,
     encoder_node: int = ENCODER_NODE,
 ) -> SimulatedDbcBench:
-    """Build and boot a bench.
+    """Build a bench and boot its devices.
 
     The same seed gives the same bytes on the bus, and the same noise as the CANopen bench.
 
     Args:
         machine: Constants of the machine.
-        seed: Seed of its noise and of the devices' clock offsets.
+        seed: Seed of the machine's noise and of the devices' clock offsets.
         bitrate: Bit rate of the bus, bit/s.
         encoder_node: CANopen node identifier of the encoder.
 
     Returns:
-        The bench, at rest at angle 0, power off.
+        The bench, at rest at angle 0, with power off.
     """
     noise, offsets = np.random.default_rng(seed).spawn(2)
     clock = SimulatedClock()

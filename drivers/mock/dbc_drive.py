@@ -1,8 +1,7 @@
-"""Simulated servo drive with CAN frames of its own (``dbc_drive.dbc``): no CANopen, its own states
-and watchdog.
+"""Simulated servo drive with its own CAN frames (``dbc_drive.dbc``), states and watchdog.
 
-Frames are packed here by hand, not by the codec under test, so that an error in the codec cannot
-cancel itself.
+The drive does not use CANopen. This module packs frames with its own code, not with the codec under
+test, so that an error in the codec cannot cancel.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ WATCHDOG_NS: Final = 100_000_000
 DECELERATION_RAD_S2: Final = math.radians(2000.0)
 
 COMMISSIONED: Final = struct.pack("<hhI", -900, 900, 2400 | 840 << 12 | 600 << 22)
-"""Limits after power-on as in ``DRV_Limits``: 9 motor turns, 240 rad/s, 25.2 A, 0.6 turns of
-following error.
+"""Limits after power-on, in the order of ``DRV_Limits``: 9 motor turns, 240 rad/s, 25.2 A, 0.6
+turns of following error.
 """
 
 _LIMIT_TURNS: Final = 0.01
@@ -60,7 +59,7 @@ _COUNTS_PER_TURN: Final = 4096
 
 
 class State(IntEnum):
-    """States, as in the signal ``State``."""
+    """States of the drive, with the values of the signal ``State``."""
 
     OFF = 0
     READY = 1
@@ -71,7 +70,7 @@ class State(IntEnum):
 
 
 class Order(IntEnum):
-    """Orders, as in the signal ``Order``."""
+    """Orders to the drive, with the values of the signal ``Order``."""
 
     OFF = 0
     READY = 1
@@ -92,23 +91,26 @@ TRANSITIONS: Final[Mapping[tuple[State, Order], State]] = {
     (State.BRAKING, Order.OFF): State.FAULT,
     (State.FAULT, Order.RESET): State.OFF,
 }
-"""State transitions; an absent pair changes nothing. A reset acts on its first frame."""
+"""State transitions; a pair that is absent changes nothing. A reset takes effect at its first
+frame.
+"""
 
 POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 """States in which the power stage is on."""
 
 
 class DbcDrive:
-    """The drive. It samples, then obeys, when a command comes, and answers with two frames.
+    """The drive. At each command it samples the sensors, executes the command, and answers with two
+    frames.
 
     Attributes:
         state: State of the drive.
         fault_code: Cause of the fault; 0 without fault.
-        limits: Limits it holds, as in ``DRV_Limits``.
-        entered: Called with each new state at the instant of the change.
+        limits: Limits of the drive, in the order of ``DRV_Limits``.
+        entered: Function that is called with each new state at the time of the change.
         deaf_to: Orders that the drive ignores.
-        locked: Whether it refuses to change its limits.
-        counting: Whether its life counters advance.
+        locked: Whether the drive refuses to change its limits.
+        counting: Whether the life counters of the drive advance.
     """
 
     def __init__(
@@ -153,7 +155,7 @@ class DbcDrive:
         self._tell_info()
 
     def restart(self) -> None:
-        """Restart, as after a dip of its supply."""
+        """Restart, as after a short failure of the supply."""
         self._enter(State.OFF)
         self.fault_code = 0
         self._order, self._heard_life = Order.OFF, -1
@@ -161,7 +163,7 @@ class DbcDrive:
         self._take_limits(COMMISSIONED)
 
     def fail(self, code: int) -> None:
-        """Go into fault for an internal reason."""
+        """Go into fault with the code of an internal cause."""
         self.fault_code = code
         if self.state in POWERED:
             self._enter(State.BRAKING)
@@ -178,8 +180,8 @@ class DbcDrive:
             return
         self._heard_life = life
         now = self._clock.now_ns()
-        # In whole milliseconds, so that a command delayed by another frame does not make the motion
-        # uneven.
+        # The time is rounded to whole milliseconds, so that a command that another frame delayed
+        # does not make the motion uneven.
         step_ns = min(max(round((now - self._commanded_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
         self._commanded_ns = now
         self._reading = self._sampler.latch(now)
@@ -312,7 +314,7 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send at once or, while commands come, after the next answer, when the bus is free for
+        """Send at once; while commands arrive, send after the next answer, when the bus is free for
         long enough.
         """
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:

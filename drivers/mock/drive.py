@@ -1,4 +1,4 @@
-"""Simulated CiA 402 servo drive: uses the real protocol and moves the simulated machine."""
+"""Simulated CiA 402 servo drive: speaks the CANopen protocol and moves the simulated machine."""
 
 from __future__ import annotations
 
@@ -56,18 +56,21 @@ _FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
 _WHOLE: Final = 1e-6
-"""Tolerance for rounding to a whole number of units, in units."""
+"""Tolerance, in units, for a value that should be a whole number of units."""
 _AT_LIMIT: Final = 0.98
-"""Ratio to the limit from which a current counts as limited, since the measured mean is noisy."""
+"""Ratio to the limit from which a current counts as limited; less than 1, because the measured mean
+contains noise.
+"""
 
 
 @dataclass(frozen=True)
 class Rating:
-    """Rated values of the drive; its units of current and torque are thousandths of these.
+    """Rated values of the drive; its units of current and torque are thousandths of the rated
+    values.
 
     Attributes:
         current_A: Rated motor current (6075h).
-        torque_N_m: Rated motor torque (6076h); None for the torque at rated current.
+        torque_N_m: Rated motor torque (6076h); None for the torque at the rated current.
     """
 
     current_A: float = 15.0
@@ -75,7 +78,7 @@ class Rating:
 
 
 class QuickStop(IntEnum):
-    """605Ah: how to stop, and whether to stay in QUICK STOP ACTIVE."""
+    """Values of 605Ah: kind of the stop, and whether the drive stays in QUICK STOP ACTIVE."""
 
     DISABLE = 0
     SLOW_DOWN = 1
@@ -89,13 +92,14 @@ class SimulatedDrive(SimulatedNode):
 
     Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
     6078h is the mean current since the last SYNC, per mille of 6075h. 60B2h (per mille of 6076h)
-    adds torque to the position loop's output while targets are followed, but not in ramps. The
-    power stage is on only in the states of :data:`POWERED`. ``shown`` are the addresses of the
-    objects that it shows to its bus, as drives of most makers lack some; None for all.
+    adds torque to the output of the position loop while the drive follows targets, but not in
+    ramps. The power stage is on only in the states of :data:`POWERED`. ``shown`` are the addresses
+    of the objects that the drive has on its bus, because drives of most makers lack some objects;
+    None for all.
 
     Attributes:
         power_state: State of the power drive system.
-        entered: Called with each new state at the instant of the change.
+        entered: Function that is called with each new state at the time of the change.
     """
 
     def __init__(
@@ -143,7 +147,7 @@ class SimulatedDrive(SimulatedNode):
         self.restore()
 
     def restore(self) -> None:
-        """Return to SWITCH ON DISABLED with the constants of this machine in the dictionary."""
+        """Return to SWITCH ON DISABLED, and store this machine's constants in the dictionary."""
         values = self._values
         values[key(0x6075)] = self._rated_current_mA
         values[key(0x6076)] = self._rated_torque_mN_m
@@ -156,7 +160,7 @@ class SimulatedDrive(SimulatedNode):
         self._enter(State.SWITCH_ON_DISABLED)
 
     def halt(self) -> None:
-        """Take the power off at once."""
+        """Switch the power off at once."""
         self._enter(State.SWITCH_ON_DISABLED)
 
     def refresh(self) -> None:
@@ -164,13 +168,13 @@ class SimulatedDrive(SimulatedNode):
         self._measure(self._sampler.peek(self._clock.now_ns()))
 
     def latch(self) -> None:
-        """Sample everything at a SYNC, end the averaging period, and watch the following error."""
+        """Sample all values at a SYNC, end the averaging period, and check the following error."""
         reading = self._sampler.latch(self._clock.now_ns())
         self._measure(reading)
         self._watch_following(reading)
 
     def supervise(self) -> None:
-        """Monitor the following error if no SYNC comes."""
+        """Check the following error while no SYNC comes."""
         self._watch_following(self._sampler.peek(self._clock.now_ns()))
 
     def _watch_following(self, reading: Reading) -> None:
@@ -184,7 +188,7 @@ class SimulatedDrive(SimulatedNode):
             self._fault(FOLLOWING_ERROR, PROFILE)
 
     def act(self) -> None:
-        """Obey controlword and target position."""
+        """Execute controlword and target position."""
         word = self._values[_CONTROLWORD]
         if word != self._last_word or self.power_state is not State.OPERATION_ENABLED:
             self._obey(word)
@@ -193,12 +197,12 @@ class SimulatedDrive(SimulatedNode):
         self._show_status()
 
     def fail(self, code: int) -> None:
-        """Enter an internal fault: send EMCY, then react as set in 605Eh."""
+        """Go into fault with the code of an internal cause: send EMCY, then react by 605Eh."""
         self._fault(code, PROFILE)
         self._show_status()
 
     def connection_lost(self, code: int) -> None:
-        """React to the loss of the master as set in 6007h; no reaction in states without power."""
+        """React to the loss of the master as 6007h defines; no reaction in states without power."""
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
         match self.objects.integer(0x6007):
@@ -239,7 +243,7 @@ class SimulatedDrive(SimulatedNode):
         leaves_stop = (
             self.power_state is State.QUICK_STOP_ACTIVE and order is Command.ENABLE_OPERATION
         )
-        # Transition 16 exists only where the drive stays in QUICK STOP ACTIVE after the ramp.
+        # Transition 16 exists only if the drive stays in QUICK STOP ACTIVE after the ramp.
         if not leaves_stop or self.objects.integer(0x605A) >= QuickStop.SLOW_DOWN_AND_STAY:
             self._enter(following)
 
@@ -326,7 +330,9 @@ class SimulatedDrive(SimulatedNode):
         self._values[_STATUSWORD] = word
 
     def _greatest(self, per_mille_A: float) -> int:
-        """Return the current limit of the loops in thousandths, rounded up to the drive's unit."""
+        """Return the current limit of the control loops in thousandths, rounded up to the drive's
+        unit.
+        """
         limit = self._machine.constants.loops.current_limit_A * per_mille_A
         return min(0xFFFF, math.ceil(limit - _WHOLE))
 
@@ -345,10 +351,11 @@ class SimulatedDrive(SimulatedNode):
 
 
 def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
-    """Return motor encoder increments and the motor turns they make (608Fh).
+    """Return a number of motor encoder increments and the motor turns that they correspond to
+    (608Fh).
 
-    With an exact sensor the machine counts microradians of the joint; 100 turns keep that ratio to
-    1e-9 or so.
+    With an exact sensor the machine counts microradians of the joint; with 100 turns this ratio is
+    exact to about 1e-9.
     """
     counts = machine.sensing.motor_counts_per_turn
     if counts:

@@ -1,4 +1,4 @@
-"""Simulated CiA 406 absolute encoder on the joint."""
+"""Simulated absolute joint encoder with the CANopen profile CiA 406."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.mock.wires.bus import SimulatedBus
 
 ENCODER_EDS: Final = Path(__file__).with_name("encoder.eds")
 EXACT_COUNTS: Final = 1 << 22
-"""Counts per turn used for an exact sensor."""
+"""Counts per turn of an exact sensor."""
 
 _OPERATING: Final = key(0x6000)
 _POSITION: Final = key(0x6004)
@@ -29,7 +29,8 @@ class SimulatedEncoder(SimulatedNode):
     6002h.
 
     Attributes:
-        distort: Function by which a faulty sensor changes the joint counts; None for a good sensor.
+        distort: Function that changes the joint counts as a faulty sensor does; None for a sensor
+            without fault.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Serial port of a simulated EPOS4: serial access to the objects of the simulated drive."""
+"""Simulated serial port of an EPOS4 drive: gives access to the objects of the simulated drive."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
 _MEANS: Final = (0x6077, 0x6078)
-"""Torque and current, means since they were read last."""
+"""Objects of torque and current, whose values are means since the last reading."""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4
@@ -43,9 +43,9 @@ class SimulatedEposPort:
     """Answers requests from the drive's dictionary; a
     :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Without SYNC, a target takes effect when written, values are sampled when read, and the drive
-    checks its following error every millisecond. Current and voltage are means between two reads of
-    the current.
+    There is no SYNC on the serial line: a target takes effect when it is written, values are
+    sampled when they are read, and the drive checks its following error every millisecond. Current
+    and voltage are means between two reads of the current.
 
     Args:
         bus: CAN bus of the drive, for NMT services.
@@ -76,7 +76,7 @@ class SimulatedEposPort:
         drive.entered.append(self._entered)
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the frames completed by ``data``; bad frames get none."""
+        """Return the answers to the frames that ``data`` completes; none to invalid frames."""
         return b"".join(
             encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
         )

@@ -1,4 +1,4 @@
-"""Bus faults: effects of a bad bus on frames between the simulated devices and the host."""
+"""Injects CAN bus faults: lost, repeated, late and corrupted frames, bus-off, device restarts."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from drivers.clock import SimulatedClock
 from drivers.mock.wires.bus import SimulatedBus
 
 FOR_GOOD: Final = 0
-"""Count of a permanent fault."""
+"""Value of ``count`` for a permanent fault."""
 
 GENERAL_ERROR: Final = 0x08000000
 _SDO_REQUEST: Final = 0x600
@@ -21,7 +21,7 @@ _SDO_ABORT: Final = 0x80
 
 Frame = tuple[int, bytes]
 Match = Callable[[int, bool], bool]
-"""Chooses frames by identifier, and whether the host sent them."""
+"""Function that selects frames by identifier and by whether the host sent them."""
 
 
 @dataclass
@@ -36,9 +36,9 @@ class WireFaults:
 
     Several faults may be active at once.
 
-    ``count`` is the number of affected frames, :data:`FOR_GOOD` for all from now on. CAN repeats
-    frames with a wrong CRC, so receivers never see them; corruption here is one that the CRC did
-    not detect.
+    ``count`` is the number of affected frames, :data:`FOR_GOOD` for all frames from now on. A CAN
+    controller repeats frames with a wrong CRC, so that a receiver never receives them; the injected
+    corruption is one that the CRC does not detect.
 
     Args:
         bus: The bus; its ``frame_filters`` and ``down`` are used.
@@ -67,7 +67,7 @@ class WireFaults:
         self._add(match, count, change)
 
     def delay(self, match: Match, count: int, by_s: float) -> None:
-        """Deliver frames ``by_s`` late."""
+        """Deliver frames with a delay of ``by_s``."""
 
         def change(identifier: int, data: bytes, host: bool) -> None:
             due = self._clock.now_ns() + round(by_s * 1e9)
@@ -87,7 +87,7 @@ class WireFaults:
         self._add(match, count, change)
 
     def shorten(self, match: Match, count: int) -> None:
-        """Cut the last byte off."""
+        """Remove the last byte of frames."""
         self._add(match, count, lambda identifier, data, _host: (identifier, data[:-1]))
 
     def refuse_sdo(self, node_id: int, count: int, code: int = GENERAL_ERROR) -> None:
@@ -102,18 +102,18 @@ class WireFaults:
         )
 
     def bus_off(self, for_s: float | None) -> None:
-        """Take the host's controller off the bus, for a time or for good."""
+        """Put the host's controller into the state bus-off, for a time or permanently."""
         self._bus.down = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._recover)
 
     def error_frames(self, count: int) -> None:
-        """Let the host see this many error frames."""
+        """Deliver this number of error frames to the host."""
         for _ in range(count):
             self._bus.disturb()
 
     def restart(self, node_id: int) -> None:
-        """Restart a node, as after a dip of its supply."""
+        """Restart a node, as after a short failure of its supply."""
         self._ghost.send(0x000, bytes([129, node_id]))
 
     def _add(

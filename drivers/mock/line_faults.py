@@ -1,4 +1,4 @@
-"""Serial line faults: effects of bad wiring on messages between simulated device and host."""
+"""Injects serial line faults: lost, corrupted, late and repeated messages, unplugged line."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class _Rule:
 
 
 class LineFaults:
-    """Loses, corrupts, delays and repeats messages on a simulated line.
+    """Loses, corrupts, delays and repeats messages on a simulated serial line.
 
     Several faults may be active at once.
 
-    ``from_host`` chooses requests (True), answers (False) or both (None); ``count`` is the number
-    of affected messages, 0 for all from now on.
+    ``from_host`` selects requests (True), answers (False) or both (None); ``count`` is the number
+    of affected messages, 0 for all messages from now on.
 
     Args:
         line: The line; its ``filters`` and ``cut`` are used.
@@ -47,7 +47,7 @@ class LineFaults:
         self._add(from_host, count, lambda _data, _host: b"")
 
     def drop_byte(self, from_host: bool | None, count: int, at: int) -> None:
-        """Lose one byte, counted from 0; of shorter messages the last."""
+        """Lose one byte, counted from 0; the last byte of a shorter message."""
 
         def change(data: bytes, _host: bool) -> bytes:
             place = min(at, len(data) - 1)
@@ -56,8 +56,8 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert one bit, counted from the first byte's lowest; in shorter messages one of the last
-        byte.
+        """Invert one bit, counted from the lowest bit of the first byte; a bit of the last byte in
+        a shorter message.
         """
 
         def change(data: bytes, _host: bool) -> bytes:
@@ -68,14 +68,16 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def break_stuffing(self, from_host: bool | None, count: int) -> None:
-        """Insert a 90h that is not doubled after opcode and length."""
+        """Insert a byte 90h that is not doubled after opcode and length, which violates the byte
+        stuffing.
+        """
         self._add(
             from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:]
         )
 
     def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
-        """Deliver messages ``by_s`` late; later messages wait, as bytes keep their order on a
-        line.
+        """Deliver messages with a delay of ``by_s``; later messages wait, because bytes keep their
+        order on a line.
         """
         self._add(
             from_host,
@@ -97,7 +99,7 @@ class LineFaults:
         self._add(True, count, change)
 
     def cut(self, for_s: float | None) -> None:
-        """Unplug the line, for a time or for good."""
+        """Unplug the line, for a time or permanently."""
         self._line.cut = True
         if for_s is not None:
             self._clock.call_at(self._clock.now_ns() + round(for_s * 1e9), self._mend)

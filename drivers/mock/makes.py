@@ -1,7 +1,10 @@
-"""Objects that the EDS files of common makes of drives lack, of those of the simulated drive.
+"""EDS files of the simulated drive with the objects that drives of common makes have.
 
-A simulated drive that is given such a description shows only its objects. The lists are those of
-files of the makers; objects that belong to the simulated drive alone are missing in all.
+For each make, the module lists the objects of the simulated drive that the EDS file of the make
+lacks.
+
+A simulated drive with such an EDS file has only the objects of that file. The lists are from files
+of the makers; objects that exist in the simulated drive alone are missing in all of them.
 """
 
 from __future__ import annotations
@@ -23,12 +26,14 @@ LACKS: Final[Mapping[str, frozenset[int]]] = {
     "Schunk": _OWN
     | {0x1013, 0x6007, 0x603F, 0x605A, 0x6072, 0x6076, 0x6078, 0x6079, 0x607F, 0x6085},
 }
-"""Make to the indices that are missing."""
+"""Indices that are missing, by make."""
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file of a make: the simulated drive's without what it lacks."""
+    """Return the text of the EDS file for a make: that of the simulated drive without the missing
+    objects.
+    """
     kept, keep = [], True
     for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
         if line.startswith("["):

@@ -1,6 +1,4 @@
-"""State machine of the simulated power drive system (CiA 402-2, figure "FSA" and its
-transitions).
-"""
+"""State machine of the simulated CiA 402 drive: states, commands and transitions of CiA 402-2."""
 
 from __future__ import annotations
 
@@ -11,7 +9,9 @@ from typing import Final
 
 @unique
 class State(IntEnum):
-    """States; the value is the statusword under mask 6Fh (4Fh if bit 5 does not matter)."""
+    """States of the drive; the value is the statusword under mask 6Fh (4Fh if bit 5 does not
+    matter).
+    """
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -37,14 +37,14 @@ POWERED: Final = frozenset({State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, St
 """States in which the power stage is on."""
 
 FAULT_RESET: Final = 0x80
-"""Controlword bit 7; acts on its rising edge."""
+"""Bit 7 of the controlword; its rising edge resets a fault."""
 
 _S, _C = State, Command
 
 TRANSITIONS: Final[Mapping[tuple[State, Command], State]] = {
     (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY,  # 2
     (_S.READY, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
-    (_S.READY, _C.ENABLE_OPERATION): _S.SWITCHED_ON,  # 3, then 4 when the command is seen again
+    (_S.READY, _C.ENABLE_OPERATION): _S.SWITCHED_ON,  # 3, then 4 when the command is received again
     (_S.SWITCHED_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 4
     (_S.OPERATION_ENABLED, _C.SWITCH_ON): _S.SWITCHED_ON,  # 5
     (_S.SWITCHED_ON, _C.SHUTDOWN): _S.READY,  # 6

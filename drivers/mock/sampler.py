@@ -1,6 +1,4 @@
-"""Shared access of the simulated devices to the one machine: integrate up to now, latch once per
-instant.
-"""
+"""Common access of the simulated devices to one machine: integrates it and samples it in time."""
 
 from __future__ import annotations
 
@@ -8,14 +6,14 @@ from drivers.mock.plant.machine import Reading, SimulatedMachine
 
 
 class Sampler:
-    """Keeps the machine in step with simulated time.
+    """Integrates the machine up to the simulated time.
 
-    The machine advances in whole loop periods, so latched values are of :attr:`time_ns`, at most
-    one period ago.
+    The machine advances in whole loop periods, so that sampled values belong to :attr:`time_ns`, at
+    most one period ago.
 
     Attributes:
-        machine: The machine; commands to it take effect after :meth:`advance`.
-        time_ns: Simulated time up to which it is integrated.
+        machine: The machine; call :meth:`advance` before a command to it.
+        time_ns: Simulated time up to which the machine is integrated.
     """
 
     def __init__(self, machine: SimulatedMachine, now_ns: int = 0) -> None:
@@ -53,8 +51,8 @@ class Sampler:
         return reading
 
     def latch(self, now_ns: int) -> Reading:
-        """Return the reading at ``now_ns``, current and voltage averaged since the last call, and
-        start new means.
+        """Return the reading at ``now_ns``, with current and voltage averaged since the last call,
+        and start new means.
         """
         reading = self.peek(now_ns)
         span = self._pending_ns

@@ -1,4 +1,4 @@
-"""Injected faults of the joint encoder and of the drive's mode of operation."""
+"""Injects faults of the joint encoder (bit flips, jumps, freeze) and of the drive's mode."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is the fault's function of its counts, None
-    for none.
+    """A simulated encoder of any kind; ``distort`` is the function with which a fault changes the
+    counts, None without fault.
     """
 
     distort: Callable[[int], int] | None
 
     @property
     def counts_per_turn(self) -> int:
-        """Counts of one turn, in the units of ``distort``."""
+        """Counts per turn, in the units of ``distort``."""
         ...
 
 
@@ -45,7 +45,7 @@ def jump(encoder: Sensor, by_counts: int) -> None:
 
 
 def freeze(encoder: Sensor) -> None:
-    """Hold the position at its next reading while time stamps advance."""
+    """Keep the position of the next reading in all later readings, while time stamps advance."""
     held: int | None = None
 
     def distort(counts: int) -> int:
@@ -57,12 +57,12 @@ def freeze(encoder: Sensor) -> None:
 
 
 def reverse(encoder: Sensor) -> None:
-    """Count in the opposite direction from zero, as with two wires swapped."""
+    """Reverse the sign of the counts, as with two wires swapped."""
     encoder.distort = _negated
 
 
 def refuse_mode(drive: SimulatedDrive) -> None:
-    """Accept 6060h without effect: 6061h shows no mode."""
+    """Accept writing of 6060h without effect: 6061h reports no mode."""
     drive.objects.values[_MODE_DISPLAY] = 0
     ignored: Callable[[int, int], None] = lambda _subindex, _value: None  # noqa: E731
     drive.objects.written[0x6060] = ignored

@@ -1,4 +1,4 @@
-"""Simulated CiA 404 pressure transmitter on the chamber of the gas generator."""
+"""Simulated pressure transmitter on the gas generator's chamber (CANopen profile CiA 404)."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ _OVERLOAD: Final = 0x02
 
 
 class SimulatedTransmitter(SimulatedNode):
-    """A transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h flags out of
-    range.
+    """A transmitter: 9130h is the pressure at the last SYNC, with noise; 6150h reports a pressure
+    out of range.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ def transmitted(
     """Return a transmitter's readings of exact pressures, shape (n,).
 
     Returns:
-        The readings in whole units of :data:`PRESSURE_UNIT_PA`, and whether each is clamped to the
+        The readings in whole units of :data:`PRESSURE_UNIT_PA`, and whether each is limited to the
         range.
     """
     noise = 0.0 if rng is None else transmitter.noise_Pa * rng.standard_normal(len(pressure_Pa))

@@ -1,7 +1,6 @@
-"""Simulate recordings of the simulated bench without its bus: the same samples, two hundred times
-faster.
+"""Simulates recordings of a bench without its bus: the same samples, two hundred times faster.
 
-Without lost or late frames the bus only determines the timing, which is the same in every cycle:
+If no frame is lost or late, the bus determines only the timing, which is the same in every cycle:
 drive and encoder latch at the SYNC, and the drive interpolates to the target of that SYNC within
 the next cycle. The function `record` applies this timing and the units of the devices.
 """
@@ -24,11 +23,12 @@ Channel = NDArray[np.float64]
 
 
 class Samples(NamedTuple):
-    """A recording as returned by the host's drivers: SI units, arrays of shape (n,).
+    """A recording with the values that the host's drivers return: SI units, arrays of shape (n,).
 
-    ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's,
-    ``motor_angle`` the motor's. ``current`` and ``voltage`` are means over the cycle that ends at
-    the sample. ``pressure`` is the pressure behind the valve while no gas generator burns.
+    ``velocity`` is the drive's estimate at the joint; ``angle`` is that of the joint encoder, and
+    ``motor_angle`` that of the motor encoder. ``current`` and ``voltage`` are means over the cycle
+    that ends at the sample. ``pressure`` is the pressure behind the valve while no gas generator
+    burns.
     """
 
     time: Channel
@@ -50,10 +50,10 @@ def record(
     slow_phase: int = 0,
     pressure_rng: np.random.Generator | None = None,
 ) -> Samples:
-    """Let an energised machine follow one joint angle per cycle, from its present state.
+    """Record an energised machine that follows one joint angle per cycle, from its present state.
 
     Args:
-        machine: The machine with power on; the drive's limits are the limits of its loops.
+        machine: The machine with power on; the limits of its control loops apply.
         command_rad: Joint angle sent with each SYNC, shape (n,).
         cycle_s: Control cycle, s; a whole number of loop periods.
         slow_phase: Cycles since the last frame with supply voltage and temperature.

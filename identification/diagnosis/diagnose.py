@@ -17,7 +17,7 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.intervals import pinned
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import begun, common_bandwidth, started
+from identification.diagnosis.fit.start import bandwidth_of, begun, started
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -153,7 +153,7 @@ def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recordi
     fitted = dataset.part("fit")
     if not fitted:
         raise RecordingError("no recording with role fit")
-    return fitted, bandwidth_Hz or common_bandwidth(fitted)
+    return fitted, bandwidth_Hz or bandwidth_of(fitted)
 
 
 def _searched(

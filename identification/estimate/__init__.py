@@ -1,1 +1,1 @@
-"""Estimation of parameters from recordings: the pipelines of ``rig identify``."""
+"""Estimates model parameters from recordings: the methods of ``rig identify``."""

@@ -1,5 +1,7 @@
-"""The default method: variable projection, then refinement by prediction errors if it is accepted
-(docs/method.md).
+"""The default identification method: equation error, then maximum likelihood (docs/method.md).
+
+Variable projection solves the equation error. Prediction errors then refine the values, if the
+acceptance tests pass.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.equation_error.regression import (
     Stage,
     loaded_stage,
@@ -36,7 +39,7 @@ from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.estimator_settings import DEFAULT, EstimatorSettings
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.numerics.progress import Progress, silent
-from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.prepare import Prepared, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Convergence, Identification, Profile, Resampled
 
@@ -51,16 +54,17 @@ def identify(
     draws: int = 0,
     settings: EstimatorSettings = DEFAULT,
 ) -> Identification:
-    """Identify the nine parameters in two stages (five where nothing is loaded).
+    """Identify the nine parameters in two stages; five parameters where no recording is loaded.
 
     Args:
-        dataset: Recordings and the declared model; ``validate`` recordings are scored once at the
-            end.
+        dataset: Recordings and the declared model; recordings with role ``validate`` are scored
+            once at the end.
         bandwidth_Hz: Bandwidth of torque and regressors; None chooses the least of the recordings'
-            default bandwidths.
+            default bandwidths, or a greater one if the motion needs it.
         rng: Random generator for the simulated replicates and the bootstrap; None for seed 0.
-        progress: Called with the name of a step and the share done.
-        profile: Whether to compute profile likelihoods as well, which takes several times as long.
+        progress: Called with the name of a step and the share of the step that is done.
+        profile: Whether to compute profile likelihoods as well; the identification then takes
+            several times as long.
         draws: Number of bootstrap samples, 0 for none.
         settings: Settings of the estimator.
 
@@ -74,7 +78,7 @@ def identify(
     if not fitted:
         raise RecordingError("no recording has role 'fit'; at least one is needed")
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in fitted)
+        bandwidth_Hz = common_bandwidth(fitted)
     tell("unloaded", 0.0)
     every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
     active = [p for p in every if p.recording.role == "fit"]
@@ -120,14 +124,14 @@ def identification(
         method="default",
         motion=first.bench.motion,
         alpha=model.alpha,
-        # The floor is that of the recordings alone.
+        # The floor is computed from the recordings alone, without priors.
         parameters=parameter_table(active, values, spread, model, {} if priors else found.floors),
         fit=fit_of(active, values, model.alpha, validate),
         stages=found.stages,
         fitted=dict(values),
         friction=model.friction,
         starts=found.starts,
-        # These are of the recordings, not of what else is known.
+        # These results describe the recordings alone, without priors.
         tradeoffs=tradeoffs(found.spread, found.values, units_of(active)),
         least_pinned=least_pinned(found.spread, found.values),
         noise=None if found.taken is None else noise_of(found.taken, torque_unit(first)),
@@ -165,7 +169,9 @@ def _asked(
     rng: np.random.Generator,
     tell: Progress,
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
-    """Return the requested profiles and bootstrap, and warnings where they cannot be computed."""
+    """Return the requested profiles and bootstrap results, and warnings where they cannot be
+    computed.
+    """
     if found.taken is None:
         what = " and ".join(
             w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
@@ -173,14 +179,18 @@ def _asked(
         return (
             (),
             (),
-            [f"no {what}: only for prediction errors, which were not accepted"] if what else [],
+            [f"no {what}: it needs the refinement by prediction errors, which was not accepted"]
+            if what
+            else [],
         )
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    # Both are centred at the maximum of the likelihood; they are shifted as the estimate was.
+    # Profiles and bootstrap are centred at the maximum of the likelihood; the bias correction
+    # shifts them as it shifted the estimate.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # Use the stated covariance, which includes replicates and the uncertainty of the bias.
+        # Use the reported covariance, which includes the replicates and the uncertainty of the
+        # bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
@@ -197,8 +207,8 @@ def solve_stages(
     search.
 
     Raises:
-        RecordingError: A stage has no motion, or only loaded recordings are given, which do not
-            separate system and load friction.
+        RecordingError: A stage has no motion, or all recordings are loaded, so that system and load
+            friction cannot be separated.
     """
     values: dict[str, float] = {}
     stages: list[Convergence] = []
@@ -245,8 +255,8 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names of the parameters to be estimated: those not fixed, without absent Stribeck
-    terms.
+    """Return the names of the parameters to estimate: those that are not fixed, without the
+    parameters of Stribeck terms that the model lacks.
     """
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}

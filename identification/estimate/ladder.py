@@ -1,8 +1,9 @@
-"""The friction ladder: every rung fitted to one dataset and scored on its validation recordings.
+"""Fits every friction model of the ladder to one dataset and scores it on validation recordings.
 
-Intervals are bootstrapped over recordings: those to fit and those to score are drawn with
-replacement, with the same draws for every rung (Efron and Tibshirani, An Introduction to the
-Bootstrap, ch. 8). Samples within a recording are too correlated to be drawn independently.
+A rung is one friction model of the ladder. Intervals come from a bootstrap over recordings:
+recordings to fit and recordings to score are drawn with replacement, with the same draws for every
+rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within a recording are
+too correlated to be drawn independently.
 """
 
 from __future__ import annotations
@@ -13,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import identify
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.ladder_bootstrap import Indices, Redraw, Score
 from identification.model.ladder import LADDER, bears_load
 from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
-from identification.prepare import Prepared, default_bandwidth, prepare
+from identification.prepare import Prepared, prepare
 from identification.recording import Dataset, Recording, RecordingError
 from identification.result import Identification
 from identification.simulate.closed_loop import replay
@@ -43,13 +45,14 @@ class Rung:
     Attributes:
         friction: Name of the rung.
         result: The fit to all recordings with role ``fit``.
-        train: Torque error on these, in the fit's unit.
-        scored: Torque error on the recordings with role ``validate``; None without any.
-        angle: Rms angle error of the simulated loop on the validation recordings (without any, on
-            the fitted ones), rad (m); None without a controller.
-        angle_mae: Mean absolute angle error on the same, rad (m).
-        best: Share of the draws in which this rung has the least torque error on the scored
-            recordings.
+        train: Torque error on the fitted recordings, in the unit of the fit.
+        scored: Torque error on the recordings with role ``validate``; None if there are none.
+        angle: Rms angle error of the simulated control loop, rad (m), on the validation recordings,
+            or on the fitted recordings if there are no validation recordings; None without a
+            controller.
+        angle_mae: Mean absolute angle error on the same recordings, rad (m).
+        best: Share of the bootstrap draws in which this rung has the least torque error on the
+            scored recordings.
     """
 
     friction: str
@@ -69,11 +72,12 @@ def climb(
     replicates: int = REPLICATES,
     progress: Progress | None = None,
 ) -> tuple[Rung, ...]:
-    """Fit and score every rung that the recordings support.
+    """Fit and score every rung for which the recordings have the necessary channels and loads.
 
     Args:
         dataset: Unloaded recordings; rungs with load-dependent friction need a pendulum.
-        bandwidth_Hz: Bandwidth of torque and regressors; None chooses as the identification does.
+        bandwidth_Hz: Bandwidth of torque and regressors; None chooses the bandwidth as
+            :func:`identification.estimate.default.identify` does.
         rng: Random generator for the drawn recordings and the simulated replicates.
         replicates: Number of draws.
         progress: Called with the name of the step and the share done.
@@ -85,7 +89,7 @@ def climb(
     to_fit = _to_fit(dataset)
     to_score = dataset.part("validate") or to_fit
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+        bandwidth_Hz = common_bandwidth(to_fit)
     fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
     simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]
@@ -131,7 +135,8 @@ def _to_fit(dataset: Dataset) -> tuple[Recording, ...]:
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(
-            f"{loaded[0]}: the ladder is of the unloaded friction; remove loaded recordings"
+            f"{loaded[0]}: the friction ladder describes friction without load; remove loaded "
+            "recordings"
         )
     to_fit = dataset.part("fit")
     if not to_fit:

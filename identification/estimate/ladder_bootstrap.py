@@ -1,6 +1,4 @@
-"""Bootstrap of the friction ladder: one rung fitted to drawn recordings and scored on other drawn
-ones.
-"""
+"""Bootstrap of the friction ladder: fits a friction model to drawn recordings and scores it."""
 
 from __future__ import annotations
 
@@ -21,11 +19,13 @@ from identification.simulate.closed_loop import replay
 from identification.simulate.score import Sums, compare, pooled
 
 COARSE, FINE, NEAR = 12, 17, 1.8
-"""Number of trial Stribeck speeds over the whole range; number near the speed of the fit to all
-recordings; and the factor that bounds the near range.
+"""Number of trial Stribeck speeds over the whole range; number of trial speeds near the Stribeck
+speed of the fit to all recordings; factor that bounds the near range.
 """
 STEP_S = 1e-3
-"""Integration step, s; it causes an error of 0.04 mrad rms in angle errors of 20 mrad and more."""
+"""Integration step, s; the step causes an error of 0.04 mrad rms in angle errors of 20 mrad and
+more.
+"""
 
 Indices = NDArray[np.int64]
 
@@ -35,10 +35,12 @@ class Score:
     """Errors of one draw.
 
     Attributes:
-        train: Torque error on the drawn recordings to fit, in the fit's unit.
+        train: Torque error on the drawn recordings to fit, in the unit of the fit.
         torque: Torque error on the drawn recordings to score.
-        angle: Rms angle error of the simulated loop on these, rad (m); None if it is not simulated.
-        angle_mae: Mean absolute angle error, likewise.
+        angle: Rms angle error of the simulated loop on the drawn recordings to score, rad (m); None
+            if the loop is not simulated.
+        angle_mae: Mean absolute angle error on the same recordings, rad (m); None if the loop is
+            not simulated.
     """
 
     train: float
@@ -50,9 +52,9 @@ class Score:
 class Redraw:
     """Fits one rung by the equation error to a draw of recordings and scores it on another draw.
 
-    Each recording is reduced once, at every trial Stribeck speed, to the triangle of its QR
-    decomposition; a draw is then fitted from the stacked triangles. Between the trial speeds the
-    cost is interpolated by a parabola in log omega_s.
+    Each recording is reduced once, at every trial Stribeck speed, to the triangular factor of its
+    QR decomposition; a draw is then fitted to the stacked triangular factors. Between the trial
+    speeds the cost is interpolated by a parabola in log omega_s.
 
     Args:
         model: The rung.
@@ -81,7 +83,9 @@ class Redraw:
         ]
 
     def __call__(self, to_fit: Indices, to_score: Indices) -> Score:
-        """Fit the recordings ``to_fit`` and score those ``to_score``; both may repeat."""
+        """Fit the recordings ``to_fit`` and score the recordings ``to_score``; a recording may
+        occur more than once in either.
+        """
         values = self._solve(to_fit)
         angles = self._angles(to_score, values) if self._simulated else None
         return Score(

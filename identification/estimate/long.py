@@ -1,8 +1,8 @@
-"""The default method on recordings too long for memory, piece by piece.
+"""The default identification method for recordings too long for memory, piece by piece.
 
-The equation error is decimated to 2.5 times its bandwidth as usual, without loss of information;
-only the velocity is kept at the full rate. The prediction errors pass over the pieces
-(:mod:`identification.estimate.likelihood.long_refinement`).
+The signals of the equation error are sampled at 2.5 times the bandwidth, as in the method for short
+recordings, without loss of information; only the velocity keeps the full sampling rate. The
+prediction errors pass over the pieces (:mod:`identification.estimate.likelihood.long_refinement`).
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ from identification.result import Identification
 
 LONG_SAMPLES = 200_000
 """Number of samples to fit, over all recordings, above which the estimation runs piece by piece;
-below, it is faster in one piece.
+with fewer samples an estimation in one piece is faster.
 """
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
-"""Samples before the end of a piece within which a rest is sought for the cut."""
+"""Number of samples before the end of a piece among which the cut is placed at a rest."""
 
 
 def identify_any_length(
@@ -60,8 +60,8 @@ def identify_any_length(
     profile: bool = False,
     draws: int = 0,
 ) -> Identification:
-    """Identify by the default method, in pieces where the recordings are long; see
-    :func:`default.identify`.
+    """Identify by the default method, piece by piece if the recordings are long; the arguments are
+    those of :func:`default.identify`.
 
     Raises:
         RecordingError: The recordings do not determine the model; the message says what is missing.
@@ -79,17 +79,16 @@ def identify_any_length(
     found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
     if profile or draws:
         limit = (
-            f"no profiles or bootstrap: they need recordings of at most {LONG_SAMPLES} samples "
-            f"together; cut them "
-            "shorter"
+            f"no profiles and no bootstrap: they need at most {LONG_SAMPLES} samples in all "
+            "recordings together; use shorter recordings"
         )
         found = replace(found, warnings=(*found.warnings, limit))
     return found
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at a rest if there is one; channels
-    are views.
+    """Cut a recording into pieces of about ``PIECE_SAMPLES`` samples, at rests where possible; the
+    channels of a piece are views.
     """
     n, start = len(recording.time), 0
     found = []
@@ -149,8 +148,8 @@ def identify_long(
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return the sample at which to cut: the middle of the last rest shortly before ``near``, or
-    ``near``.
+    """Return the sample at which to cut: the middle of the last rest shortly before ``near``;
+    ``near`` if there is no rest.
     """
     window = slice(near - _SEARCH_SAMPLES, near)
     angle = joint_angle(

@@ -1,6 +1,4 @@
-"""Transfer of an identification: its error on other recordings, such as another day, unit, mass or
-load.
-"""
+"""Applies an identified model to other recordings (another day, unit or load) and scores it."""
 
 from __future__ import annotations
 
@@ -21,15 +19,15 @@ from identification.result import Fit, Identification, Parameter
 
 @dataclass(frozen=True)
 class Moved:
-    """One parameter, identified on the first and on the other recordings.
+    """Comparison of one parameter, identified from the first and from the other recordings.
 
     Attributes:
         name: Name of the parameter.
         unit: Unit, SI.
         first: Estimate from the first recordings.
         second: Estimate from the other recordings alone.
-        difference: Second less first; None if either is not identifiable.
-        joint: Half width of the 90 % interval of that difference, with both estimates independent.
+        difference: Second estimate less first estimate; None if either is not identifiable.
+        joint: Half width of the 90 % interval of the difference, for independent estimates.
         moved: Whether the difference exceeds this half width.
     """
 
@@ -49,7 +47,7 @@ class Transfer:
     Attributes:
         fit: Torque error of the transferred model on the other recordings.
         own: Torque error of the model identified on the other recordings.
-        floor: Noise floor of the other recordings; None if no motion is repeated in them.
+        floor: Noise floor of the other recordings; None if they contain no repeated motion.
         by_recording: Torque error of the transferred model on each recording.
         parameters: Comparison of each parameter.
         other: The identification of the other recordings.
@@ -69,36 +67,40 @@ def transfer(
     other: Dataset,
     rng: np.random.Generator | None = None,
 ) -> Transfer:
-    """Score a fitted model on other recordings, and compare it with an identification of these.
+    """Score a fitted model on other recordings, and compare it with an identification of the other
+    recordings.
 
     The other recordings are identified with the same model and bandwidth; their validation
     recordings are not fitted.
 
     Args:
         first: The fit to transfer.
-        dataset: Dataset of this fit; its declared model applies to both.
+        dataset: Dataset of the fit to transfer; its declared model applies to both datasets.
         other: Other recordings.
-        rng: Random generator for the identification of these; None for seed 0.
+        rng: Random generator for the identification of the other recordings; None for seed 0.
 
     Raises:
-        RecordingError: The other recordings do not support the model, or include one to which it
-            was fitted.
+        RecordingError: The other recordings do not support the model, or include a recording to
+            which the model was fitted.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
     recordings = other.part("fit")
     known = [r.name for r in recordings if r.sha256 in seen]
     if known:
         raise RecordingError(
-            f"{known[0]}: was fitted to already; score on recordings that were not"
+            f"{known[0]}: the model was fitted to this recording; score it on other recordings"
         )
     loaded = [r.name for r in recordings if r.stage == "loaded"]
     if loaded and not set(LOAD_PARAMETERS) & first.fitted.keys():
         raise RecordingError(
-            f"{loaded[0]}: loaded, and the model to score was fitted to unloaded recordings only"
+            f"{loaded[0]}: the recording is loaded, but the model to score was fitted to unloaded "
+            "recordings only"
         )
     mine, theirs = dataset.recordings[0].bench.motion, other.recordings[0].bench.motion
     if mine != theirs:
-        raise RecordingError(f"a {mine} bench cannot be scored on a {theirs} one")
+        raise RecordingError(
+            f"a model of a {mine} bench cannot be scored on recordings of a {theirs} bench"
+        )
     bandwidth_Hz = first.fit.bandwidth_Hz
     own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz, rng=rng)
     prepared = [prepare(r, bandwidth_Hz) for r in recordings]

@@ -1,3 +1,1 @@
-"""Prediction errors of a model on recordings: motion segments, Kalman filter, noise, likelihood,
-breakaway times.
-"""
+"""Prediction errors of the nominal model on recordings: segments, Kalman filter, likelihood."""

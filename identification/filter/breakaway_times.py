@@ -1,4 +1,4 @@
-"""Breakaway times: optimised with the parameters held, or eliminated from the normal equations."""
+"""Optimises the breakaway times with fixed parameters, or eliminates them from normal equations."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber, huber_weight
 
 ROUNDS = 4
-"""Gauss-Newton steps of a breakaway time."""
+"""Greatest number of Gauss-Newton steps for a breakaway time."""
 LONGEST_STEP_MS = 2.0
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of some recordings, breakaway times eliminated; p parameters, m segments.
+    """Normal equations of some recordings without their breakaway times; p parameters, m segments.
 
     Attributes:
         normal: Fisher information of the residuals (unit variance), shape (p, p).
@@ -38,10 +38,10 @@ def optimise_breakaway_times(
     point: Point, threshold: float = np.inf, rounds: int = ROUNDS
 ) -> Point:
     """Return the point at which each breakaway time minimises its segment's Huber cost; the
-    parameters are held.
+    parameters stay fixed.
 
-    Gauss-Newton with one step length per segment: a step that raises its segment's cost is undone
-    and shortened.
+    The method is Gauss-Newton with one step length per segment: a step that raises the cost of its
+    segment is undone and shortened.
     """
     count, m = len(point.free), point.breakaways
     owners = point.owners
@@ -71,9 +71,7 @@ def optimise_breakaway_times(
 
 
 def search_breakaway_times(point: Point, threshold: float) -> Point:
-    """Return the point at the best local minimum of each breakaway time; the parameters are
-    held.
-    """
+    """Return the point at the best local minimum of each breakaway time, with fixed parameters."""
     there, moved = (
         optimise_breakaway_times(point, threshold).weighted().with_best_breakaways(threshold)
     )

@@ -1,6 +1,4 @@
-"""Recordings that are fitted together, and the filter that runs over all of their motion
-segments.
-"""
+"""Recordings that are fitted together, and the Kalman filter that runs over their segments."""
 
 from __future__ import annotations
 
@@ -24,29 +22,32 @@ from identification.numerics.arrays import Array, BoolArray
 from identification.recording import Model
 
 _FORGOTTEN = math.pi**2 / 3.0
-"""Exponent of the share of the quantisation error that is the same in every reading despite noise
-of the angle (M20). Averaged over noise of variance v, the first harmonic of that error falls by
-exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit
-Theory 3 (1956) 266).
+"""Exponent of the share of the quantisation error that is the same in all readings despite noise of
+the angle (M20). Averaged over noise of variance v, the first harmonic of the quantisation error
+falls by exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the squared encoder step (Widrow, IRE
+Trans. Circuit Theory 3 (1956) 266).
 """
 _LEAST_SHARED = 30000.0
-"""Integration steps above which a second thread saves time."""
+"""Number of integration steps above which a second thread saves time."""
 
 COST_OF_SENSITIVITIES = 3
-"""Passes of the filter that a pass with sensitivities takes."""
+"""Time of a pass with sensitivities, in passes without."""
 
 _Part = list[tuple[int, slice]]
-"""A subset of the segments: pairs of recording number and rows of its table."""
+"""A subset of the segments: pairs of the number of a recording and rows of the table of its
+segments.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Heads:
-    """The first samples of every segment, which alone feel where its breakaway time is.
+    """The first samples of every segment; the breakaway time affects no later sample of the
+    segment.
 
     Attributes:
-        tables: Tables of segments that end there, one per recording, shape (m, 4).
-        inside: Whether a sample is among them, one array per recording.
-        rows: Whether an innovation is among them, shape (r - m,).
+        tables: Tables of segments that end after these samples, one per recording, shape (m, 4).
+        inside: Whether a sample is among these first samples, one array per recording.
+        rows: Whether an innovation belongs to one of these first samples, shape (r - m,).
     """
 
     tables: tuple[Array, ...]
@@ -60,7 +61,8 @@ class Experiment:
 
     Attributes:
         motions: Recordings with their segments.
-        statics: Fixed static levels: index of the Coulomb level, index of the rise, value.
+        statics: Fixed static levels, each as index of the Coulomb level, index of the rise, and
+            value.
     """
 
     motions: tuple[Motion, ...]
@@ -68,7 +70,9 @@ class Experiment:
 
     @classmethod
     def of(cls, motions: Sequence[Motion], model: Model) -> Experiment:
-        """Return the experiment of these recordings with the static levels that a model fixes."""
+        """Return the experiment of these recordings, with the static levels that the declared model
+        fixes.
+        """
         statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
         return cls(tuple(motions), tuple(statics))
 
@@ -79,7 +83,7 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Segment of every residual, over all recordings, ties last, shape (r,)."""
+        """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
         inside = [self._owners(m, j) for j, m in enumerate(self.motions)]
         return np.concatenate([*inside, np.arange(self.breakaways)])
 
@@ -105,7 +109,7 @@ class Experiment:
         return np.asarray(np.arange(len(inside)) - starts[inside])
 
     def heads(self, samples: int) -> Heads:
-        """Return the first ``samples`` of every segment that starts from rest."""
+        """Return the first ``samples`` samples of every segment that starts from rest."""
         tables, inside = [], []
         for m in self.motions:
             table, mask = m.table.copy(), np.zeros(len(m.time), dtype=bool)
@@ -121,8 +125,8 @@ class Experiment:
 
     @cached_property
     def matching_count(self) -> Array:
-        """Number of matching half cycles of every residual's segment, itself included, shape
-        (r,).
+        """Number of matching half cycles of every residual's segment, including the segment itself,
+        shape (r,).
         """
         counts = np.concatenate(
             [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
@@ -131,16 +135,17 @@ class Experiment:
 
 
 class Filter:
-    """Runs the Kalman filter over all recordings of an experiment, in buffers of its own.
+    """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    Between runs it keeps only their number; each run returns copies. Not thread-safe.
+    Between runs a filter keeps nothing but the number of runs; each run returns copies. A filter is
+    not thread-safe.
 
     Args:
         experiment: The recordings.
 
     Attributes:
         experiment: The recordings.
-        evaluations: Runs so far.
+        evaluations: Number of runs so far.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -162,8 +167,8 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle.
-            heads: First samples of the segments; only these are filtered and returned. None for
-                whole segments.
+            heads: First samples of the segments; only these samples are filtered and returned. None
+                for whole segments.
         """
         motions = self.experiment.motions
         tables = [m.table for m in motions] if heads is None else heads.tables
@@ -174,8 +179,8 @@ class Filter:
         return _joined(self._errors, inside), _joined(self._deviations, inside)
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
-        """Return the filtered correlated noise of the torque, N m, one array per recording;
-        meaningful inside segments. Arguments as in :meth:`run`.
+        """Return the filtered correlated noise of the torque, N m, one array per recording; only
+        the values inside segments are meaningful. The arguments are those of :meth:`run`.
         """
         self.run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
@@ -189,7 +194,7 @@ class Filter:
         Args:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
-            noise: Noise of torque and angle; held.
+            noise: Noise of torque and angle, which is constant.
             seeds: Directions, shape (d, :data:`identification.filter.sensitivity.SEEDS`).
         """
         motions = self.experiment.motions
@@ -213,7 +218,7 @@ class Filter:
 
     @staticmethod
     def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
-        """Do both halves of the work, the second one in another thread if there is one."""
+        """Do both halves of the work, the second half in another thread unless it is empty."""
         one, other = halves
         if not other:
             return work(one)
@@ -244,7 +249,7 @@ class Filter:
 
 
 def _levels(m: Motion, noise: Noise) -> Array:
-    """Return the noise of a recording as the kernels take it, shape (5,)."""
+    """Return the noise of a recording as the noise vector of the compiled kernels, shape (5,)."""
     variance = m.angle_variance + noise.angle**2
     staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
     return np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
@@ -263,7 +268,7 @@ def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:
     """Split the segments into two sets of about equal computing time.
 
     The second set is empty where a second thread would not save time. A segment that does not start
-    from rest continues the one before it and stays with it.
+    from rest continues the segment before it, and both stay in one set.
     """
     costs = [
         [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]]

@@ -1,13 +1,12 @@
-"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured
-torque (M14 to M21).
+"""Extended Kalman filter with the measured torque as input: one-step errors of the angle (M14-M21).
 
-The measured torque is a noisy mean over each period and the encoder is quantised, so neither the
-output error (which drifts with the torque noise) nor the equation error (which differentiates the
-encoder signal) is a suitable residual. The filter has the state (angle, speed), with J domega/dt =
-torque - friction(omega) + noise and y = angle + noise. A correlated part of the torque noise is a
-third state, a first-order process that is held over each period. The normalised innovations are
-white when the model is right, and their sum of squares is the likelihood (Ljung, System
-Identification, 2nd ed., 7.3 and 10.5).
+The measured torque is a noisy mean over each period, and the encoder is quantised. The output error
+drifts with the torque noise, and the equation error differentiates the encoder signal; the one-step
+prediction error of the joint angle avoids both. The filter has the state (angle, speed), with J
+domega/dt = torque - friction(omega) + noise and y = angle + noise. A correlated part of the torque
+noise is a third state, a first-order process that is constant within each period. The normalised
+innovations are white when the model is right, and their sum of squares is the likelihood (Ljung,
+System Identification, 2nd ed., 7.3 and 10.5).
 
 A motion segment that starts from rest starts at its breakaway time, at the angle of rest and with
 speed zero. Repeated readings at rest do not reduce the error of the angle below the quantisation
@@ -25,22 +24,22 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
 # Indices of the noise vector: white torque noise, N m rms; angle noise, rad^2; correlated torque
-# noise, N m rms, and its correlation time, s; part of the angle noise that is the same in all
-# readings at rest, rad^2.
+# noise, N m rms; its correlation time, s; part of the angle noise that is the same in all readings
+# at rest, rad^2.
 WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 LEAST_SPEED = 1e-7
 _SLIP = 0.7
-"""Mean square difference between a random walk reflected at zero and a free one, under a drift that
-rises through zero, in natural units (M21); simulated in the tests.
+"""Mean square difference between a random walk that is reflected at zero and a free random walk,
+under a drift that rises through zero, in natural units (M21); a test simulates this constant.
 """
 
 
 State = tuple[float, float, float, float, float, float, float, float, float]
 """Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed.
 
-Then the correlated torque noise, its covariances with angle and speed, and its variance; all are
-zero without such noise.
+The further elements are the correlated torque noise, its covariances with angle and speed, and its
+variance; all of them are zero without correlated noise.
 """
 
 
@@ -102,8 +101,8 @@ def reading_at_rest(
 ) -> tuple[float, float]:
     """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
 
-    The error of variance ``staying``, a part of ``angle_noise``, is the same in all readings at
-    rest; further readings reduce only the remaining variance.
+    An error of variance ``staying``, which is a part of ``angle_noise``, is the same in all
+    readings at rest; further readings reduce only the remaining variance.
     """
     unknown = p11 - staying
     if unknown > 0.0:
@@ -120,8 +119,8 @@ def corrected(
     """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps
     its sign ``side``.
 
-    ``new`` is the share of the period since the breakaway; with it the filter is smooth in the
-    breakaway time. ``unsure`` is added to the variance of the speed.
+    ``new`` is the share of the period since the breakaway; this share makes the result a smooth
+    function of the breakaway time. ``unsure`` is added to the variance of the speed.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     g1 = p11 / variance
@@ -156,10 +155,10 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
     """Return the mean square speed that noise causes before the mean torque reaches the static
     limit, (rad/s)^2 (M21).
 
-    At rest friction balances any torque backwards, so that noise moves the joint forward only. Its
-    speed is a random walk reflected at zero under the drift ``rise`` t / ``inertia`` (``rise`` in N
-    m/s), which passes zero at the limit. Walk and drift are of equal size after the time (noise^2
-    period / rise^2)^(1/3).
+    At rest friction balances every backward torque, so that noise moves the joint forward only. The
+    speed of the joint is a random walk that is reflected at zero, under the drift ``rise`` t /
+    ``inertia`` (``rise`` in N m/s), which passes zero when the torque reaches the static limit.
+    Walk and drift are of equal size after the time (noise^2 period / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
     alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
@@ -186,7 +185,7 @@ def innovations(
     hiddens: Array,
 ) -> None:
     """Fill ``out`` with the innovations of every segment, ``spread`` with their standard deviations
-    (M18), and ``speeds`` and ``hiddens`` with filtered states.
+    (M18), and ``speeds`` and ``hiddens`` with the filtered states.
 
     Args:
         segments: Table of motion segments, shape (m, 4); columns of
@@ -201,15 +200,17 @@ def innovations(
         noise: Noise vector with indices ``WHITE`` to ``STAYING``, shape (5,). The torque noise
             enters the speed divided by the trial inertia: the true torque is unknown, and using the
             measured torque as exact would bias J.
-        steps: Integration steps in the period that ends at each sample, shape (n,); fixed
-            beforehand, so that the innovations are smooth in the parameters.
-        unsure: Variance added to the speed's at each sample, (rad/s)^2, shape (n,).
+        steps: Integration steps in the period that ends at each sample, shape (n,). Their number
+            does not depend on the parameters, so that the innovations are smooth functions of the
+            parameters.
+        unsure: Variance that is added to the variance of the speed at each sample, (rad/s)^2, shape
+            (n,).
         p: Vector of :mod:`identification.model.parameters`.
         out: Innovations, rad, shape (n,); samples outside segments are left unchanged.
-        spread: Their standard deviations, rad, shape (n,).
+        spread: Standard deviations of the innovations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
-        hiddens: Filtered correlated torque noise, N m, shape (n,); left unchanged without such
-            noise.
+        hiddens: Filtered correlated torque noise, N m, shape (n,); left unchanged if the noise has
+            no correlated part.
     """
     inertia = p[INERTIA] + extra_inertia
     correlated = noise[CORRELATED] > 0.0

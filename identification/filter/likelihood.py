@@ -1,6 +1,4 @@
-"""Prediction errors, ties, and their derivatives with respect to free parameters and breakaway
-times (M22, M23).
-"""
+"""Residuals of the likelihood and their derivatives: prediction errors and ties (M22, M23)."""
 
 from __future__ import annotations
 
@@ -31,25 +29,25 @@ _FARTHEST_LOG = 6.0
 """Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
-"""Grid of alternative breakaway times."""
+"""Grid of alternative breakaway times around the present ones."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
 _TIME_STEP = 1e-3
 _GREATEST_CHANGE = 10.0
-"""Greatest change of an error, in standard deviations, or of a logarithm of its deviation, over
+"""Greatest change of an error, in standard deviations, or of the logarithm of its deviation, over
 one step of a finite difference.
 """
 _TIE_STEP_S = 1e-6
-"""Step of a breakaway time for the slope of the torque there."""
+"""Step of a breakaway time for the slope of the torque at the breakaway."""
 _LONGEST_SHIFT_S = _SHIFTS_S[-1]
 _UNFELT = 1e-6
-"""Change of a residual, in standard deviations, below which its sample does not feel a shift of the
-breakaway time.
+"""Change of a residual, in standard deviations, below which a shift of the breakaway time counts as
+having no effect on the residual.
 """
 _LEAST_SAMPLES = 40
-"""Least number of samples of a segment that are filtered at other breakaway times."""
+"""Least number of samples of a segment that are filtered anew for other breakaway times."""
 _LEAST_GAIN = 0.5
-"""Least gain in a segment's Huber cost for its breakaway time to move."""
+"""Least decrease of a segment's Huber cost for which its breakaway time is changed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +82,8 @@ class Point:
         model: Model,
         noise: Noise,
     ) -> Point:
-        """Return a point without variance inflation, with each breakaway time where the torque
-        first reaches the static limit.
+        """Return a point without variance inflation; each breakaway time is the time at which the
+        torque first reaches the static limit.
         """
         experiment = Experiment.of(motions, model)
         return cls(
@@ -114,7 +112,7 @@ class Point:
 
     @property
     def owners(self) -> NDArray[np.int64]:
-        """Segment of every residual, ties last, shape (r,)."""
+        """Number of the segment of every residual, ties last, shape (r,)."""
         return self.experiment.owners
 
     @property
@@ -127,8 +125,8 @@ class Point:
         return replace(self, free=tuple(free))
 
     def at(self, vector: Array) -> Point:
-        """Return a point at other parameters, with each breakaway time where the torque first
-        reaches their static limit.
+        """Return a point at other parameters; each breakaway time is the time at which the torque
+        first reaches the static limit of these parameters.
         """
         times = static_crossings(vector, self.motions)
         return replace(self, vector=vector, breakaway_times=times)
@@ -197,16 +195,16 @@ class Point:
     def derivatives(
         self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
-        """Return d errors / d x over the deviations, and d log deviations / d x."""
+        """Return d errors / d x, divided by the deviations, and d log deviations / d x."""
         errors, widening = self._sensitivities(x, deviations)
         return self._arrow(errors), self._arrow(widening)
 
     def _sensitivities(self, x: Array, deviations: Array) -> tuple[Array, Array]:
-        """Return d errors / d x over the deviations, and d log deviations / d x, shape (r, p + 1)
-        each; the last column is of the breakaway time of the row's segment.
+        """Return d errors / d x, divided by the deviations, and d log deviations / d x, shape
+        (r, p + 1) each; the last column belongs to the breakaway time of the row's segment.
 
-        They are bounded as finite differences would be: in stick-slip an error depends irregularly
-        on the parameters, and its slope says nothing of a step.
+        The derivatives are bounded as finite differences are: in stick-slip an error depends
+        irregularly on the parameters, and its slope does not predict the change over a step.
         """
         p, times, seeds = self.parameters(x), self.times(x), self._seeds(x)
         errors, widening = self.filter.sensitivities(p, times, self.noise, seeds)
@@ -222,7 +220,7 @@ class Point:
         return _bounded(slopes, bound), _bounded(widening, bound)
 
     def _seeds(self, x: Array) -> Array:
-        """Return the derivatives of all parameters with respect to each free one, and of the
+        """Return the derivatives of all parameters with respect to each free parameter, and of the
         breakaway times with respect to their common shift, shape (p + 1, SEEDS).
         """
         seeds = np.zeros((len(self.free) + 1, SEEDS))
@@ -250,7 +248,8 @@ class Point:
         """Return the derivatives of ``change``, of shape (k, r), at ``x``: with respect to the
         parameters, and to the breakaway times.
 
-        One run serves all breakaway times, because no residual depends on two of them.
+        One run of the filter gives the derivatives with respect to all breakaway times, because no
+        residual depends on two of them.
         """
         count = len(self.free)
         slopes = []
@@ -277,7 +276,7 @@ class Weighted:
 
     Attributes:
         point: The point.
-        deviations: Standard deviations at the point, held, shape (r,).
+        deviations: Standard deviations at the point, constant, shape (r,).
         step: Relative step of a coordinate for finite differences.
     """
 
@@ -286,7 +285,9 @@ class Weighted:
     step: float = PARAMETER_STEP
 
     def residuals(self, x: Array) -> Array:
-        """Return the errors of :meth:`Point.predictions` over the held deviations, shape (r,)."""
+        """Return the errors of :meth:`Point.predictions`, divided by the constant deviations, shape
+        (r,).
+        """
         errors, _ = self.point.predictions(x)
         return np.asarray(errors / self.deviations)
 
@@ -302,30 +303,31 @@ class Weighted:
         return BlockArrow(parameters[0], times[0], self.point.owners, self.point.breakaways)
 
     def near_breakaways(self, x: Array, here: Array) -> NearBreakaways:
-        """Return the residuals of other breakaway times than those of ``x``, at the same
-        parameters, and of the samples that feel them only.
+        """Return the residuals as a function of the breakaway times near those of ``x``, at the
+        same parameters. Only the samples on which breakaway times have an effect are filtered.
 
         Args:
             x: Free vector.
-            here: Residuals there, shape (r,).
+            here: Residuals at ``x``, shape (r,).
         """
         experiment = self.point.experiment
         there = x.copy()
         there[len(self.point.free) :] += _LONGEST_SHIFT_S / _TIME_SCALE_S
         after = self.residuals(there)
         inside = slice(0, len(experiment.samples))
-        # Written so that residuals that are not finite count as felt.
+        # The condition is written so that a residual that is not finite counts as affected.
         felt = ~(np.abs(after[inside] - here[inside]) <= _UNFELT)
         samples = int(np.max(experiment.samples[felt], initial=_LEAST_SAMPLES - 1)) + 1
         return NearBreakaways(self, here, experiment.heads(samples))
 
     def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
-        """Return the point with each breakaway time at the best point of a grid around it, and
-        whether any moved.
+        """Return the point with each breakaway time at the best place of a grid around it, and
+        whether any breakaway time changed.
 
-        Noisy torque crosses the static limit more than once, so that a breakaway time has several
-        minima, and one segment in the wrong minimum shifts the static limit by several standard
-        errors. Segments share no breakaway time, so each is judged by its own Huber cost.
+        Noisy torque crosses the static limit more than once, so that the cost has several minima
+        over a breakaway time. One segment in the wrong minimum shifts the static limit by several
+        standard errors. Segments have no breakaway time in common, so each breakaway time is chosen
+        by the Huber cost of its own segment.
         """
         origin, count = self.point.origin(), len(self.point.free)
         owners = self.point.owners
@@ -346,14 +348,16 @@ class Weighted:
 
 @dataclass(frozen=True, eq=False)
 class NearBreakaways:
-    """Residuals at other breakaway times and the same parameters, of the samples that feel them.
+    """Residuals at other breakaway times and the same parameters, computed for the affected samples
+    only.
 
-    The filter forgets where a segment started after some hundred samples, of thousands.
+    The breakaway time affects some hundred samples after the breakaway; a segment may have
+    thousands.
 
     Attributes:
-        held: Residuals around a point.
-        here: Residuals at the breakaway times from which the others are near, shape (r,).
-        heads: Samples that feel the breakaway times.
+        held: Residuals around a point, with constant standard deviations.
+        here: Residuals at the breakaway times of the point, shape (r,).
+        heads: Samples on which the breakaway times have an effect.
     """
 
     held: Weighted
@@ -373,7 +377,7 @@ class NearBreakaways:
 
 
 class Searched(NamedTuple):
-    """End of a search.
+    """End point of a search, and the number of its steps.
 
     Attributes:
         point: End point of the search.
@@ -385,5 +389,5 @@ class Searched(NamedTuple):
 
 
 def _bounded(slopes: Array, bound: Array) -> Array:
-    """Return slopes within a bound for each column; zero where undefined, shape (r, d)."""
+    """Return the slopes limited to a bound for each column, zero where undefined, shape (r, d)."""
     return np.asarray(np.clip(np.nan_to_num(slopes, nan=0.0), -bound, bound))

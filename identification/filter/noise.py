@@ -1,4 +1,4 @@
-"""The noise model of torque and angle (M25)."""
+"""The noise model of measured torque and angle: white and correlated parts (M25)."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from identification.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Noise:
-    """White and correlated noise of the measured torque, and noise of the angle.
+    """Levels of the white and correlated noise of the measured torque, and of the noise of the
+    angle.
 
     Attributes:
         torque: White part of the torque noise, N m rms over a period.
-        angle: Noise of the angle beyond the quantisation of its encoder, rad rms.
-        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero
-        without one.
-        correlation_s: Time over which its autocorrelation falls to 1/e, s.
+        angle: Noise of the angle in addition to the quantisation error of the encoder, rad rms.
+        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero if
+            there is none.
+        correlation_s: Time over which the autocorrelation of the correlated part falls to 1/e, s.
     """
 
     torque: float
@@ -30,7 +31,7 @@ class Noise:
 
     @property
     def whole_torque(self) -> float:
-        """Standard deviation of both parts of the torque noise, N m."""
+        """Standard deviation of both parts of the torque noise together, N m."""
         return math.hypot(self.torque, self.correlated)
 
     def louder(self, factor: float) -> Noise:
@@ -40,8 +41,8 @@ class Noise:
     def drawn(
         self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float
     ) -> Array:
-        """Return independent simulated series of torque noise times ``share``, N m, one per row,
-        with one sample every ``period`` s.
+        """Return independent simulated series of torque noise, multiplied by ``share``, N m, one
+        per row, with one sample every ``period`` s.
         """
         white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
         if self.correlated == 0.0:

@@ -1,6 +1,4 @@
-"""Noise levels of torque and angle estimated from the recordings, and the deviance that they
-minimise (M24 to M26).
-"""
+"""Estimates the noise levels of torque and angle from recordings by least deviance (M24-M26)."""
 
 from __future__ import annotations
 
@@ -29,12 +27,12 @@ _SIMPLEX_CORRELATED = (
     (0.0, -1.0, 0.0, 0.5),
 )
 _MOST_CORRELATED = 90
-"""Initial simplex of the search for the noise, in logarithms over its first value, and greatest
-number of filter runs.
+"""Initial simplex of the search for the noise levels, as logarithms of their ratio to the first
+value, and greatest number of filter runs.
 """
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Correlated noises tried first: ratio of standard deviations to the white part, and correlation
-time in periods.
+"""Start values that are tried for correlated noise: ratio of its standard deviation to that of the
+white part, and correlation time in periods.
 """
 
 
@@ -48,11 +46,12 @@ def torque_noise(motions: Sequence[Motion]) -> float:
 
 
 def likeliest_noise(point: Point) -> Noise:
-    """Return the noise of least deviance at a point, with a correlated part if the point's noise
-    has one.
+    """Return the noise levels of least deviance at a point, with a correlated part if the noise of
+    the point has one.
 
     Args:
-        point: Parameters and breakaway times, held; the search starts from its noise.
+        point: Parameters and breakaway times, which stay fixed; the search starts from the noise of
+            this point.
     """
     first = point.noise
     unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in point.motions))])
@@ -77,8 +76,8 @@ def likeliest_noise(point: Point) -> Noise:
 
 
 def first_correlated_noise(point: Point) -> Noise:
-    """Return the noise of least deviance among a few with a correlated part, a start value of the
-    search.
+    """Return the noise of least deviance among a few noises with a correlated part, as the start
+    value of the search.
     """
     period = max(m.recording.period for m in point.motions)
     tried = [
@@ -93,8 +92,8 @@ def repeating_share(point: Point) -> float:
     """Return the share of the filtered correlated noise that matching half cycles have in common
     (M26).
 
-    Noise does not repeat; unmodelled physics does. The result is one if a recording has no matching
-    half cycles of the same direction.
+    Noise does not repeat with the motion, but unmodelled physics does. The result is one if a
+    recording has no matching half cycles of the same direction.
     """
     common, power = 0.0, 0.0
     filtered = point.filter.correlated_torque(point.vector, point.breakaway_times, point.noise)

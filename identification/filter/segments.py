@@ -1,4 +1,4 @@
-"""Motion segments of a recording, from one rest to the next, prepared for the filter (M5, M11)."""
+"""Divides a recording into motion segments, from one rest to the next, for the filter (M5, M11)."""
 
 from __future__ import annotations
 
@@ -16,37 +16,39 @@ from identification.recording import Recording
 from identification.signals import quantum
 
 LEAD = 12
-"""Samples before the first visible motion at which a segment starts."""
+"""Number of samples by which a segment starts before its first visible motion."""
 TAIL = 20
-"""Samples before the next rest at which a segment ends, because the filter cannot know that the
-joint will stop.
+"""Number of samples by which a segment ends before the next rest, because the filter cannot know
+that the joint will stop.
 """
 LEAST_COUNTS = 20.0
 """Least travel of a segment, in encoder steps."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Integration steps per sample elsewhere; under a slow sine all speeds may lie on the falling
+"""Integration steps per sample away from rest; under a slow sine all speeds may lie on the falling
 branch of friction.
 """
 ONSET_STEPS = 32.0
-"""Integration steps per sample right after a breakaway, where friction's fall multiplies the error
-of every step.
+"""Integration steps per sample right after a breakaway, where the fall of friction with speed
+multiplies the error of every step.
 """
 FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is averaged."""
 LEAST_RISE = 0.1
-"""Least rate of rise of a segment, over the median of the recording: a smaller one is lost in
-noise.
+"""Least rate of rise of a segment, relative to the median of the recording; noise hides a smaller
+rate.
 """
 STALLED = 0.01
 """Share of the greatest speed below which a segment counts as almost stopping."""
 UNSURE = 0.1
-"""Standard deviation added to the speed where a segment almost stops, over the greatest speed."""
+"""Standard deviation that is added to the speed where a segment almost stops, relative to the
+greatest speed.
+"""
 ALIKE = 0.1
-"""Greatest difference in displacement of two matching half cycles at any time, over the longer
-displacement (M11).
+"""Greatest difference in displacement between two matching half cycles at any time, relative to the
+longer displacement (M11).
 """
 INSTANTS = 64
 """Number of instants at which half cycles are compared."""
@@ -66,7 +68,7 @@ class Motion:
         table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
         seen: First sample of visible motion of each segment, shape (m,).
         steps: Number of integration steps in the period that ends at each sample.
-        unsure: Variance added to the speed's at each sample, (rad/s)^2.
+        unsure: Variance that is added to the variance of the speed at each sample, (rad/s)^2.
         inside: Whether a sample is inside a segment.
         extra_inertia: Known inertia added to J, kg m^2.
         angle_variance: Variance of the quantisation error of the angle, rad^2.
@@ -99,8 +101,8 @@ class Motion:
 
     @property
     def matching(self) -> BoolArray:
-        """Whether two segments are matching half cycles (M11), in either direction, shape (m, m);
-        true on the diagonal.
+        """Whether two segments are matching half cycles (M11), of the same or of opposite
+        directions, shape (m, m); true on the diagonal.
 
         A segment without a match matches all segments of its recording.
         """
@@ -155,12 +157,12 @@ class Motion:
 
 
 def motion(recording: Recording) -> Motion | None:
-    """Return the motion segments of a recording that start from rest, or None where the filter does
-    not apply.
+    """Return the motion segments of a recording that start from rest; None if the filter does not
+    apply to the recording.
 
-    It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque
-    or current and at least two segments. Single samples may be missing or late; segments with
-    longer gaps are left out.
+    The filter applies to evenly sampled recordings with a quantised joint or motor angle, a
+    measured torque or current, and at least two segments. Single samples may be missing or late;
+    segments with longer gaps are left out.
     """
     if not ({"torque", "current"} & recording.channels.keys()):
         return None
@@ -215,11 +217,12 @@ def motion(recording: Recording) -> Motion | None:
 def _unsure(
     time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array
 ) -> Array:
-    """Return the variance added to the speed's where a segment almost stops, (rad/s)^2, shape (n,).
+    """Return the variance that is added to the variance of the speed where a segment almost stops,
+    (rad/s)^2, shape (n,).
 
     Whether the joint stops there or moves on depends on the noise, which the falling branch of
-    friction amplifies. A filter linearised about its prediction would be overconfident, and one
-    such segment would outweigh all others.
+    friction amplifies. A filter that is linearised about its prediction would be overconfident, and
+    one such segment would outweigh all others.
     """
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
@@ -234,7 +237,7 @@ def _unsure(
 
 def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
     """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite if
-    it rises in none.
+    the median of these rates is not positive.
     """
     out = np.empty(len(table))
     for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
@@ -248,7 +251,7 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
     """Return the table of segments that start from rest and have no gaps, and their first samples
     of visible motion.
 
-    The rate of rise is set to one here.
+    This function sets the rate of rise to one.
     """
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))

@@ -1,9 +1,12 @@
-"""Sensitivities of the filter: derivatives of its innovations and of their standard deviations with
-respect to parameters and breakaway times, by forward differentiation of M16 to M21.
+"""Derivatives of the Kalman filter's innovations and their deviations, by forward differentiation.
+
+The derivatives are with respect to parameters and breakaway times. Forward differentiation of M16
+to M21 computes them.
 
 The recursion of :mod:`identification.filter.kalman` is differentiated step by step (Griewank and
-Walther, Evaluating Derivatives, 2nd ed., 3.1). All directions share the exponentials and divisions
-of one pass, so that a pass with ten directions takes the time of about three passes without.
+Walther, Evaluating Derivatives, 2nd ed., 3.1). All directions use the exponentials and divisions of
+one pass, so that a pass with ten directions takes as long as about three passes without
+derivatives.
 """
 
 from __future__ import annotations
@@ -45,18 +48,19 @@ def sensitivities(
     with those of the logarithms of their standard deviations.
 
     Args:
-        segments: As for :func:`identification.filter.kalman.innovations`.
+        segments: Table of motion segments, as for :func:`identification.filter.kalman.innovations`.
         breakaway_times: Breakaway time of each segment, s, shape (m,).
         samples: Time, angle, torque, slope, moment, steps and unsure of every sample, shape (n,)
             each, as for :func:`identification.filter.kalman.innovations`.
         extra_inertia: Known inertia added to J, kg m^2.
-        noise: Noise vector, shape (5,); held.
+        noise: Noise vector, shape (5,), which is constant.
         p: Vector of :mod:`identification.model.parameters`.
-        tangents: Tangents and seeds of d directions, of
+        tangents: Tangents and seeds of d directions, from
             :func:`identification.filter.tangents.seeded`.
-        errors: rad per unit of the direction, shape (n, d); samples outside segments are left
-            unchanged.
-        deviations: Per unit of the direction, shape (n, d).
+        errors: Derivatives of the innovations, rad per unit of the direction, shape (n, d); samples
+            outside segments are left unchanged.
+        deviations: Derivatives of the logarithms of the deviations, per unit of the direction,
+            shape (n, d).
     """
     time, angle, torque, slope, moment, steps, unsure = samples
     inertia = p[INERTIA] + extra_inertia

@@ -1,6 +1,4 @@
-"""Static limit (M3) at the breakaways of a recording, its slopes, and when the torque first reaches
-it.
-"""
+"""The static friction limit at breakaways (M3), and the times at which the torque reaches it."""
 
 from __future__ import annotations
 
@@ -27,7 +25,7 @@ def static_slopes(seeds: Array, m: Motion) -> Array:
 
 
 def static_crossings(p: Array, motions: Sequence[Motion]) -> tuple[Array, ...]:
-    """Return when the torque first reaches the static limit at each breakaway, s, one array per
-    recording.
+    """Return the time at which the torque first reaches the static limit at each breakaway, s, one
+    array per recording.
     """
     return tuple(m.static_crossing(static_limit(p, m)) for m in motions)

@@ -1,5 +1,7 @@
-"""Tangents of the filter's state: one integration step and one reading of the Kalman filter,
-differentiated in several directions at once; compiled.
+"""Compiled derivatives (tangents) of one step and of one reading of the Kalman filter.
+
+A tangent is the derivative of the filter's state in one direction of the parameters or breakaway
+times; several directions are computed together.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ START = OFFSET + 1
 SEEDS = START + 1
 """Columns of the seeds."""
 WIDTH = 8
-"""Directions of one block; a constant, so that the compiler takes several in one instruction."""
+"""Number of directions in one block; a constant, so that the compiler combines several directions
+in one instruction.
+"""
 _ANGLE, _OMEGA, _P11, _P12, _P22, _HIDDEN, _P13, _P23, _P33 = (WIDTH * k for k in range(9))
 """First place of each derivative of the state in the flat array of tangents."""
 _STATES = 9 * WIDTH
@@ -38,16 +42,19 @@ _MC, _RISE, _OMEGA_SF, _SIGMA_2, _INERTIA = (
 _MU_C, _LOAD_RISE, _OMEGA_SL, _MU_2, _OFFSET, _START = (
     _STATES + WIDTH * k for k in (MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET, START)
 )
-"""First places of the seeds in the same array: within one array the compiler knows that no two of
-them overlap.
+"""First places of the seeds in the same array; in one array the compiler knows that they do not
+overlap.
 """
 _DH, _DB, _DC, _DG = (_STATES + WIDTH * k for k in range(SEEDS, SEEDS + 4))
-"""First places of what the third state takes from the first two, in the same array."""
+"""First places, in the same array, of the terms of the third state that depend on the first two
+states.
+"""
 _SIZE = _STATES + (SEEDS + 4) * WIDTH
 
 _MOST = 1e60
-"""Greatest tangent after a sample. Where friction falls, tangents of a joint that sticks and slips
-may grow without bound; a tangent that overflows would make all later ones undefined.
+"""Greatest tangent after a sample. Where friction falls with speed, tangents of a joint that sticks
+and slips may grow without bound, and a tangent that overflows would make all later tangents
+undefined.
 """
 Gains = tuple[float, ...]
 Covariance = tuple[float, ...]
@@ -59,9 +66,9 @@ def _step(t: Array, friction: Slopes, gains: Gains, covariance: Covariance) -> N
 
     Args:
         t: Tangents and seeds of one block, shape (_SIZE,).
-        friction: Derivatives of friction and of its slope, of :func:`friction_slopes`.
-        gains: Of :func:`predict`.
-        covariance: Of :func:`predict`.
+        friction: Derivatives of friction and of its slope, from :func:`friction_slopes`.
+        gains: Values of :func:`predict`.
+        covariance: Values of :func:`predict`.
     """
     f_s, f_v, g_s, f_dm, f_of, f_s2, g_dm, g_of, f_mc, f_dl, f_ol, f_m2, g_dl, g_ol, g_m2 = friction
     slow, side, push, c, half_j, half_g, c_j, c_half, growth_half, moving, h, path = gains[:12]
@@ -139,7 +146,7 @@ def predict(
     drive: tuple[float, float, float, float, float, float],
     p: Array,
 ) -> State:
-    """Return the state after one integration step (M16, M17), and step its tangents too.
+    """Return the state after one integration step (M16, M17), and advance its tangents too.
 
     Args:
         state: Before.
@@ -199,7 +206,8 @@ def _moved(
 
     Args:
         state: Before.
-        motion: Change of the angle, rad; speed after, rad/s; what the speed's variance gains.
+        motion: Change of the angle, rad; speed after the step, rad/s; increase of the variance of
+            the speed.
         gains: Length of the step, s, and the values b, q, growth and c of :func:`predict`.
     """
     angle, _, p11, p12, p22, hidden, p13, p23, p33 = state
@@ -275,10 +283,10 @@ def correct(
         state: Before.
         tangents: Tangents and seeds, shape (b, _SIZE).
         error: Innovation, rad.
-        variance: Its variance, rad^2.
+        variance: Variance of the innovation, rad^2.
         news: Share of the period since the breakaway, and its derivative with respect to the
             breakaway time.
-        unsure: Variance added to the speed's, (rad/s)^2.
+        unsure: Variance that is added to the variance of the speed, (rad/s)^2.
         side: Direction of motion.
     """
     for block in range(len(tangents)):
@@ -293,8 +301,8 @@ def begun(tangents: Array, p22_inertia: float, speed: float, follows: bool) -> N
     Args:
         tangents: Tangents and seeds.
         p22_inertia: Derivative of the speed's variance with respect to the inertia.
-        speed: Speed at the end of the segment before, rad/s.
-        follows: Whether the segment continues the one before.
+        speed: Speed at the end of the segment before it, rad/s.
+        follows: Whether the segment continues the segment before it.
     """
     for t in tangents:
         for d in range(WIDTH):

@@ -1,3 +1,1 @@
-"""The nominal model: friction law, parameters, valve, gas generator, feed-forward; no
-recordings.
-"""
+"""The nominal physical model: friction law, parameters, valve, gas generator, feed-forward."""

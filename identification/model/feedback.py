@@ -1,7 +1,6 @@
-"""Stiffness and damping that a host may add over a bus, from the joint's inertia and the delay of
-the bus.
+"""Gains of a position loop that the host closes over the bus, from joint inertia and bus delay.
 
-A host that sends a torque with every cycle closes a loop of its own around the joint: K (commanded
+A host that sends a torque with every cycle can close a position loop around the joint: K (commanded
 - measured angle) + D (commanded - measured speed). For a bare inertia J and a delay tau from
 measurement to effect, the open loop is L(s) = (K + D s) exp(-tau s) / (J s^2). With
 
@@ -19,8 +18,8 @@ import math
 from dataclasses import dataclass
 
 DELAY_CYCLES = 2.0
-"""Delay in cycles, from the middle of the interval of the speed measurement to the middle of the
-one in which the torque acts.
+"""Delay in cycles, from the middle of the interval over which the speed is measured to the middle
+of the interval in which the torque acts.
 """
 LAG_RAD = math.pi / 4.0
 """Phase lag that this delay may cause at the crossover."""

@@ -1,10 +1,12 @@
-"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, compiled as an expectation
-over an uncertain speed, and in numpy for arrays.
+"""The friction law of the nominal model, eq. 9, 12 and 13 (M1, M2): friction torque over speed.
+
+The law has three forms: compiled for one speed, compiled as the expected value over an uncertain
+speed, and in numpy for arrays.
 
 With speed w >= 0, contact moment m and gear load g the magnitude of friction is
 
-    F = Mc + sigma_2 w + (dM + g dmu_g) e(w/omega_sf) + m (mu_c + mu_2 w + dmu e(w/omega_sL)) + g
-    mu_gc
+    F = Mc + sigma_2 w + (dM + g dmu_g) e(w/omega_sf)
+        + m (mu_c + mu_2 w + dmu e(w/omega_sL)) + g mu_gc
 
 where e(x) = exp(-x^alpha). At rest F is the static limit (M3).
 """
@@ -33,8 +35,8 @@ from identification.numerics.arrays import Array
 from identification.numerics.compiled import inlined
 
 NEGLIGIBLE = 37.0
-"""Exponent beyond which the falling part is below the rounding error of the other parts:
-exp(-37).
+"""Exponent beyond which the falling part, less than exp(-37) of the rise, is below the rounding
+error of the other parts.
 """
 
 
@@ -84,8 +86,8 @@ def static_friction(moment: float, p: Array) -> float:
 def _falling(
     height: float, speed: float, omega_s: float, alpha: float, variance: float
 ) -> tuple[float, float]:
-    """Return the expected falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope
-    at ``speed`` > 0.
+    """Return the expected value of the falling part ``height`` exp(-(speed/omega_s)^alpha), N m,
+    and its slope at ``speed`` > 0.
 
     The expectation is over a speed of this ``variance``, to second order (M15). A variance above
     omega_s^2, where the expansion does not hold, counts as omega_s^2.

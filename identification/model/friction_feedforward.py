@@ -1,12 +1,12 @@
-"""Feed-forward torque from identified parameters (eq. 15), and torque pulses at the falling branch
-of friction.
+"""Feed-forward torque from identified friction (eq. 15), and torque pulses.
 
 Friction follows the commanded speed, not the measured one, so that feed-forward does not affect
-stability. Where friction falls with speed (eq. 9 and 13 above rest) a softly held joint sticks and
-slips even if its mean torque is known: :mod:`identification.model.feedback` returns the damping
-that stabilises the falling branch, as far as the delay of a bus allows. Where that is too little,
-the torque is pulsed: the joint passes the falling branch many times a second instead of in a slower
-limit cycle.
+stability. The falling branch is the range of speeds in which friction falls with speed (eq. 9 and
+13, from rest on). There a joint with soft position gains sticks and slips, even if the mean
+friction torque is compensated. :mod:`identification.model.feedback` returns the damping that
+stabilises the falling branch, as far as the delay of a bus allows. Where this damping is too small,
+the torque is pulsed: the joint then passes the falling branch many times a second instead of in a
+slower limit cycle.
 """
 
 from __future__ import annotations
@@ -20,24 +20,27 @@ from identification.model.friction import load_coefficient, system_friction
 from identification.numerics.arrays import Array
 
 SMOOTHING_RAD_S = 1e-3
-"""Commanded speed over which the sign of friction changes smoothly; encoders do not resolve it in
-one cycle.
+"""Commanded speed over which the sign of friction changes smoothly; an encoder does not resolve
+this speed in one cycle.
 """
 RISE_SHARE = 0.4
-"""Share of friction's rise toward rest that the mean torque under pulses contains; less holds the
-joint between pulses.
+"""Share of friction's rise toward rest that the mean torque under pulses contains; with a smaller
+share the joint stands between pulses.
 """
 PULSE = (1.0, -0.5, -0.5)
 """One pulse, one value per cycle, in pulse heights; its mean is zero.
 
 Three cycles are the shortest pulse with a rest.
 """
-_PULSE_SPEEDS = (
-    2.0  # speed that a pulse gives the bare inertia, over the speed up to which friction falls
-)
-_PULSE_END = 1.5  # commanded speed at which pulses fade, over the same
+_PULSE_SPEEDS = 2.0
+"""Speed to which a pulse accelerates the inertia without friction, relative to the speed up to
+which friction falls.
+"""
+_PULSE_END = 1.5
+"""Commanded speed at which pulses fade, relative to the speed up to which friction falls."""
 _GRID_POINTS = 2000
-_GRID_SPAN = 4.0  # in Stribeck speeds; beyond, eq. 9 and 13 rise again
+_GRID_SPAN = 4.0
+"""Speed, in Stribeck speeds, beyond which the friction of eq. 9 and 13 rises again."""
 
 
 def commanded_speed(angle: Array, period: float) -> Array:
@@ -55,12 +58,12 @@ def motion(angle: Array, period: float) -> Array:
 def feedforward(
     angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float
 ) -> Array:
-    """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working
-    load and inertia.
+    """Return the feed-forward torque of a commanded motion at the joint by eq. 15: friction,
+    working load and inertia.
 
-    Where friction falls faster than damping compensates, a share of the rise and :func:`pulses`
-    replace the static friction: fed forward as a whole, it would accelerate a joint that has broken
-    away.
+    Where friction falls faster than damping compensates, a share of friction's rise toward rest and
+    :func:`pulses` replace the static friction. The whole static friction as feed-forward torque
+    would accelerate a joint that has broken away.
 
     Args:
         angle: Commanded joint angles, rad, one per period, shape (n,); each is reached at the end
@@ -72,8 +75,8 @@ def feedforward(
         moment: Contact moment F_P L1, N m.
 
     Returns:
-        Torque for the period that ends at each angle, N m, shape (n,). At the start of a motion it
-        is the static friction.
+        Torque for the period that ends at each angle, N m, shape (n,). At the start of a motion
+        this torque is the static friction.
     """
     beats = pulses(angle, period, parameters, alpha, moment)
     if np.any(beats):
@@ -91,14 +94,15 @@ def feedforward(
 def pulses(
     angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float
 ) -> Array:
-    """Return the torque pulses of a commanded motion, N m, shape (n,); zero where damping outweighs
-    friction's fall.
+    """Return the torque pulses of a commanded motion, N m, shape (n,); zero where the damping is
+    greater than the fall of friction with speed.
 
     On the falling branch a joint under a steady torque sticks or runs away. One cycle above the
-    static friction and two below the kinetic friction make a small step that ends before it can
-    grow. The height of a pulse would accelerate the inertia alone to twice the speed up to which
-    friction falls; it is limited so that the torque between pulses does not reverse, which would
-    make the gear teeth change sides. Above the falling branch the pulses fade.
+    static friction and two cycles below the kinetic friction make a small step that ends before the
+    joint runs away. A pulse is as high as is needed to accelerate the inertia without friction to
+    twice the speed up to which friction falls. The height is limited so that the torque between
+    pulses does not reverse, because a reversal would make the gear teeth change sides. Above the
+    falling branch the pulses fade.
 
     Args:
         angle: As in :func:`feedforward`.
@@ -121,7 +125,7 @@ def falls_until(
     parameters: Mapping[str, float], alpha: float, moment: float, damping: float
 ) -> float:
     """Return the speed above which friction falls no faster than ``damping`` compensates, rad/s; 0
-    if it never falls faster.
+    if friction never falls faster.
 
     Args:
         parameters: As in :func:`feedforward`.

@@ -1,6 +1,4 @@
-"""Derivatives of the expected friction (M15) with respect to speed, its variance, and the
-parameters of the law; compiled.
-"""
+"""Compiled derivatives of the expected friction (M15) with respect to speed and parameters."""
 
 from __future__ import annotations
 
@@ -31,8 +29,8 @@ def _falling_slopes(
     """Return expected value and slope of exp(-(speed/omega_s)^alpha) (M15), and derivatives.
 
     Returns:
-        Value, slope; the value's derivatives with respect to speed, variance and omega_s; the
-        slope's with respect to speed and omega_s.
+        The value and the slope; the derivatives of the value with respect to speed, variance and
+        omega_s; the derivatives of the slope with respect to speed and omega_s.
     """
     within = omega_s * omega_s
     x = speed * speed / within
@@ -76,10 +74,10 @@ def friction_slopes(
         p: Vector of :mod:`identification.model.parameters`.
 
     Returns:
-        Friction; slope; and the derivatives: friction's with respect to speed and variance, the
-        slope's with respect to speed; friction's with respect to dM, omega_sf and sigma_2, the
-        slope's with respect to dM and omega_sf; friction's with respect to mu_c, dmu, omega_sL and
-        mu_2, the slope's with respect to dmu, omega_sL and mu_2.
+        The friction F; its slope S; and their derivatives in this order: F with respect to speed
+        and variance, S with respect to speed; F with respect to dM, omega_sf and sigma_2, S with
+        respect to dM and omega_sf; F with respect to mu_c, dmu, omega_sL and mu_2, S with respect
+        to dmu, omega_sL and mu_2.
     """
     own, own_slope, f_s, f_v, f_o, g_s, g_o = _falling_slopes(
         speed, p[OMEGA_SF], p[ALPHA], variance

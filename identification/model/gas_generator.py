@@ -1,6 +1,4 @@
-"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium pressure, and pressure over
-time for a given valve angle.
-"""
+"""Nominal model of the gas generator (eq. 2 to 8): pressure at equilibrium and over time."""
 
 from __future__ import annotations
 
@@ -22,9 +20,10 @@ LAYER_STEP = 2.5e-4
 
 @dataclass(frozen=True)
 class GasGenerator:
-    """Constants of eq. 2 to 8, SI.
+    """Constants of a gas generator in eq. 2 to 8, SI.
 
-    The paper gives the first four and the valve; the others are chosen.
+    The paper gives the defaults of the first four constants and of the valve; the other defaults
+    are assumptions.
 
     Attributes:
         rho_b: Density of the propellant, kg/m^3.
@@ -32,7 +31,7 @@ class GasGenerator:
         a: Burning coefficient, m/s at 1 MPa: r = a (p_g / 1 MPa)^n.
         n: Pressure exponent.
         C_r: Characteristic velocity, m/s.
-        gamma: Specific-heat ratio of the gas; it ties R_g T_g to C_r.
+        gamma: Specific-heat ratio of the gas; it determines R_g T_g from C_r.
         V_0: Free volume at ignition, m^3.
         p_c0: Pressure behind the valve, Pa (eq. 10).
         valve: Dimensions of Fig. 3.
@@ -108,8 +107,8 @@ def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool 
     fills the burnt volume.
 
     Eq. 8 has a closed form. Eq. 7 with x = p^(1-n) reads x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g =
-    rho_b A_b a. Its left side is convex and rises from zero, so that it has one root, below the
-    root of eq. 8; Newton's method starts there.
+    rho_b A_b a. The left side is convex and rises from zero, so that the equation has one root,
+    which is below the root of eq. 8. Newton's method starts at the root of eq. 8.
 
     Args:
         throat: Throat area A_t, m^2.
@@ -172,8 +171,8 @@ def constants(
     *,
     exact: bool = True,
 ) -> Array:
-    """Pack constants for the kernel; ``a``, ``n`` and ``C_r`` are taken from ``corrected`` where it
-    has them.
+    """Pack the constants into the vector of the compiled kernel; ``corrected`` replaces ``a``,
+    ``n`` and ``C_r`` of ``g`` where it contains them.
     """
     C_r = corrected.get("C_r", g.C_r)
     RT = (g.Gamma * C_r) ** 2
@@ -194,8 +193,8 @@ def throat_derivatives(angle: Array, valve: ValveGeometry) -> Array:
     """Return A_t and its first and second derivative with respect to the thickness of a layer on
     all rims, shape (3, n); m^2, m, 1.
 
-    A layer of thickness h makes d and D smaller by 2 h; the parabola goes through h = 0, 0.25 and
-    0.5 mm.
+    A layer of thickness h makes d and D smaller by 2 h. The derivatives are those of the parabola
+    through the areas at h = 0, 0.25 and 0.5 mm.
     """
     h = LAYER_STEP
     bare, one, two = (

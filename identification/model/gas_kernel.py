@@ -1,8 +1,7 @@
-"""The compiled integration of the gas generator, eq. 2 to 8, with the effects that the nominal
-model omits.
+"""Compiled integration of the gas generator's equations (eq. 2 to 8), with effects beyond them.
 
-The state is (ln p, w, ln s): pressure, web burnt and the gas temperature over that of the flame.
-The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
+The state is (ln p, w, ln s): pressure, web burnt and the ratio of gas temperature to flame
+temperature. The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
 
     d ln p/dt = (m_r - m_g) / m - (A_b r) / V + d ln s/dt,
     dw/dt = r,    m ds/dt = m_r (1 - s) - s Q / h,
@@ -49,7 +48,7 @@ from identification.numerics.compiled import compiled
 ) = range(7)
 
 REFERENCE_PRESSURE = 1e6
-"""Pa; r = a p^n has a in mm/s where p is in MPa."""
+"""Unit of the pressure in r = a p^n, Pa: the burning coefficient a belongs to p in MPa."""
 _LOG_REFERENCE = math.log(REFERENCE_PRESSURE)
 _LONGEST = 0.25
 """Integration step over the time in which the outflow would empty the chamber."""
@@ -82,7 +81,7 @@ def rates(
 
 @compiled
 def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
-    """Integrate the gas generator over the samples of one recording.
+    """Integrate the equations of the gas generator over the samples of one recording.
 
     Args:
         time: Time since ignition, s, shape (n,), increasing.
@@ -134,4 +133,4 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
 
 
 NOTHING = np.zeros(MISSING_SIZE)
-"""No effect beyond the nominal model."""
+"""Vector of effects in which all effects are off."""

@@ -1,8 +1,8 @@
-"""The ladder of friction models that a bench may declare, and the terms of each.
+"""The ladder of friction models: models of increasing complexity, and the terms of each.
 
-Terms are those of eq. 9, and two of the bracket of eq. 13 for the load a gear carries: ``mu_gc``
-and ``mu_gs`` multiply the magnitude of a known load torque, a pendulum's m g l sin(angle - zero).
-The falling parts of both share omega_sf.
+The terms are those of eq. 9 and two terms of friction that grows with the load of the gear, as in
+the bracket of eq. 13: ``mu_gc`` and ``mu_gs`` multiply the magnitude of a known load torque, such
+as that of a pendulum, m g l sin(angle - zero). Both falling parts have the Stribeck speed omega_sf.
 """
 
 from __future__ import annotations
@@ -15,7 +15,9 @@ LADDER: Mapping[str, tuple[str, ...]] = {
     "load_dependent": ("Mc", "sigma_2", "mu_gc"),
     "stribeck_load_dependent": ("Mc", "Ms", "sigma_2", "mu_gc", "mu_gs"),
 }
-"""Rung to its friction terms, simplest first; a rung is added here and nowhere else."""
+"""Friction terms of each model (rung) of the ladder, simplest first; a rung is added here and
+nowhere else.
+"""
 
 TRANSMITTED, DIRECTIONAL = "stribeck_transmitted_load", "stribeck_directional_load"
 SIMULATED: Mapping[str, tuple[str, ...]] = {
@@ -24,27 +26,30 @@ SIMULATED: Mapping[str, tuple[str, ...]] = {
     TRANSMITTED: LADDER["stribeck_load_dependent"],
     DIRECTIONAL: (*LADDER["stribeck_load_dependent"], "mu_gd"),
 }
-"""Rung to its friction terms, of the fits to the simulated angle.
+"""Friction terms of each rung in the fits to the simulated angle.
 
-The load of the last two is |external - mu_gd motor torque|: with mu_gd = 1 the torque that the
-teeth transmit; a free mu_gd makes friction differ by whether the motor drives or is driven. They
-need a simulated motor torque: with the measured one as a regressor, its own errors would fit it.
+The load of the last two rungs is |external torque - mu_gd motor torque|. With mu_gd = 1 this load
+is the torque that the gear teeth transmit; with a free mu_gd, friction depends on whether the motor
+drives the load or is driven by it. These two rungs need a simulated motor torque: the noise of a
+measured motor torque in a regressor would correlate with the residual.
 """
 
 NOMINAL = "stribeck"
-"""The paper's system load, eq. 9."""
+"""Rung of the paper's system load, eq. 9."""
 
 
 def rises(rung: str) -> bool:
-    """Whether friction rises toward rest, with a Stribeck speed."""
+    """Return whether the friction of a rung rises toward rest, with a Stribeck speed."""
     return "Ms" in LADDER[rung]
 
 
 def bears_load(rung: str) -> bool:
-    """Whether friction grows with the load torque of a pendulum."""
+    """Return whether the friction of a rung grows with the load torque of a pendulum."""
     return "mu_gc" in {**LADDER, **SIMULATED}[rung]
 
 
 def drive_share(rung: str) -> float:
-    """Weight mu_gd of the motor's torque in the load of a rung; its start where it is fitted."""
+    """Return the weight mu_gd of the motor torque in the load of a rung; the start value where
+    mu_gd is fitted.
+    """
     return 1.0 if rung in (TRANSMITTED, DIRECTIONAL) else 0.0

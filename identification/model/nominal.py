@@ -1,6 +1,4 @@
-"""Nominal parameter values: the paper's (Sec. 4.2), with the inertia of the practical bench at the
-joint.
-"""
+"""Nominal parameter values: friction from the paper (Sec. 4.2), inertia from a bench file."""
 
 from __future__ import annotations
 
@@ -17,4 +15,6 @@ NOMINAL: Mapping[str, float] = {
     "omega_sL": 0.0326,
     "mu_2": 0.032,
 }
-"""SI units; friction and inertia at the joint."""
+"""Nominal values in SI units; friction and inertia at the joint, the inertia that of the packaged
+practical bench.
+"""

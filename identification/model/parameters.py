@@ -1,5 +1,4 @@
-"""The parameters of the nominal model: names, units, and indices in the vector that compiled
-kernels use.
+"""Parameters of the nominal model: names, units, and places in the vector for compiled kernels.
 
 The vector holds the rises dM = Ms - Mc and dmu = mu_s - mu_c where tables hold static levels,
 because searches bound the rises and regressions are linear in them.
@@ -15,13 +14,13 @@ from identification.model.units import LINEAR, unit_on
 from identification.numerics.arrays import Array
 
 SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-"""Found by the unloaded fit (eq. 16)."""
+"""Parameters that the unloaded fit determines (eq. 16)."""
 LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
-"""Found by the loaded fit (eq. 15)."""
+"""Parameters that the loaded fit determines (eq. 15)."""
 GEAR_PARAMETERS = ("mu_gc", "mu_gs")
-"""Found by the unloaded fit where friction grows with a pendulum's torque."""
+"""Parameters that the unloaded fit determines if friction grows with a pendulum's torque."""
 DRIVE_SHARE = "mu_gd"
-"""Weight of the drive's torque in the load that the gear carries, over that of the external
+"""Weight of the drive's torque in the load of the gear, relative to the weight of the external
 torque.
 """
 STRIBECK_TERMS = (
@@ -71,18 +70,19 @@ INDEX: Mapping[str, int] = {
     "mu_2": MU_2,
     "offset": OFFSET,
 }
-"""Fitted parameters by name; a static level stands at the place of its rise."""
+"""Place of each fitted parameter in the vector, by name; a static level has the place of its rise.
+"""
 COULOMB_OF: Mapping[str, int] = {"Ms": MC, "mu_s": MU_C}
-"""Static level to the place of its Coulomb level."""
+"""Place of the Coulomb level that belongs to each static level."""
 LOGARITHMIC = (OMEGA_SF, OMEGA_SL, INERTIA)
-"""Positive parameters, searched by their logarithm."""
+"""Places of the positive parameters, whose logarithms a search varies."""
 
 
 def pack(values: Mapping[str, float], alpha: float) -> Array:
     """Return the vector of named parameters, shape (SIZE,).
 
-    Absent parameters have no effect; a static level below its Coulomb level counts as the Coulomb
-    level.
+    A parameter that is absent has no effect. A static level below its Coulomb level counts as the
+    Coulomb level.
 
     Args:
         values: Parameter name to value, SI.

@@ -1,7 +1,7 @@
-"""Units of a quantity on a rotary or a linear bench, decided in one place.
+"""Units of quantities on a rotary bench (rad, N m) and on a linear bench (m, N).
 
-Everything is stated for a rotary bench (rad, N m, kg m^2). On a linear one m stands for rad, N for
-N m and kg for kg m^2; where no torque constant is known, A stands for the unit of the torque.
+The code states all units for a rotary bench (rad, N m, kg m^2). On a linear bench m replaces rad, N
+replaces N m and kg replaces kg m^2. Where no torque constant is known, torques are in A.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _LINEAR_ENDINGS = (
     ("_rad", "_m"),
 )
 PHASES = ("phase", "zero")
-"""Prefixes of parameter names that are angles on a linear bench too."""
+"""Prefixes of the names of parameters that are angles on a linear bench too."""
 
 
 def unit_on(motion: str, unit: str, amperes: bool = False) -> str:
@@ -71,5 +71,5 @@ def parameter_title(motion: str, name: str) -> str:
 
 
 def torque_word(motion: str) -> str:
-    """Return ``torque``, or ``force`` on a linear bench."""
+    """Return the word ``torque``, or ``force`` on a linear bench."""
     return "force" if motion == LINEAR else "torque"

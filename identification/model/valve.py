@@ -1,4 +1,4 @@
-"""Throat area and impacted area of the swinging gate valve (Fig. 3) as functions of its angle.
+"""Throat area and impacted area of the gate valve (Fig. 3) as functions of the valve angle.
 
 A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an
 opening of diameter D. The covered part of the opening is the impacted area A_s, the rest is the
@@ -53,8 +53,8 @@ class ValveGeometry:
             )
         if self.d > self.b:
             raise ValueError(
-                f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; they may be "
-                f"exchanged"
+                f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; are d and b "
+                "exchanged?"
             )
 
     @property
@@ -64,15 +64,15 @@ class ValveGeometry:
 
     @property
     def clearing_angle(self) -> float:
-        """Angle above which the plate covers nothing, rad; infinite if the plate is too wide for
-        its arm.
+        """Angle above which the plate covers no part of the opening, rad; infinite if the plate is
+        too wide for its arm.
         """
         reach = 0.5 * (self.b + self.D) / self.L1
         return math.asin(reach) if reach <= 1.0 else math.inf
 
 
 PAPER = ValveGeometry()
-"""Values of the paper."""
+"""Dimensions that the paper gives."""
 
 
 def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:

@@ -1,1 +1,1 @@
-"""Numerical methods that know no physics: least squares, searches, compilation."""
+"""General numerical methods without physical models: least squares, optimisers, compilation."""

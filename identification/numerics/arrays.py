@@ -1,4 +1,4 @@
-"""Types of the arrays that all numerics share."""
+"""Type names of numpy arrays, for the type hints of all numerical modules."""
 
 from __future__ import annotations
 

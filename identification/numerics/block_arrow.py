@@ -1,9 +1,9 @@
-"""Block-arrow least squares: every row depends on common parameters and on one unknown of its block
-(M12).
+"""Least squares with a block-arrow Jacobian: common parameters and one extra unknown a block (M12).
 
-Blocks share nothing but the parameters, so the Jacobian is stored as the columns of the parameters
-and one column of derivatives with respect to the blocks' own unknowns. As a dense matrix, 240 000
-rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
+The rows are divided into blocks. Each row depends on the parameters, which all blocks have in
+common, and on the own unknown of its block. The Jacobian is therefore stored as the columns of the
+parameters and one column of derivatives with respect to the own unknowns. As a dense matrix,
+240 000 rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Eliminated:
         cross: Block of the normal matrix between own unknowns and parameters, shape (m, p).
         pull: Gradient with respect to each own unknown, shape (m,).
         held: Diagonal elements of the own unknowns, shape (m,); infinite where a block does not
-            depend on its own unknown, which is then held.
+            depend on its own unknown, so that this unknown keeps its value.
     """
 
     matrix: Array
@@ -89,7 +89,7 @@ class BlockArrow:
     def eliminated(self, residual: Array, weight: Array) -> Eliminated:
         """Return the normal equations of weighted residuals of shape (r,) without the own unknowns.
 
-        The rows are passed once. The equations of separate sets of blocks add up.
+        Each row is read once. The normal equations of several sets of blocks may be added.
         """
         p = self.parameters.shape[1]
         whole = self.product(weight)

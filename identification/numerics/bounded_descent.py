@@ -44,17 +44,17 @@ def minimise_within(
     tolerance: float,
     most_steps: int = 40,
 ) -> Minimum:
-    """Minimise the sum of Huber's costs of ``residuals`` within bounds.
+    """Minimise the sum of the Huber costs of ``residuals`` within bounds.
 
     Args:
-        residuals: x to residuals, shape (n,).
-        jacobian: (x, residuals there) to the Jacobian, shape (n, p).
-        start: Shape (p,); it is moved within the bounds.
+        residuals: Function of x that returns the residuals, shape (n,).
+        jacobian: Function of x and of the residuals at x that returns the Jacobian, shape (n, p).
+        start: Start values, shape (p,); values beyond a bound are moved to the bound.
         box: The bounds.
         threshold: Size up to which each residual's cost is quadratic, shape (n,); infinite for
             least squares.
         tolerance: The search ends when a step gains less than this share of the cost.
-        most_steps: Steps tried at most.
+        most_steps: Greatest number of steps that are tried.
     """
     x = box.clip(start)
     here = residuals(x)
@@ -76,7 +76,7 @@ def minimise_within(
                 damping = max(damping * _EASIER, _RIDGE)
                 break
             damping *= _HARDER
-        # A cost that is not a number is below no other, so the gain stays zero.
+        # A NaN cost compares below no other, so the gain stays zero.
         if not gain > tolerance * (cost + gain):
             break
     return Minimum(x, cost, steps)
@@ -88,7 +88,7 @@ def bounded_step(normal: Array, gradient: Array, damping: float, x: Array, box: 
     Args:
         normal: Normal matrix, shape (p, p).
         gradient: Shape (p,).
-        damping: Share of the diagonal that is added to it.
+        damping: Share of the diagonal that is added to the diagonal.
         x: The point, shape (p,).
         box: The bounds.
     """

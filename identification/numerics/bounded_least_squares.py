@@ -30,7 +30,8 @@ class Design:
 def bounded_least_squares(design: Design) -> tuple[Array, float]:
     """Solve least squares within the bounds; return (coefficients, sum of squared residuals).
 
-    The problem is first reduced by QR, so the cost keeps full precision on noise-free data.
+    A QR decomposition first reduces the problem, so that the cost keeps full precision on
+    noise-free data.
     """
     p = design.columns.shape[1]
     scale = np.linalg.norm(design.columns, axis=0)

@@ -1,6 +1,6 @@
 """Compilation of numeric kernels by numba, with the same options everywhere.
 
-The machine code is kept on disk for the next process: :mod:`identification.numerics.kernel_cache`.
+:mod:`identification.numerics.kernel_cache` keeps the machine code on disk for the next process.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ R = TypeVar("R")
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a numeric kernel with numba and keep the machine code for the next process.
 
-    The kernel releases the interpreter lock, so it must touch nothing but its arguments.
+    The kernel releases the interpreter lock, so it must read and write nothing but its arguments.
     """
     return _kept(function, nogil=True, error_model="numpy")
 
@@ -32,7 +32,9 @@ def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a small kernel into every caller: a call would cost as much as the kernel."""
+    """Compile a small kernel into every caller, because a call would take as long as the kernel
+    itself.
+    """
     return cast(Callable[P, R], njit(inline="always", error_model="numpy")(function))
 
 

@@ -1,4 +1,4 @@
-"""A real-coded genetic algorithm in ask/tell form, independent of the problem.
+"""A real-coded genetic algorithm with an ask/tell interface, independent of the problem.
 
 The paper (Sec. 4.2) gives population 40, at most 1000 generations, Gaussian mutation and crossover
 fraction 0.8, which are options of the Genetic Algorithm and Direct Search Toolbox; what the paper
@@ -13,9 +13,9 @@ does not give is taken from that toolbox's documented defaults:
   generation g of G;
 * the first generation is uniform in the box.
 
-Two choices are this module's own: a gene that mutation throws out of the box is reflected back into
-it (clipping would collect the population on the bounds), and there is no stall limit: the search
-runs for all its generations.
+This module differs from the toolbox in two points. A gene that mutation moves out of the box is
+reflected back into the box, because clipping would collect the population on the bounds. There is
+no stall limit: the search runs for all its generations.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from identification.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class GeneticSettings:
-    """Settings of a search; the defaults are the paper's (Sec. 4.2) or, where it gives none, the
-    toolbox's.
+    """Settings of a search; the defaults are those of the paper (Sec. 4.2) or, where the paper
+    gives none, those of the toolbox.
 
     Attributes:
         population: Individuals per generation.
@@ -114,7 +114,7 @@ class GeneticAlgorithm:
 
     @property
     def stop(self) -> bool:
-        """Whether all generations are spent."""
+        """Whether all generations are done."""
         return self.generation >= self.generations
 
     def ask(self) -> Array:
@@ -122,7 +122,8 @@ class GeneticAlgorithm:
         return self._genes.copy()
 
     def tell(self, costs: ArrayLike) -> None:
-        """Take the costs of the individuals last asked for, and breed the next generation.
+        """Take the costs of the individuals that :meth:`ask` returned last, and compute the next
+        generation.
 
         Args:
             costs: Shape (population,); infinite for an individual that cannot be evaluated.
@@ -134,7 +135,7 @@ class GeneticAlgorithm:
         if judged.shape != (len(self._genes),):
             raise ValueError(f"costs have shape {judged.shape}; expected ({len(self._genes)},)")
         if np.isnan(judged).any():
-            raise ValueError("a cost is NaN; give inf for an individual that cannot be judged")
+            raise ValueError("a cost is NaN; give inf for an individual that cannot be evaluated")
         order = np.argsort(judged, kind="stable")
         if judged[order[0]] < self.best_cost:
             self.best_cost = float(judged[order[0]])

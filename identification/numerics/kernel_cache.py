@@ -70,14 +70,14 @@ class KernelCache:
         except OSError as error:
             _say_not_kept(f"{self.cache_path}: {error.strerror}")
         except RuntimeError:
-            # numba's message names a kernel, which is of no use to an operator.
+            # The message of numba states a kernel's name, which does not help an operator.
             _say_not_kept("no cache folder is writable")
 
     def enable(self) -> None:
-        """Do nothing: the cache is always enabled."""
+        """Do nothing, because the cache is always enabled."""
 
     def disable(self) -> None:
-        """Do nothing: numba never calls this method."""
+        """Do nothing, because numba never calls this method."""
 
     def flush(self) -> None:
         """Remove the kernel from the cache index."""
@@ -90,8 +90,8 @@ class KernelCache:
 
 
 def digest(kernel: Callable[..., Any]) -> str:
-    """Return a digest of everything that is compiled into a kernel: its code, the constants that it
-    uses, and the kernels that it calls.
+    """Return a digest of everything that is compiled into a kernel: its code, the constants that
+    the code uses, and the kernels that the code calls.
 
     Args:
         kernel: A Python function, or numba's dispatcher of one.
@@ -243,5 +243,7 @@ def _say_not_kept(reason: str) -> None:
     if not _SAID.is_set():
         _SAID.set()
         _LOG.warning(
-            "compiled kernels cannot be kept, so that each start compiles them again (%s)", reason
+            "compiled kernels cannot be stored, so each start of the program compiles them again "
+            "(%s)",
+            reason,
         )

@@ -7,17 +7,18 @@ import numpy as np
 from identification.numerics.arrays import Array
 
 LEAST_EIGENVALUE_RATIO = 1e-8
-"""Least over greatest eigenvalue of the columns' correlations from which on the normal equations
-are used.
+"""Least ratio of the smallest to the greatest eigenvalue of the columns' correlation matrix at
+which the normal equations are used.
 """
 
 
 def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     """Return the least-squares coefficients of columns, shape (n, k), for a target, shape (n,).
 
-    Well-conditioned columns use the normal equations with one step of iterative refinement, at a
-    tenth of the time of a singular value decomposition and as exactly. Other columns use that
-    decomposition, without the singular values below ``rcond`` times the greatest.
+    Well-conditioned columns use the normal equations with one step of iterative refinement, which
+    are as exact as a singular value decomposition and take a tenth of its time. Other columns use
+    the singular value decomposition, without the singular values below ``rcond`` times the
+    greatest.
     """
     inner = columns.T @ columns
     length = np.sqrt(np.diag(inner))
@@ -35,8 +36,8 @@ def equilibrated(normal: Array) -> tuple[Array, Array]:
     """Return a normal matrix scaled to a diagonal of ones, shape (p, p), and the scale of its
     columns, shape (p,).
 
-    The units of the parameters spread its elements over many decades. A parameter without effect
-    keeps its zero.
+    Unscaled, the elements differ by many decades, because the parameters have different units. A
+    zero diagonal element, of a parameter without effect, stays zero.
     """
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0

@@ -1,8 +1,8 @@
-"""Levenberg-Marquardt on the normal equations, with a Huber cost or the corresponding likelihood.
+"""Levenberg-Marquardt method on the normal equations, for a Huber cost or a likelihood.
 
-The trust-region solvers of libraries decompose the whole Jacobian, 40 000 rows by a few dozen
-columns, at every step; the normal equations take a fraction of that time. Marquardt, J. SIAM 11
-(1963) 431; Huber, Ann. Math. Statist. 35 (1964) 73.
+The trust-region solvers of common libraries decompose the whole Jacobian, here of 40 000 rows and a
+few dozen columns, at every step; the normal equations take a fraction of that time. Marquardt, J.
+SIAM 11 (1963) 431; Huber, Ann. Math. Statist. 35 (1964) 73.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ class Minimum:
 
 
 def huber(residual: Array, threshold: float | Array) -> Array:
-    """Return r^2/2 within the threshold, one for all or one each, and threshold (|r| -
-    threshold/2) beyond, shape of ``residual``.
+    """Return the Huber cost of each residual r, shape of ``residual``: r^2/2 within the threshold,
+    and threshold (|r| - threshold/2) beyond. ``threshold`` is one for all residuals or one for
+    each.
     """
     size = np.minimum(np.abs(residual), threshold)
     return np.asarray(size * (np.abs(residual) - 0.5 * size))
@@ -56,7 +57,7 @@ def huber_weight(residual: Array, threshold: float | Array) -> Array:
 
 
 def huber_cost(residual: Array, threshold: float) -> float:
-    """Return the sum of :func:`huber`."""
+    """Return the sum of the Huber costs (:func:`huber`) of the residuals."""
     return float(np.sum(huber(residual, threshold)))
 
 
@@ -103,15 +104,17 @@ def minimise_deviance(
     tolerance: float,
     most_steps: int = 25,
 ) -> Minimum:
-    """Minimise, by damped scoring, the negative log likelihood of errors whose standard deviations
-    depend on x too (M23).
+    """Minimise the negative log likelihood of errors whose standard deviations depend on x too
+    (M23), by the scoring method with damping.
 
     Errors beyond the threshold count as in Huber's cost.
 
     Args:
-        predictions: x to errors and their standard deviations, shape (n,).
-        derivatives: (x, errors and deviations there) to two Jacobians of shape (n, p): of the
-            errors, over their deviations, and of the logarithms of the deviations.
+        predictions: Function of x that returns the errors and their standard deviations, shape (n,)
+            each.
+        derivatives: Function of x and of the errors and deviations at x that returns two Jacobians
+            of shape (n, p): of the errors, divided by their deviations, and of the logarithms of
+            the deviations.
         start: Shape (p,).
         threshold: Error over deviation up to which the cost is quadratic.
         tolerance: The search ends when a step lowers the cost by no more than this.
@@ -154,13 +157,15 @@ def _descend(
     settled: Callable[[float, float], bool],
     most_steps: int,
 ) -> Minimum:
-    """Take damped steps until ``settled`` ends the search.
+    """Take damped steps until ``settled`` returns true.
 
     Args:
-        evaluate: x to its cost and the data that ``linearise`` needs there.
-        linearise: (x, these data) to the normal matrix, shape (p, p), and the gradient, shape (p,).
+        evaluate: Function of x that returns its cost and the data that ``linearise`` needs at x.
+        linearise: Function of x and of these data that returns the normal matrix, shape (p, p), and
+            the gradient, shape (p,).
         start: Shape (p,).
-        settled: (gain of a step, cost after it) to whether the search ends.
+        settled: Function of the gain of a step and of the cost after the step that returns whether
+            the search ends.
         most_steps: Steps tried at most.
     """
     x = start.copy()

@@ -1,7 +1,8 @@
-"""Optimisers over the unit cube, whose starts do not depend on the solution.
+"""General optimisers over the unit cube, all with one interface, for the comparison of methods.
 
-Each may use :data:`BUDGET` evaluations and may stop earlier by its own rule. It uses only costs or
-residuals.
+Each optimiser may use :data:`BUDGET` evaluations, and may stop earlier by its own rule. Its start
+points do not depend on the solution. It uses the costs or residuals of the problem and nothing
+else.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class BoxProblem(Protocol):
 
 
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """The genetic algorithm of the paper (Sec. 4.2), with its settings."""
+    """The genetic algorithm of the paper (Sec. 4.2), with the paper's settings."""
     zeros, ones = np.zeros(problem.size), np.ones(problem.size)
     settings = GeneticSettings(population=POPULATION, generations=GENERATIONS)
     search = GeneticAlgorithm(zeros, ones, rng, settings)
@@ -51,8 +52,8 @@ def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """SciPy's, with its own settings (best1bin, 15 per coordinate, tolerance 0.01) and no
-    polish.
+    """Differential evolution of SciPy with SciPy's default settings (best1bin, 15 individuals per
+    coordinate, tolerance 0.01), without the final local search ("polish").
     """
     found = optimize.differential_evolution(
         lambda x: problem.costs(x.T),
@@ -67,7 +68,9 @@ def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Arr
 
 
 def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """CMA-ES of the ``cmaes`` library with its own settings, from the centre of the box."""
+    """CMA-ES of the ``cmaes`` library with the default settings of the library, from the centre of
+    the box.
+    """
     bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
     search = CMA(
         np.full(problem.size, 0.5), _FIRST_SIGMA, bounds=bounds, seed=int(rng.integers(1 << 31))
@@ -85,7 +88,7 @@ def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def multi_start(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """Bounded trust-region least squares of SciPy from random starts in the box; the best of them
+    """Bounded trust-region least squares of SciPy from random starts in the box; the best result
     counts.
     """
     best, least = np.full(problem.size, 0.5), np.inf

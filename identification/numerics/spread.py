@@ -1,4 +1,4 @@
-"""Covariance of named estimates with 90 % intervals, and the correlation time of a series."""
+"""Covariance of named estimates with 90 % intervals; correlation time of a series of residuals."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CONFIDENCE = 0.90
 
 @dataclass(frozen=True)
 class Spread:
-    """Covariance of named parameters, shape (p, p), and the degrees of freedom behind it."""
+    """Covariance of named parameters, shape (p, p), and the degrees of freedom of its estimate."""
 
     names: tuple[str, ...]
     covariance: Array
@@ -30,8 +30,8 @@ class Spread:
         return self._half(float(self.covariance[k, k]))
 
     def half_width_above(self, name: str, base: str) -> float:
-        """Return the half width of ``name`` less ``base``; a ``base`` that was not fitted counts as
-        exact.
+        """Return the half width of the difference ``name`` - ``base``; a ``base`` that was not
+        fitted counts as exact.
         """
         if base not in self.names:
             return self.half_width(name)
@@ -40,7 +40,7 @@ class Spread:
         return self._half(float(c[k, k] + c[j, j] - 2.0 * c[j, k]))
 
     def half_width_along(self, weights: Mapping[str, float]) -> float:
-        """Return the half width of a weighted sum of parameters."""
+        """Return the half width of the 90 % interval of a weighted sum of parameters."""
         row = np.array([weights.get(name, 0.0) for name in self.names])
         return self._half(float(row @ self.covariance @ row))
 

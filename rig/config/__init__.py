@@ -1,4 +1,4 @@
-"""Bench, sequence, campaign and fault files: YAML to validated records.
+"""Reads and validates bench, sequence, campaign and fault files (YAML) into records.
 
-Data only; includes the packaged files.
+The records contain data only. The folder also contains the packaged example files.
 """

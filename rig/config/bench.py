@@ -1,7 +1,7 @@
-"""The bench file: machine constants, bus, devices, limits and (for `mock`) the simulated machine.
+"""Schema of the bench file: machine constants, bus, devices, limits and the simulated machine.
 
-Units are in the names, at the edge of the program (``angle_max_deg``); everything past the
-properties here is SI.
+The names of the keys contain the units (``angle_max_deg``); the properties of the records return SI
+units.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from rig.config.simulated_machine import follow_bench, hidden_problems, require_
 
 NOT_REPORTED = (
     "the drive reports no such value (servo.inputs), so that this limit would never be checked; "
-    "remove it, or map the signal"
+    "remove the limit, or add the signal to servo.inputs"
 )
 
 
 class Constants(Schema):
-    """Nominal constants of the machine: what an identification works with.
+    """Nominal constants of the machine, which an identification uses.
 
     Attributes:
         torque_constant_N_m_A: Motor torque per ampere, at the motor shaft.
@@ -45,7 +45,8 @@ class Constants(Schema):
         inductance_H: Winding inductance.
         gear_ratio: Motor turns per turn of the joint.
         moment_arm_m: Radius L1 at which the contact force acts on the joint (Fig. 3, 8).
-        lever_ratio: Contact force over the weight that hangs on the lever, L3/L4 (eq. 17).
+        lever_ratio: Ratio of the contact force to the weight that hangs on the lever, L3/L4 (eq.
+            17).
         gravity_m_s2: Local gravity.
     """
 
@@ -60,7 +61,7 @@ class Constants(Schema):
 
 
 def _servo_kind(section: object) -> object:
-    """Return the kind of servo of a section; CANopen if not stated."""
+    """Return the kind of servo of a section; CANopen if the section states none."""
     return (
         section.get("kind", "canopen")
         if isinstance(section, dict)
@@ -69,7 +70,7 @@ def _servo_kind(section: object) -> object:
 
 
 def _bus_kind(section: object) -> object:
-    """Return the kind of bus of a section: CAN (many interface names), or the one serial kind."""
+    """Return the kind of bus of a section: CAN (with many interface names) or serial."""
     name = (
         section.get("interface")
         if isinstance(section, dict)
@@ -79,7 +80,7 @@ def _bus_kind(section: object) -> object:
 
 
 def _encoder_kind(section: object) -> object:
-    """Return the kind of encoder of a section; CiA 406 if not stated."""
+    """Return the kind of encoder of a section; CiA 406 if the section states none."""
     return (
         section.get("kind", "cia406")
         if isinstance(section, dict)
@@ -88,12 +89,12 @@ def _encoder_kind(section: object) -> object:
 
 
 class Calibration(Schema):
-    """A calibration that the results of this bench rest on.
+    """A calibration on which the results of this bench depend.
 
     Attributes:
-        device: What was calibrated.
+        device: Calibrated device.
         id: Number of the certificate.
-        due: Last day on which the calibration is good.
+        due: Last day on which the calibration is valid.
     """
 
     device: str
@@ -116,16 +117,16 @@ class Bench(Schema):
         cycle_Hz: Control cycles per second. The period must be a whole number of milliseconds.
         limits: Limits of the bench.
         weights_kg: Masses that can be hung on the lever; a planned experiment chooses from them.
-        weight_tolerance: Share of the planned mass by which the mass that the operator types may
-            differ.
-        weights_hung_by: `hoist` says that a machine hangs the weights and that what it hung is
+        weight_tolerance: Greatest relative difference between the mass that the operator types and
+            the planned mass.
+        weights_hung_by: `hoist` states that a machine hangs the weights and that the hung mass is
             certain, so that `--yes` may answer the prompts of a real bench.
-        calibrations: Calibrations that the results rest on.
-        overdue_calibration: What a run does where the day of a calibration has passed.
-        prompt_timeout_s: How long an answer of the operator is waited for; null is for ever.
-        mock: The simulated machine behind a simulated bus. What it leaves out follows from the
-            rest of the file: motor, lever, encoders, supply and limits; friction and inertia are
-            the paper's, scaled by `limits.torque_N_m`.
+        calibrations: Calibrations on which the results depend.
+        overdue_calibration: Reaction of a run to a calibration whose last day has passed.
+        prompt_timeout_s: Longest wait for an answer of the operator; null for no time-out.
+        mock: The simulated machine behind a simulated bus. Keys that are left out follow from the
+            rest of the file (motor, lever, encoders, supply and limits); friction and inertia are
+            those of the paper, scaled by `limits.torque_N_m`.
     """
 
     bench: Literal[1]
@@ -193,12 +194,12 @@ class Bench(Schema):
             )
         if isinstance(self.servo, DbcServoSection) and self.simulated:
             raise ValueError(
-                "beside a simulated servo of kind dbc there is no pressure transmitter; remove "
+                "a simulated bench with a servo of kind dbc has no pressure transmitter; remove "
                 "`pressure`"
             )
         if self.gas_generator is None:
             raise ValueError(
-                "`pressure` needs `gas_generator` beside it: the contact force follows from its "
+                "`pressure` needs `gas_generator` too, because the contact force follows from its "
                 "valve"
             )
         limit = self.limits.pressure_MPa
@@ -206,7 +207,7 @@ class Bench(Schema):
             raise ValueError(
                 f"`pressure` needs limits.pressure_MPa, at most its range_MPa "
                 f"{self.pressure.range_MPa:g} "
-                f"(got {'none' if limit is None else f'{limit:g}'}); set it"
+                f"(got {'none' if limit is None else f'{limit:g}'}); set the limit"
             )
         return self
 
@@ -245,8 +246,7 @@ class Bench(Schema):
             and self.simulated
         ):
             raise ValueError(
-                "beside a simulated servo of kind dbc the encoder must be of kind cia406; change "
-                "one"
+                "with a simulated servo of kind dbc the encoder must be of kind cia406; change one"
             )
         return self
 
@@ -259,7 +259,7 @@ class Bench(Schema):
 
     @property
     def watched(self) -> bool:
-        """Whether the drive stops by itself if the control loop stops."""
+        """Whether the drive stops by itself when the control loop stops."""
         if isinstance(self.servo, DbcServoSection):
             return self.servo.watchdog_ms is not None
         if self.servo.stops_alone is False:
@@ -273,7 +273,7 @@ class Bench(Schema):
 
     @property
     def unreported(self) -> frozenset[str]:
-        """Limits that are never checked, because the drive does not report the value."""
+        """Names of the limits that are not checked because the drive does not report the value."""
         servo = self.servo
         return servo.unreported if isinstance(servo, DbcServoSection) else frozenset()
 
@@ -284,12 +284,13 @@ class Bench(Schema):
 
 
 def load_bench(name: str | Path) -> Document[Bench]:
-    """Read a bench by path, or by the bare name of a packaged one (``practical``).
+    """Read a bench by path, or by the bare name of a packaged bench (``practical``).
 
     For a drive without watchdog, the limits of torque, current and speed in the file are reduced.
 
     Raises:
-        InputError: It is missing or not valid; every problem with its place in the file.
+        InputError: The file is missing or not valid; the message lists every problem with its place
+            in the file.
     """
     document = load_located(resolve(name, "benches"), Bench, follow_bench)
     bench = document.value
@@ -310,9 +311,10 @@ def load_bench(name: str | Path) -> Document[Bench]:
 
 
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
-    """Take from the EDS file whether the drive stops by itself, where the bench leaves it open.
+    """Set by the EDS file whether the drive stops by itself, if the bench file does not state it.
 
-    A file that cannot be read, or is not a drive's, is refused later with all its faults.
+    An EDS file that cannot be read, or is not that of a drive, is rejected later with all its
+    faults.
     """
     bench = document.value
     servo = bench.servo
@@ -344,7 +346,7 @@ def _unreported(bench: Bench) -> Iterator[tuple[Loc, str]]:
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:
-    """Return a bench with the limits in force: reduced if only this program monitors the drive."""
+    """Return a bench with the limits that apply: reduced limits if the drive has no watchdog."""
     bench = document.value
     if bench.watched:
         return document
@@ -365,6 +367,6 @@ def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> It
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))
         yield (
             f"too slow: a cycle of {cycle_s * 1e3:g} ms takes up to {bits:.0f} bits, {share:.0%} "
-            f"of the bus, limit "
-            f"{ANSWER_SHARE:.0%}; raise it, or lower cycle_Hz to {1e3 / shortest_ms:g}"
+            f"of the bus, limit {ANSWER_SHARE:.0%}; raise the bit rate, or lower cycle_Hz to "
+            f"{1e3 / shortest_ms:g}"
         )

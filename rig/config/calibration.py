@@ -1,4 +1,4 @@
-"""Calibrations on which the results of a bench depend."""
+"""Checks the due dates of a bench's calibrations, and lists the calibrations for the run record."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.config.configuration import Document
 
 
 def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
-    """Return the bench's calibrations for ``run.json``; each is valid through its due day."""
+    """Return the bench's calibrations for ``run.json``; a calibration is valid on its due day."""
     return [
         {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today}
         for c in bench.calibrations
@@ -28,9 +28,9 @@ def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
 
 
 def overdue_problems(document: Document[Bench], today: date) -> list[str]:
-    """Return the overdue calibrations that a run refuses, each with its place in the bench file.
+    """Return the overdue calibrations that prevent a run, each with its place in the bench file.
 
-    None if the bench file permits runs with them.
+    The list is empty if the bench file permits runs with overdue calibrations.
     """
     bench = document.value
     if bench.overdue_calibration != "refuse":
@@ -38,9 +38,8 @@ def overdue_problems(document: Document[Bench], today: date) -> list[str]:
     return [
         document.problem(
             ("calibrations", index, "due"),
-            f"calibration {item.id} of {item.device} is overdue since then, and "
-            f"overdue_calibration is `refuse`; "
-            "have it calibrated",
+            f"calibration {item.id} of {item.device} is overdue since this day, and "
+            "overdue_calibration is `refuse`; have the device calibrated",
         )
         for index, item in enumerate(bench.calibrations)
         if item.due < today

@@ -1,6 +1,6 @@
-"""The campaign file: recordings made elsewhere, and how to read them.
+"""Schema of the campaign file: recordings of other programs, and how to read them.
 
-`recordings` is a list; an entry with `table` stands for as many recordings as the table has rows.
+`recordings` is a list; an entry with `table` represents one recording for each row of the table.
 """
 
 from __future__ import annotations
@@ -34,11 +34,12 @@ class Campaign(Schema):
         campaign: Version of the file format.
         bench: Constants of the machine.
         model: Declared physics.
-        defaults: Keys of `recordings` that hold for every recording unless it gives its own.
-        recordings: What was recorded. An entry with the key `table` stands for one recording a row
-            of a CSV file, or of a list of lists, whose header names keys such as `file` or
-            `gravity.mass`; its other keys hold for every row. `{table: files.csv}` alone may stand
-            in place of the list.
+        defaults: Keys of `recordings` that apply to every recording that does not state them
+            itself.
+        recordings: The recordings. An entry with the key `table` represents one recording for each
+            row of a CSV file, or of a list of lists, whose header contains keys such as `file` or
+            `gravity.mass`; the other keys of the entry apply to every row. `{table: files.csv}`
+            alone may replace the list.
     """
 
     campaign: Literal[1]
@@ -49,10 +50,10 @@ class Campaign(Schema):
 
 
 def load_campaign(path: Path) -> Document[Campaign]:
-    """Read and check a campaign file; opens none of the recordings.
+    """Read and check a campaign file without opening the recordings.
 
     Raises:
-        InputError: Lists every error with its place in the file.
+        InputError: The file is not valid; the message lists every error with its place in the file.
     """
     document = load_located(path, Campaign, lambda root: _merge_defaults(_rows(root, path)))
     document.require(_cross_check(document.value))
@@ -60,7 +61,7 @@ def load_campaign(path: Path) -> Document[Campaign]:
 
 
 def _rows(root: Node, path: Path) -> Node:
-    """Put the rows of tables in the place of the entries that name them.
+    """Replace the entries that name a table by the rows of the table.
 
     Raises:
         InputError: A table cannot be read.
@@ -83,7 +84,7 @@ def _rows(root: Node, path: Path) -> Node:
         try:
             rows = _table(table, path.parent)
         except DocumentError as error:
-            # Without a file of its own the mark is the campaign's, or that of an unread table.
+            # A mark without a file belongs to the campaign, or to a table that was not read.
             mark = error.mark if error.mark.file else table.mark
             place = f"{mark.file or path}:{mark.line}:{mark.column}"
             raise InputError(f"{place}: recordings.table: {error.message}") from error
@@ -93,10 +94,10 @@ def _rows(root: Node, path: Path) -> Node:
 
 
 def _table(table: Node, folder: Path) -> list[Node]:
-    """Return one mapping a row, from a CSV file or an inline list of lists.
+    """Return one mapping for each row of a CSV file or of an inline list of lists.
 
     Raises:
-        DocumentError: It is neither, or broken.
+        DocumentError: The table is neither, or is not valid.
     """
     if isinstance(table.value, str):
         file = folder / stored_path(table.value)
@@ -118,7 +119,9 @@ def _table(table: Node, folder: Path) -> list[Node]:
 
 
 def _merge_defaults(root: Node) -> Node:
-    """Merge the top-level ``defaults`` under every recording; the recording's own keys win."""
+    """Merge the top-level ``defaults`` into every recording; the keys of the recording have
+    priority.
+    """
     top = root.value
     if not isinstance(top, dict) or "defaults" not in top or "recordings" not in top:
         return root
@@ -152,9 +155,9 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
             yield (
                 ("model", "fixed", name),
-                f"friction {campaign.model.rung} does not rise toward rest; remove it",
+                f"friction {campaign.model.rung} does not rise toward rest; remove the parameter",
             )
-    # A term may be declared without a declared load, since a diagnosis may find a load.
+    # A term may be declared without a declared load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
         r.known_load and r.role == "fit" for r in campaign.recordings
     ):
@@ -174,25 +177,26 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if len(units) > 1:
         yield (
             ("bench",),
-            "some recordings give torque and others only amperes; add torque_constant, or a "
-            "torque channel to all",
+            "some recordings contain torque and others only current; add torque_constant, or a "
+            "torque channel to all recordings",
         )
 
 
 def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
-    """Yield recordings whose place in the session does not fit that of the others."""
+    """Yield recordings whose start time or order does not fit that of the others."""
     ways = [_way(recording) for recording in campaign.recordings]
     for index, (recording, way) in enumerate(zip(campaign.recordings, ways, strict=True)):
         if recording.start is not None and recording.order is not None:
             yield (
                 ("recordings", index, "order"),
-                "`start` says the order already; remove `order`",
+                "`start` already determines the order; remove `order`",
             )
         elif way != ways[0]:
             yield (
                 ("recordings", index, way or "start"),
-                f"{_WAYS[way]}, but the first recording has {_WAYS[ways[0]]}; recordings share a "
-                f"clock only if all have `start`, as ISO times or as seconds, or all have `order`",
+                f"{_WAYS[way]}, but the first recording has {_WAYS[ways[0]]}; recordings have a "
+                "common clock only if all have `start`, as ISO times or as seconds, or all have "
+                "`order`",
             )
     orders = [recording.order for recording in campaign.recordings]
     for index, order in enumerate(orders):
@@ -200,7 +204,7 @@ def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             yield (
                 ("recordings", index, "order"),
                 f"{order} is the order of recordings[{orders.index(order)}] as well; give each "
-                f"its own",
+                "recording its own order",
             )
 
 
@@ -213,14 +217,14 @@ _WAYS: Mapping[str, str] = {
 
 
 def _way(recording: RecordingSection) -> str:
-    """Return how a recording says when it was made."""
+    """Return how a recording states its time: by start time, by order, or not at all."""
     if recording.start is not None:
         return "start." if isinstance(recording.start, str) else "start"
     return "" if recording.order is None else "order"
 
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
-    """Yield loaded recordings that would be scored by a model without working load."""
+    """Yield loaded recordings for validation if the model would have no working load."""
     fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
     if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
@@ -229,8 +233,7 @@ def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             yield (
                 ("recordings", index, "role"),
                 "a loaded recording to validate, but none to fit, so that its working load would "
-                "be unknown; fit a"
-                f" loaded one, or fix {', '.join(LOAD_PARAMETERS)}",
+                f"be unknown; fit a loaded recording, or fix {', '.join(LOAD_PARAMETERS)}",
             )
 
 
@@ -245,16 +248,19 @@ def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     channels: Mapping[str, ChannelSection] = recording.channels
     if "time" not in channels and recording.rate is None:
-        yield ("channels",), "no `time` channel and no `rate`; give one of them"
+        yield ("channels",), "no `time` channel and no `rate`; state one of them"
     if "time" in channels and recording.rate is not None:
-        yield ("rate",), "`rate` is only for files without time; remove it, or the `time` channel"
+        yield (
+            ("rate",),
+            "`rate` is allowed only for files without time; remove `rate` or the `time` channel",
+        )
     if ANGLE_TIME in channels and "angle" not in channels:
         yield (
             ("channels", ANGLE_TIME),
-            "stamps of an encoder whose `angle` is not there; map that too",
+            "time stamps of an encoder without its `angle`; add the channel `angle`",
         )
     if not channels.keys() & {"angle", "velocity", "motor_angle"}:
-        yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
+        yield ("channels",), "no `angle`, `velocity` or `motor_angle`; add at least one"
     if not channels.keys() & {"torque", "current", "voltage"}:
         yield from _check_burn(channels, bench)
     elif not channels.keys() & {"torque", "current"}:
@@ -270,7 +276,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     if bench.motion == "linear" and recording.gravity is not None:
         yield (
             ("gravity",),
-            "a turning weight on a linear bench; remove `gravity`, or set bench.motion: rotary",
+            "a weight that turns with the joint on a linear bench; remove `gravity`, or set "
+            "bench.motion: rotary",
         )
     yield from _check_known_load(recording, bench)
     yield from _check_load(recording, bench)
@@ -279,12 +286,13 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             yield ("channels", name, "unsigned"), _UNSIGNED.get(name, _UNSIGNED_OTHER)
 
 
-_UNSIGNED_OTHER = "only a channel with its sign can be used; leave it out"
+_UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (
-        "a magnitude of the current has no sign, so that nobody can tell drive from brake; leave "
-        "`current` out and map `voltage` with bench.resistance and bench.back_emf_constant, from "
-        "which I = (U - Ke omega_motor)/R follows with its sign, or map a signed `torque`"
+        "a magnitude of the current has no sign, so that driving and braking cannot be "
+        "distinguished; remove `current` and add `voltage` with bench.resistance and "
+        "bench.back_emf_constant, from "
+        "which I = (U - Ke omega_motor)/R follows with its sign, or add a signed `torque`"
     ),
 }
 
@@ -292,7 +300,7 @@ _UNSIGNED: Mapping[str, str] = {
 def _check_known_load(
     recording: RecordingSection, bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield what is wrong with a hoisted mass or a constant torque."""
+    """Yield the problems of a hoisted mass or a constant torque."""
     linear = bench.motion == "linear"
     if (hoisted := recording.hoisted) is not None:
         if linear and hoisted.radius is not None:
@@ -301,7 +309,7 @@ def _check_known_load(
                 "on a linear bench the force of a hanging mass is -m g; remove `radius`",
             )
         if not linear and hoisted.radius is None:
-            yield ("hoisted",), "no `radius` of the drum or pulley, m; give it"
+            yield ("hoisted",), "no `radius` of the drum or pulley, m; state it"
     amperes = _torque_unit(recording, bench) == "amperes"
     for name in ("hoisted", "constant_torque"):
         if amperes and getattr(recording, name):
@@ -315,22 +323,27 @@ def _check_known_load(
 def _check_burn(
     channels: Mapping[str, ChannelSection], bench: BenchSection
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield what a recording without torque lacks: gas generator pressure and valve angle."""
+    """Yield the channels that a recording without torque lacks: gas generator pressure and valve
+    angle.
+    """
     if "pressure" not in channels:
         yield (
             ("channels",),
-            "no `torque`, `current` or `voltage`; map at least one, or `pressure` of a gas "
-            "generator",
+            "no `torque`, `current` or `voltage`; add at least one of these channels, or "
+            "`pressure` of a gas generator",
         )
     elif bench.gas_generator is None:
         yield (
             ("channels", "pressure"),
             "`pressure` without torque, current or voltage needs the constants of its source; add "
             "bench.gas_generator"
-            " ({} takes the paper's)",
+            " ({} for the constants of the paper)",
         )
     elif "angle" not in channels:
-        yield ("channels",), "no `angle` of the valve, which makes the throat; map it"
+        yield (
+            ("channels",),
+            "no `angle` of the valve, which determines the throat area; add this channel",
+        )
 
 
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
@@ -344,9 +357,8 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
     ):
         yield (
             ("stage",),
-            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of "
-            "them, or for a hot"
-            " firing `pressure` and bench.gas_generator",
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; state one of "
+            "them, or for a hot firing `pressure` and bench.gas_generator",
         )
     if loaded and bench.moment_arm is None and recording.moment_arm is None:
         yield (
@@ -356,9 +368,8 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
     if recording.weight_mass > 0 and bench.lever_ratio is None:
         yield (
             ("weight_mass",),
-            "a weight on the lever needs bench.lever_ratio (L3/L4), contact force over weight; 1 "
-            "where it presses"
-            " straight on the joint's arm",
+            "a weight on the lever needs bench.lever_ratio (L3/L4), the ratio of contact force to "
+            "weight; 1 if the weight acts directly on the joint's arm",
         )
     if not loaded and recording.weight_mass > 0:
         yield (

@@ -1,4 +1,4 @@
-"""Constants of a machine in a campaign file, and the gas generator made of them."""
+"""Campaign file: constants with their uncertainty, and the section of the gas generator."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from rig.config.configuration import Schema
 
 def _buildable(value: float) -> float:
     if not 1e-9 < value < 1e9:
-        raise ValueError("outside of 1e-9 to 1e9; no machine is built so, check exponent and unit")
+        raise ValueError("not in the plausible range 1e-9 to 1e9; check exponent and unit")
     return value
 
 
@@ -30,27 +30,27 @@ Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 
 
 class Measured(float):
-    """A number with its standard deviation; in arithmetic a plain number.
+    """A number with its standard deviation; arithmetic treats it as a plain number.
 
     Attributes:
-        uncertainty: Standard deviation, in the number's unit.
+        uncertainty: Standard deviation, in the unit of the number.
     """
 
     uncertainty: float
 
     def __new__(cls, value: float, uncertainty: float) -> Measured:
-        """Make one of its value and standard deviation."""
+        """Create a number from its value and standard deviation."""
         made = super().__new__(cls, value)
         made.uncertainty = uncertainty
         return made
 
 
 class UncertainConstant(Schema):
-    """A constant known with an uncertainty; a number alone counts as exact.
+    """A positive constant with its uncertainty; a number alone counts as exact.
 
     Attributes:
         value: The constant, in the unit of its key.
-        std: Its standard deviation, in the same unit.
+        std: Standard deviation of the value, in the same unit.
     """
 
     heading: ClassVar[str] = "uncertain constant"
@@ -61,18 +61,18 @@ class UncertainConstant(Schema):
     def _above_nothing(self) -> UncertainConstant:
         if self.std >= self.value:
             raise ValueError(
-                f"a standard deviation of {self.std:g} reaches to nothing from {self.value:g}; "
-                f"give one below the value"
+                f"a standard deviation of {self.std:g} is not below the value {self.value:g}; "
+                "state a smaller standard deviation"
             )
         return self
 
 
 class UncertainNumber(Schema):
-    """A number of either sign known with an uncertainty; a number alone counts as exact.
+    """A number of either sign with its uncertainty; a number alone counts as exact.
 
     Attributes:
         value: The number, in the unit of its key.
-        std: Its standard deviation, in the same unit.
+        std: Standard deviation of the value, in the same unit.
     """
 
     heading: ClassVar[str] = "uncertain number"
@@ -81,7 +81,7 @@ class UncertainNumber(Schema):
 
 
 def measured(value: object) -> TypeGuard[Measured]:
-    """Whether a number was given with an uncertainty."""
+    """Return whether a number was stated with an uncertainty."""
     return isinstance(value, Measured)
 
 
@@ -96,7 +96,7 @@ def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
 
 
 def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:
-    """Return key to standard deviation of the constants that were given with one."""
+    """Return the standard deviation of each constant that was stated with one, by key."""
     values = {} if section is None else {key: getattr(section, key) for key in keys}
     return {
         place + key: value.uncertainty
@@ -129,8 +129,8 @@ else:
 
 
 class ValveSection(Schema):
-    """Dimensions of Fig. 3; the paper's where not given. The hole swings on the bench's moment arm,
-    L1.
+    """Dimensions of Fig. 3; the defaults are those of the paper. The hole swings on the bench's
+    moment arm, L1.
 
     Attributes:
         hole_diameter: Diameter of the hole in the plate, m.
@@ -153,7 +153,8 @@ class ValveSection(Schema):
 
 
 class GasGeneratorSection(Schema):
-    """Constants of eq. 2 to 8, SI; those of the paper, or chosen, where not given.
+    """Constants of eq. 2 to 8, SI; the defaults are those of the paper, or assumptions where the
+    paper gives none.
 
     Attributes:
         propellant_density: Density rho_b, kg/m^3.
@@ -161,7 +162,7 @@ class GasGeneratorSection(Schema):
         burning_coefficient: Burning rate a at 1 MPa, m/s.
         pressure_exponent: Exponent n of the burning law.
         characteristic_velocity: Characteristic velocity C_r, m/s.
-        heat_ratio: Specific-heat ratio; it ties R_g T_g to C_r.
+        heat_ratio: Specific-heat ratio; it determines R_g T_g from C_r.
         free_volume: Volume of the chamber without the grain, at ignition, m^3.
         back_pressure: Pressure p_c0 behind the valve, Pa.
         valve: Dimensions of the gate.

@@ -1,4 +1,4 @@
-"""Sections of a campaign file: constants of the bench, declared physics, and recordings."""
+"""Schema of the sections of a campaign file: bench constants, declared physics, recordings."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from rig.config.catalogue import EFFECTS
 from rig.config.configuration import Schema, nearest
 
 FITTED_TERMS = ("offset", "load_dependent_friction")
-"""Terms that the estimators of this version can fit."""
+"""Additional terms that the estimators of this version can fit."""
 _BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
-"""Rung to the rung with `load_dependent_friction` in addition."""
+"""For each rung, the rung with `load_dependent_friction` in addition."""
 PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
 
 
@@ -46,7 +46,9 @@ def _known_term(name: str) -> str:
 
 
 ANGLE_TIME = "angle_time"
-"""Channel of the joint encoder's own time stamps, s; used on reading, then removed."""
+"""Channel with the time stamps of the joint encoder, s; the reader uses the channel and then
+removes it.
+"""
 
 
 def _known_friction(name: str) -> str:
@@ -69,34 +71,37 @@ def _known_channel(name: str) -> str:
 
 def _not_zero(value: float) -> float:
     if value == 0:
-        raise ValueError("a scale of zero erases the channel")
+        raise ValueError("a scale of zero makes the channel zero")
     return value
 
 
 def _not_nothing(value: float) -> float:
     if not 1e-9 < abs(value) < 1e9:
-        raise ValueError("outside of 1e-9 to 1e9 m in size; check exponent and unit")
+        raise ValueError(
+            "the magnitude is not in the plausible range 1e-9 to 1e9 m; check exponent and unit"
+        )
     return value
 
 
 class BenchSection(Schema):
-    """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`.
+    """Constants of the machine, SI; the meanings of the fields are those of
+    :class:`identification.recording.Bench`.
 
     Attributes:
         motion: `rotary`: angles in rad, torques in N m. `linear`: positions in m, forces in N,
-            masses in kg; read N for N m and m for rad throughout.
-        torque_constant: Motor torque per ampere, N m/A. Without it and without a `torque` channel
-            the fit is in amperes.
-        back_emf_constant: Voltage per rad/s of the motor, V s/rad; needed where only the voltage
-            was measured.
-        resistance: Winding resistance, ohm; needed where only the voltage was measured.
+            masses in kg; in all descriptions N then replaces N m, and m replaces rad.
+        torque_constant: Motor torque per ampere, N m/A. Without this constant and without a
+            `torque` channel the fit is in amperes.
+        back_emf_constant: Voltage per rad/s of the motor, V s/rad; needed if only the voltage was
+            measured.
+        resistance: Winding resistance, ohm; needed if only the voltage was measured.
         inductance: Winding inductance, H.
         gear_ratio: Motor turns per turn of the joint.
         moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
-        lever_ratio: Contact force over the weight on the lever, L3/L4; needed where a recording
-            has a `weight_mass`.
+        lever_ratio: Ratio of the contact force to the weight on the lever, L3/L4; needed if a
+            recording has a `weight_mass`.
         gravity: Local gravity, m/s^2.
-        gas_generator: The gas generator, where pressure was recorded.
+        gas_generator: The gas generator; needed if pressure was recorded.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -130,14 +135,14 @@ class BenchSection(Schema):
 
 
 class ModelSection(Schema):
-    """Declared physics beyond the nominal nine, and values that are not fitted.
+    """Declared physics beyond the nominal nine parameters, and values that are not fitted.
 
     Attributes:
         friction: Friction model, from the ladder of friction models.
         terms: Further physics that is fitted: `offset` (a constant torque) or
             `load_dependent_friction` (friction grows with the torque of a pendulum).
-        fixed: Parameter to value, not fitted; with an uncertainty the value is a prior, joined
-            with what the recordings say.
+        fixed: Values of parameters that are not fitted; a value with an uncertainty is a prior,
+            which is combined with the estimate from the recordings.
     """
 
     friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
@@ -187,8 +192,8 @@ class GravitySection(Schema):
 
     Attributes:
         mass: Mass m, kg.
-        length: Distance l of its centre from the axis, m.
-        zero: Angle at which it hangs straight down, rad.
+        length: Distance l of the weight's centre from the axis, m.
+        zero: Angle at which the weight hangs straight down, rad.
     """
 
     mass: Known
@@ -205,8 +210,8 @@ class HoistSection(Schema):
 
     Attributes:
         mass: Mass m, kg.
-        radius: Radius r of drum or pulley, m; negative where forward motion lowers the mass. Not
-            on a linear bench, where the force is -m g.
+        radius: Radius r of drum or pulley, m; negative if forward motion lowers the mass. Not
+            allowed on a linear bench, where the force is -m g.
     """
 
     mass: Known
@@ -223,11 +228,11 @@ class HoistSection(Schema):
 
 
 class WindowSection(Schema):
-    """The part of a file that is used, in the file's own time; `[from, to]` for short.
+    """The part of a file that is used, in the time of the file; the short form is `[from, to]`.
 
     Attributes:
         from: First time used, s.
-        to: Time at which the part ends, s; a sample at it is left out.
+        to: Time at which the part ends, s; a sample at this time is not used.
     """
 
     begin: float | None = Field(default=None, alias="from")
@@ -239,7 +244,7 @@ class WindowSection(Schema):
         if not isinstance(data, list | tuple):
             return data
         if len(data) != 2:
-            raise ValueError("a short window is [from, to]; null leaves an end open")
+            raise ValueError("the short form of a window is [from, to]; null leaves an end open")
         return {"from": data[0], "to": data[1]}
 
     @model_validator(mode="after")
@@ -262,8 +267,8 @@ class ControllerSection(Schema):
     limit).
 
     Attributes:
-        output: `duty`: share of the supply voltage; `voltage`: at the motor, V; `torque`: at the
-            joint, N m.
+        output: `duty`: share of the supply voltage; `voltage`: motor voltage, V; `torque`: torque
+            at the joint, N m.
         position_gain: Output per rad.
         velocity_gain: Output per rad/s.
         limit: Greatest magnitude of the output.
@@ -280,13 +285,13 @@ class ControllerSection(Schema):
 
 
 class ReadSection(Schema):
-    """How to read a delimited text file; other formats need nothing.
+    """How to read a delimited text file; other formats need no such settings.
 
     Attributes:
-        delimiter: One character; found from the first line where not given.
-        skip_rows: Lines before the header, or before the first row of numbers where there is no
-            header.
-        decimal: What separates the decimals.
+        delimiter: Delimiter of the columns, one character; found from the first line if not stated.
+        skip_rows: Number of lines before the header, or before the first row of numbers if there is
+            no header.
+        decimal: Decimal separator.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
@@ -296,19 +301,20 @@ class ReadSection(Schema):
     @model_validator(mode="after")
     def _told_apart(self) -> ReadSection:
         if self.delimiter == self.decimal == ",":
-            raise ValueError("delimiter and decimal are both a comma; numbers cannot be told apart")
+            raise ValueError("delimiter and decimal are both a comma; numbers cannot be separated")
         return self
 
 
 class ChannelSection(Schema):
-    """Where a channel comes from: SI value = scale * column + offset.
+    """The column of a channel: SI value = scale * column + offset.
 
     Attributes:
-        column: Name, or index from 0.
-        scale: SI units per unit of the column; a negative scale turns the sign.
-        offset: Added after the scale, SI.
+        column: Name of the column, or its index from 0.
+        scale: SI units per unit of the column; a negative scale reverses the sign.
+        offset: Value that is added after the scale, SI.
         average: Whether each sample is the mean over the period that ends at its time.
-        unsigned: Whether the column holds magnitudes; refused, since the torque's sign is needed.
+        unsigned: Whether the column contains magnitudes; such a column is rejected, because the
+            sign of the torque is needed.
     """
 
     column: str | Annotated[int, Field(ge=0)]
@@ -326,29 +332,30 @@ class ChannelSection(Schema):
 
 
 class RecordingSection(Schema):
-    """One entry of `recordings`; may stand for several files.
+    """One entry of `recordings`, for one file or several.
 
     Attributes:
-        file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
-            npy, mcap, jsonl or parquet; text files may be gzipped.
+        file: File name or pattern (with `*`) relative to the campaign file, or a list of them: csv,
+            mat, npz, npy, mcap, jsonl or parquet; text files may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
-        moment_arm: Radius L1 at which this contact force acts, m; the bench's where not given.
+        moment_arm: Radius L1 at which this contact force acts, m; that of the bench if not stated.
         gravity: A known weight that turns with the joint.
         hoisted: A known mass that hangs on the joint by a rope.
-        constant_torque: Known torque on the joint that is the same at every angle, N m; positive
-            drives it forward.
-        start: When the file began: an ISO time, or seconds since the machine was switched on
-            cold. All recordings have one, or none.
-        order: Place of the file in the session, instead of `start`, where only that is known; the
-            pauses between files count as nothing.
+        constant_torque: Known torque on the joint that is the same at every angle, N m; a positive
+            torque drives the joint forward.
+        start: Start time of the file: an ISO time, or seconds since the machine was switched on
+            cold. Either all recordings state it or none does.
+        order: Place of the file in the session, instead of `start`, if only the order is known; the
+            pauses between files then count as zero.
         window: The part of the file that is used.
-        controller: The position loop that the recording was made in, for simulations.
-        role: `validate` sets the recording aside: it takes no part in any fit; at the end it
-            decides which names a diagnosis keeps, and is scored.
-        rate: Sampling rate, Hz; only where there is no `time` channel.
+        controller: The position loop during the recording, for simulations.
+        role: `validate` excludes the recording from every fit; at the end the recording is scored,
+            and a diagnosis uses it to decide which identified effects it keeps.
+        rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
-        channels: Canonical channel to column. A name or index alone is short for `{column: ...}`.
+        channels: Column of each canonical channel. A name or index alone is the short form of
+            `{column: ...}`.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -369,7 +376,7 @@ class RecordingSection(Schema):
 
     @property
     def known_load(self) -> bool:
-        """Whether a known torque other than the drive's acts on the joint."""
+        """Whether a known torque acts on the joint in addition to that of the drive."""
         return self.gravity is not None or self.hoisted is not None or self.constant_torque != 0.0
 
     def uncertainties(self) -> dict[str, float]:
@@ -383,5 +390,5 @@ class RecordingSection(Schema):
 
     @property
     def patterns(self) -> tuple[str, ...]:
-        """File names and globs as written."""
+        """File names and patterns as written in the file."""
         return (self.file,) if isinstance(self.file, str) else self.file

@@ -1,6 +1,4 @@
-"""The CAN bus and the CANopen devices in a bench file: drive (CiA 402) and joint encoder (CiA
-406).
-"""
+"""Bench file sections of the CAN bus, the CANopen drive (CiA 402) and joint encoder (CiA 406)."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Fie
 
 
 class Bus(Schema):
-    """Where the devices are.
+    """The bus of the devices.
 
     Attributes:
         interface: `mock` is the simulated bus; any other name is an interface of python-can, such
@@ -32,22 +30,22 @@ class Bus(Schema):
 
 
 class ServoSection(Schema):
-    """A CiA 402 drive on CANopen, and the scales that turn its units into SI; checked against the
-    device before a run.
+    """A CiA 402 drive on CANopen, and the scales that convert its units to SI. A run checks the
+    section against the device before it starts.
 
     Attributes:
         kind: The protocol of the drive.
         node: CANopen node number.
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
-        sign: 1 where the drive counts up for a positive joint angle, else -1.
+        sign: 1 if the drive counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the drive's position reads zero.
         rated_current_A: Rated motor current; the unit of the drive's current objects is a
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
             of it (6076h).
-        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
-            drive has it, and against the position as soon as the joint moves. Null for
-            `velocity_unit_rad_s`.
+        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h. The unit is checked against
+            60A9h, if the drive has this object, and against the position as soon as the joint
+            moves. Null for `velocity_unit_rad_s`.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units; null for one count
             per second.
         voltage_object: Index and subindex of the motor voltage.
@@ -57,20 +55,20 @@ class ServoSection(Schema):
         supply_object: Index and subindex of the supply voltage.
         supply_unit_V: Voltage of one unit of that object.
         current_object: Index and subindex of the maker's own object of the motor current; null for
-            6078h or, where the drive has none, the torque 6077h.
-        current_unit_A: Current of one unit of that object; not used for 6078h and 6077h, whose
-            unit follows from the rated values.
+            6078h or, if the drive does not have 6078h, the torque 6077h.
+        current_unit_A: Current of one unit of this object; not used for 6078h and 6077h, whose
+            units follow from the rated values.
         rated_current_object: Index and subindex of the rated motor current.
         rated_current_object_unit_A: Current of one unit of that object.
         rated_torque_object: Index and subindex of the rated motor torque.
         rated_torque_object_unit_N_m: Torque of one unit of that object.
-        stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
-            program any more; null where its EDS file shows it (6007h). False cuts the limits, as
-            for every drive without a watchdog.
-        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none,
-            and shows only the objects of the file if one is named.
-        quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
-            off, 6 brakes and stays in the state quick stop active.
+        stops_alone: Whether the drive switches the power off by itself when the heartbeat of this
+            program ends; null to decide this by object 6007h in the EDS file. False reduces the
+            limits, as for every drive without a watchdog.
+        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none;
+            if a file is named, the simulated drive has only the objects of this file.
+        quick_stop_option: Reaction of the drive to a quick stop (605Ah): 2 brakes and switches the
+            power off, 6 brakes and stays in the state quick stop active.
         quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
     """
 
@@ -122,7 +120,7 @@ class EncoderSection(Schema):
         kind: The protocol of the encoder.
         node: CANopen node number.
         counts_per_turn: Counts per turn of the joint.
-        sign: 1 where the encoder counts up for a positive joint angle, else -1.
+        sign: 1 if the encoder counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the encoder reads zero.
         eds: The device's own EDS file, relative to the bench file; the simulated encoder needs
             none.

@@ -1,4 +1,4 @@
-"""Stable names of the physical effects a bench may be declared to have, or be diagnosed with."""
+"""Stable names of the physical effects in the catalogue, for declarations and diagnoses."""
 
 from __future__ import annotations
 
@@ -10,6 +10,6 @@ CATALOGUE: Mapping[str, tuple[str, ...]] = {
     group: tuple(e.name for e in ENTRIES.values() if e.group == group)
     for group in dict.fromkeys(e.group for e in ENTRIES.values())
 }
-"""Group to names, in the order of the catalogue."""
+"""Names of the effects in each group, in the order of the catalogue."""
 
 EFFECTS: tuple[str, ...] = tuple(name for names in CATALOGUE.values() for name in names)

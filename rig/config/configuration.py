@@ -1,6 +1,4 @@
-"""Validated configuration files: YAML plus a pydantic schema, with every error at its place in the
-file.
-"""
+"""Validates YAML files against a pydantic schema, and reports every error with its place."""
 
 from __future__ import annotations
 
@@ -31,7 +29,7 @@ _Found = tuple[Mark, str, str, object]
 
 
 class Schema(BaseModel):
-    """Base of every configuration record: frozen, unknown keys are errors, numbers are finite."""
+    """Base of every configuration record: frozen; unknown keys and infinite numbers are errors."""
 
     model_config = ConfigDict(
         extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
@@ -58,8 +56,8 @@ class Document(Generic[M]):
             loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
                 file does not contain it (a default was used), the message points to the nearest
                 enclosing value.
-            message: What is wrong, the limit and the remedy.
-            value: Value found; if omitted, the value in the file is shown.
+            message: Text with the problem, the limit and the remedy.
+            value: Wrong value; if omitted, the value in the file is shown.
         """
         node, mark, path, _ = _resolve(self._root, loc)
         if value is _ABSENT and path == loc:
@@ -67,7 +65,7 @@ class Document(Generic[M]):
         return _format(self.path, mark, _dotted(loc), message, value)
 
     def other_files(self) -> list[Path]:
-        """Return the files, other than this one, that values of the tree came from."""
+        """Return the other files from which values of the tree were read."""
         found: dict[Path, None] = {}
         waiting = [self._root]
         while waiting:
@@ -81,10 +79,10 @@ class Document(Generic[M]):
         return list(found)
 
     def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
-        """Raise if there are problems, each a location and a message.
+        """Raise an error if there are problems, each a location and a message.
 
         Raises:
-            InputError: Lists them all.
+            InputError: There are problems; the message lists all of them.
         """
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
@@ -109,8 +107,8 @@ def load_located(
     Args:
         path: The YAML file.
         schema: The record to validate into.
-        prepare: Rewrites the tree before validation (merging defaults); moved nodes keep their
-            place in the file.
+        prepare: Function that changes the tree before validation, for example to merge defaults;
+            moved nodes keep their place in the file.
 
     Raises:
         InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at
@@ -133,16 +131,17 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
         path: The file, for messages.
         root: Its content.
         schema: The record to validate into.
-        found: Problems met while reading, reported with those of the schema.
+        found: Problems from the reading of the file, which are reported together with those of the
+            schema.
 
     Raises:
-        InputError: The tree breaks the schema, or there were problems before; lists every error at
-            once.
+        InputError: The tree violates the schema, or ``found`` has problems; the message lists all
+            errors.
     """
     found = list(found)
     try:
-        # JSON input in strict mode: no "5" or true for a number, while lists still make tuples and
-        # text makes enums.
+        # With JSON input in strict mode, "5" and true are not numbers, but lists are accepted as
+        # tuples and text as enums.
         value = schema.model_validate_json(json.dumps(root.plain()), strict=True)
     except ValidationError as error:
         found.extend(_explain(root, schema, error))
@@ -153,7 +152,8 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
-    """Format validation problems of a JSON file (record or standard dataclass), with their places.
+    """Format the validation problems of a JSON file (record or standard dataclass) with their
+    places.
 
     Raises:
         InputError: The text is too deep or too long to search for places.
@@ -175,7 +175,7 @@ def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> li
 
 
 def _json_tree(path: Path, text: str) -> Node:
-    """Read JSON, which is YAML as well, with the places of its values."""
+    """Read JSON as YAML, of which it is a subset, with the places of its values."""
     try:
         return parse(text)[0]
     except DocumentError as error:
@@ -183,7 +183,9 @@ def _json_tree(path: Path, text: str) -> Node:
 
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
-    """Format in file order; one default merged into many recordings is reported once."""
+    """Format the problems in the order of the file; a default that was merged into many recordings
+    is reported once.
+    """
     unique: dict[tuple[Mark, str, str], _Found] = {}
     for item in sorted(found, key=lambda item: (item[0].line, item[0].column)):
         unique.setdefault((item[0], _INDEX.sub("", item[1]), item[2]), item)
@@ -191,8 +193,8 @@ def _lines(path: Path, found: list[_Found]) -> list[str]:
 
 
 def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Iterator[_Found]:
-    """Map pydantic's errors onto the file, joining the branches of a union that failed at one
-    place.
+    """Convert pydantic's errors to places in the file; errors of several branches of a union at one
+    place are joined.
     """
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
@@ -201,7 +203,7 @@ def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Ite
         if details["type"] == "too_short" and any(
             e["loc"][: len(loc)] == loc != e["loc"] for e in errors
         ):
-            continue  # pydantic does not count bad items of a tuple
+            continue  # pydantic does not count invalid items of a tuple
         mark, path, message, value = _place(root, schema, details)
         messages, _ = places.setdefault((mark, path), ([], value))
         if message not in messages:
@@ -235,7 +237,7 @@ def _place(
 
 
 def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
-    """Yield the required keys of a missing section, so that all are reported at once."""
+    """Yield the required keys of a missing section, so that all are reported together."""
     records = _records_at([schema], loc)
     if len(records) != 1:
         return
@@ -265,7 +267,7 @@ def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
 
 
 def nearest(name: str, known: list[str]) -> str:
-    """Suggest the known names closest to a mistyped one, or list them all."""
+    """Return a text with the known names that are closest to a mistyped one, or with all names."""
     same = [k for k in known if k.casefold() == name.casefold()]
     close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     if close:
@@ -274,7 +276,7 @@ def nearest(name: str, known: list[str]) -> str:
 
 
 def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
-    """Return the models and dataclasses of a location; elements naming a union's branch are
+    """Return the models and dataclasses of a location; elements that name a branch of a union are
     skipped.
     """
     for element in loc:
@@ -286,7 +288,9 @@ def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
 
 
 def _keys(annotation: Any) -> Mapping[str, Any]:
-    """Return key to annotation of a model or a standard dataclass; nothing for any other type."""
+    """Return the annotation of each key of a model or a standard dataclass; empty for any other
+    type.
+    """
     if not isinstance(annotation, type):
         return {}
     if issubclass(annotation, BaseModel):
@@ -322,7 +326,7 @@ _Place = tuple[Node, Mark, Loc, Mark | None]
 
 
 def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
-    """Follow a location as far as the tree goes.
+    """Follow a location as far as the tree contains it.
 
     pydantic puts names of union branches between keys; such elements are skipped. If one equals a
     key, the interpretation that follows more of the location is used.

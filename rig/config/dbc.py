@@ -1,6 +1,4 @@
-"""The ``servo`` section of a bench whose drive speaks its own CAN frames: a DBC file, and a map of
-its signals.
-"""
+"""Bench file section of a drive with its own CAN frames: a DBC file and a map of its signals."""
 
 from __future__ import annotations
 
@@ -36,14 +34,16 @@ from rig.config.configuration import Loc, Positive, Schema
 
 _Natural = Annotated[int, Field(ge=0)]
 _EXTENDED_BYTES = 3
-"""The 20 bits more of an extended frame, with stuffing, in bytes of data."""
+"""The 20 additional bits of an extended frame, with bit stuffing, in bytes of data."""
 Problem = Callable[[Loc, str], str]
-"""Formats a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
+"""Function that formats a problem found after validation:
+:meth:`rig.config.configuration.Document.problem`.
+"""
 
 
 class HeldSection(Schema):
-    """Limits that were set in the drive with its maker's tool; what the drive reports over the bus
-    goes before these.
+    """Limits that were set in the drive with its maker's tool; limits that the drive reports over
+    the bus have priority.
 
     Attributes:
         angle_min_deg: Lowest joint angle.
@@ -51,7 +51,7 @@ class HeldSection(Schema):
         speed_deg_s: Highest joint speed.
         torque_N_m: Highest torque at the joint.
         current_A: Highest motor current.
-        following_error_deg: Largest following error; null where the drive has no such limit.
+        following_error_deg: Largest following error; null if the drive has no such limit.
         quick_stop_deceleration_deg_s2: Deceleration of the drive's braking ramp, at the joint.
     """
 
@@ -71,25 +71,26 @@ class DbcServoSection(Schema):
         kind: The protocol of the drive.
         file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
         simulated_drive: The drive on the simulated bus: one with the frames of ODrive's CAN
-            protocol, or a motor with MIT-style packed frames; left out, that of `practical_dbc`.
+            protocol, or a motor with MIT-style packed frames; if it is left out, the drive of
+            `practical_dbc`.
         name: Name of the drive in reports.
         vendor_id: Number of the maker, kept with the recording.
         product_code: Number of the product, kept with the recording.
-        revision: Revision, where the drive does not report it.
-        serial_number: Serial number, where the drive does not report it.
+        revision: Revision of the drive, if the drive does not report it.
+        serial_number: Serial number of the drive, if the drive does not report it.
         offset_deg: Joint angle at which the drive's position reads zero.
-        watchdog_ms: How long the drive goes on without a command before it stops by itself; null
-            where it never does.
+        watchdog_ms: Time without a command after which the drive stops by itself; null if the drive
+            has no watchdog.
         held: Limits set in the drive with its maker's tool.
         inputs: Signals that the drive reports.
         status: The signal of the drive's state.
         target: The signal of the target position, at the motor.
-        orders: What to send for each verb.
-        stop_frame: A frame that stops the drive whatever else is sent.
-        limits: Limits that the drive takes over the bus.
-        messages: Message to its protection: counter, checksum, period.
-        torque_offset: The signal of a torque at the motor that the drive adds to its own, N m after
-            the scale; needed for feed-forward.
+        orders: The values of signals to send for each order.
+        stop_frame: A frame that stops the drive independently of all other frames.
+        limits: Limits that can be written over the bus.
+        messages: Counter, checksum and period of each message.
+        torque_offset: The signal of a torque at the motor that the drive adds to the torque of its
+            controller, N m after the scale; needed for feed-forward.
     """
 
     kind: Literal["dbc"]
@@ -114,7 +115,7 @@ class DbcServoSection(Schema):
 
     @property
     def unreported(self) -> frozenset[str]:
-        """Limits that nothing can be compared with, because the drive does not report the value."""
+        """Names of the limits that are not checked because the drive does not report the value."""
         unknown: set[str] = set()
         if self.inputs.temperature is None:
             unknown |= {"temperature_C"}
@@ -124,7 +125,7 @@ class DbcServoSection(Schema):
 
     @property
     def quick_stop_option(self) -> int:
-        """Quick stop option 2 of 605Ah: every stop of such a drive ends without power."""
+        """Quick stop option 2 of 605Ah: every stop of such a drive ends with the power off."""
         return 2
 
     @property
@@ -134,7 +135,7 @@ class DbcServoSection(Schema):
 
     @property
     def signal_map(self) -> DbcMap:
-        """The signal map alone."""
+        """The signal map of the section."""
         return DbcMap(
             self.inputs,
             self.status,
@@ -172,9 +173,9 @@ class DbcServoSection(Schema):
 
 
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
-    """Return the drive's DBC file; ``path`` is the bench file's.
+    """Return the path of the drive's DBC file; ``path`` is that of the bench file.
 
-    The simulated drive has its own.
+    The simulated drive has its own DBC file.
     """
     if section.file is not None:
         return path.parent / section.file
@@ -186,14 +187,14 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
     """Read the drive's DBC file and bind the map to it.
 
     Args:
-        section: The section, validated.
+        section: The validated section.
         path: The bench file.
-        simulated: Whether the drive is the simulated one, which has its own DBC.
-        problem: Finds the place of a value in the bench file.
+        simulated: Whether the drive is the simulated drive, which has its own DBC file.
+        problem: Function that formats a problem with its place in the bench file.
 
     Raises:
-        InputError: The DBC is missing or not valid, or the map does not fit it; every problem with
-            its place.
+        InputError: The DBC file is missing or not valid, or the map does not fit it; the message
+            lists every problem with its place.
     """
     place: Loc = ("servo", "file")
     if section.file is None and not simulated:
@@ -211,8 +212,8 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return data bytes and period in cycles of each message; 29 bits of identifier count as three
-    more bytes, and a remote frame as one without data.
+    """Return data bytes and period in cycles of each message; an identifier of 29 bits counts as
+    three more bytes, and a remote frame as a frame without data.
     """
     frames = [
         (

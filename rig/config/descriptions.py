@@ -1,4 +1,4 @@
-"""Reads the meaning of a record's fields from the record's docstring.
+"""Reads description and unit of a record's fields from its docstring, for the reference pages.
 
 A record lists its fields under ``Attributes:``. The unit of a field is the ending of its name
 (``speed_deg_s``) or follows the last comma of its first sentence ("Winding resistance, ohm.").
@@ -49,9 +49,9 @@ SUFFIXES: Mapping[str, str] = {
     "m": "m",
     "s": "s",
 }
-"""Name suffix to unit, longest first."""
+"""Unit of each suffix of a name, longest suffix first."""
 _NO_UNIT = frozenset({"mu_s"})
-"""Names from the paper whose ending only looks like a unit."""
+"""Names from the paper with an ending that looks like a unit but is not one."""
 UNITS = frozenset(
     {*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"}
 )
@@ -60,7 +60,7 @@ _SECTION = re.compile(r"^[A-Z]\w+:$")
 
 
 class Meaning(NamedTuple):
-    """Meaning of one field.
+    """Description and unit of one field.
 
     Attributes:
         text: Description of one or more sentences.
@@ -79,7 +79,7 @@ def summary(record: type) -> str:
 
 
 def meanings(record: type) -> dict[str, Meaning]:
-    """Return the meanings of a record's fields, inherited ones included, from the docstrings."""
+    """Return the meanings of a record's fields, including inherited fields, from the docstrings."""
     found: dict[str, Meaning] = {}
     for base in reversed(record.__mro__):
         for name, text in _attributes(base.__dict__.get("__doc__") or "").items():
@@ -88,7 +88,7 @@ def meanings(record: type) -> dict[str, Meaning]:
 
 
 def _attributes(docstring: str) -> dict[str, str]:
-    """Return field to text of the section ``Attributes:``."""
+    """Return the text of each field in the section ``Attributes:``."""
     found: dict[str, str] = {}
     name, inside = "", False
     for line in inspect.cleandoc(docstring).split("\n"):

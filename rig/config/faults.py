@@ -1,6 +1,6 @@
-"""The fault schedule: injected faults on a simulated bench, their times, and the expected reaction.
+"""Schema of the fault schedule: faults to inject on a simulated bench, and expected reactions.
 
-YAML or CSV.
+The file is YAML or CSV.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class Kind:
     """One kind of fault.
 
     Attributes:
-        meaning: Description.
+        meaning: Description of the fault.
         unit: Unit of ``value``; empty if it has none.
         default: Default of ``value``.
         counted: Whether ``count`` applies.
@@ -55,28 +55,36 @@ class Kind:
 
 
 FAULTS: Mapping[tuple[str, str], Kind] = {
-    ("bus", "lost"): Kind("frames vanish", counted=True),
+    ("bus", "lost"): Kind("frames are lost", counted=True),
     ("bus", "repeated"): Kind("frames arrive twice", counted=True),
     ("bus", "late"): Kind("frames arrive late", "s", 0.003, counted=True),
     ("bus", "flipped"): Kind(
-        "one data bit inverted, unseen by the check sum", "bit", 29, counted=True, integer=True
+        "one data bit is inverted, which the checksum does not detect",
+        "bit",
+        29,
+        counted=True,
+        integer=True,
     ),
-    ("bus", "short"): Kind("the last byte missing, unseen by the check sum", counted=True),
-    ("bus", "bus_off"): Kind("the host's controller leaves the bus; for good without a value", "s"),
-    ("bus", "error_frames"): Kind("error frames at the host", counted=True),
-    ("line", "lost"): Kind("messages of the drive's serial line vanish", counted=True),
+    ("bus", "short"): Kind(
+        "the last byte is missing, which the checksum does not detect", counted=True
+    ),
+    ("bus", "bus_off"): Kind(
+        "the host's controller is bus-off; permanently if there is no value", "s"
+    ),
+    ("bus", "error_frames"): Kind("the host receives error frames", counted=True),
+    ("line", "lost"): Kind("messages of the drive's serial line are lost", counted=True),
     ("line", "byte_lost"): Kind(
         "one byte of a message vanishes", "byte", 5, counted=True, integer=True
     ),
     ("line", "corrupt"): Kind(
         "one bit inverted: a CRC error", "bit", 37, counted=True, integer=True
     ),
-    ("line", "stuffing"): Kind("a 90h that is not doubled", counted=True),
+    ("line", "stuffing"): Kind("a byte 90h is not doubled", counted=True),
     ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
     ("line", "repeated"): Kind("messages arrive twice", counted=True),
     ("line", "refused"): Kind("requests are answered with an error code", counted=True),
     ("line", "cut"): Kind("unplugged; for good without a value", "s"),
-    ("encoder_line", "lost"): Kind("messages of the encoder's serial line vanish", counted=True),
+    ("encoder_line", "lost"): Kind("messages of the encoder's serial line are lost", counted=True),
     ("encoder_line", "byte_lost"): Kind(
         "one byte of a message vanishes", "byte", 1, counted=True, integer=True
     ),
@@ -87,34 +95,38 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
     ("encoder_line", "cut"): Kind("unplugged; for good without a value", "s"),
     ("drive", "emcy"): Kind(
-        "an emergency message, without a reaction", "code", 0x2310, integer=True
+        "the drive sends an emergency message without a reaction", "code", 0x2310, integer=True
     ),
-    ("drive", "fault"): Kind("a fault of its own", "code", 0x7320, integer=True),
-    ("drive", "restart"): Kind("boots again, as after a dip of its supply"),
-    ("drive", "quick_stop_option"): Kind("605Ah holds another value", "605Ah", 2, integer=True),
-    ("drive", "mode_refused"): Kind("6060h is taken, 6061h stays 0"),
+    ("drive", "fault"): Kind("the drive goes into fault by itself", "code", 0x7320, integer=True),
+    ("drive", "restart"): Kind("the drive restarts, as after a short failure of its supply"),
+    ("drive", "quick_stop_option"): Kind("605Ah has another value", "605Ah", 2, integer=True),
+    ("drive", "mode_refused"): Kind("the drive accepts 6060h, but 6061h stays 0"),
     ("drive", "sdo_abort"): Kind("SDO requests are refused", counted=True),
-    ("drive", "sdo_timeout"): Kind("SDO requests go unanswered", counted=True),
-    ("drive", "limits_refused"): Kind("keeps its limits, whatever it is told"),
-    ("drive", "counter_stuck"): Kind("its life counters stand still"),
+    ("drive", "sdo_timeout"): Kind("SDO requests are not answered", counted=True),
+    ("drive", "limits_refused"): Kind("the drive ignores written limits"),
+    ("drive", "counter_stuck"): Kind("the life counters of the drive do not change"),
     ("encoder", "bit"): Kind(
-        "one bit of the position inverted", "bit", 13, counted=True, integer=True
+        "one bit of the position is inverted", "bit", 13, counted=True, integer=True
     ),
-    ("encoder", "jump"): Kind("the position shifts for good", "deg", 5.0),
-    ("encoder", "frozen"): Kind("the position stays, time stamps go on"),
-    ("encoder", "reversed"): Kind("counts the other way"),
-    ("host", "killed"): Kind("SIGKILL; the devices live on for this long first", "s", 1.0),
-    ("host", "hangs"): Kind("the control loop stands still", "s", 0.5),
+    ("encoder", "jump"): Kind("the position shifts permanently", "deg", 5.0),
+    ("encoder", "frozen"): Kind("the position stays constant, time stamps continue"),
+    ("encoder", "reversed"): Kind("the encoder counts in the opposite direction"),
+    ("host", "killed"): Kind(
+        "the program is killed (SIGKILL) after the devices have run for this time", "s", 1.0
+    ),
+    ("host", "hangs"): Kind("the control loop pauses", "s", 0.5),
     ("host", "clock_step"): Kind("the control clock jumps", "s", 1.0),
     ("host", "recorder_fails"): Kind("writing the recording raises an input/output error"),
-    ("disk", "full"): Kind("no file can grow any more"),
+    ("disk", "full"): Kind("writing to files fails, as on a full disk"),
     ("operator", "stop"): Kind("Ctrl-C"),
     ("operator", "unanswered"): Kind(
         "the prompt's input ends without an answer, after this long", "s", 0.0
     ),
-    ("operator", "wrong_weight"): Kind("hangs this mass and types the planned one", "kg", 60.0),
+    ("operator", "wrong_weight"): Kind(
+        "the operator hangs this mass and types the planned mass", "kg", 60.0
+    ),
 }
-"""Target and name to the kind of fault."""
+"""Kind of each fault, by target and name."""
 
 COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sync": (0x080,),
@@ -126,15 +138,15 @@ COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sdo_request": (0x600,),
     "sdo_answer": (0x580,),
 }
-"""Names of function codes (identifier without the node) that ``frames`` may use."""
+"""Function codes (identifier without the node number) by the names that ``frames`` may use."""
 
 
 class Frames(Schema):
-    """Which frames a bus fault meets; all where nothing is given.
+    """The frames that a bus fault affects; all frames if nothing is stated.
 
     Attributes:
-        device: Frames of this device only. On a serial line `host` means the requests, the device
-            its answers.
+        device: Frames of this device only. On a serial line `host` means the requests, and the
+            device means its answers.
         function: Frames of this CANopen function only.
     """
 
@@ -150,12 +162,12 @@ class Frames(Schema):
 
 
 class Expectation(Schema):
-    """How a run must react.
+    """The reaction that a run must show.
 
     Attributes:
         deenergised_within_s: Longest time from the fault to a drive without power.
         exit_status: Exit status of the run; negative for a signal that ends it.
-        words: Regular expression to be found in the run's last message.
+        words: Regular expression that the run's last message must contain.
     """
 
     deenergised_within_s: Annotated[float, Field(ge=0)] | None = None
@@ -174,23 +186,24 @@ class Expectation(Schema):
 
 
 class FaultRow(Schema):
-    """One fault.
+    """One fault of the schedule.
 
-    It comes at a bench time, or after the start of a phase or of a state of the drive; exactly one
-    of these is given.
+    The fault occurs at a bench time, or after the start of a phase or of a state of the drive;
+    exactly one of these is stated.
 
     Attributes:
-        time_s: Bench time at which the fault comes.
-        phase: Phase of a stage with whose start the clock for `after_s` begins.
-        state: State of the drive with whose start the clock for `after_s` begins.
+        time_s: Bench time at which the fault occurs.
+        phase: Phase of a stage from whose start `after_s` is counted.
+        state: State of the drive from whose start `after_s` is counted.
         after_s: Delay after `time_s`, `phase` or `state`.
-        stage: The stage whose phase is meant; the first where left out.
-        target: What fails.
-        fault: How it fails: a name from the table of the target's faults.
+        stage: The stage whose phase is meant; if it is left out, the first stage.
+        target: The part that fails.
+        fault: Name of the fault, from the table of the target's faults.
         value: Size of the fault, in the unit of its table.
-        count: How many frames, requests or readings are met; 0 is for good.
-        frames: Which frames a fault of a bus or line meets.
-        expect: How the run must react.
+        count: Number of frames, requests or readings that the fault affects; 0 for a permanent
+            fault.
+        frames: The frames that a fault of a bus or line affects.
+        expect: The reaction that the run must show.
     """
 
     time_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
@@ -223,16 +236,16 @@ class FaultRow(Schema):
             )
         kind = self.kind
         if self.value is not None and not kind.unit:
-            raise ValueError(f"{self.target} {self.fault} takes no value; leave it out")
+            raise ValueError(f"{self.target} {self.fault} has no value; remove it")
         if kind.integer and self.value is not None and self.value != int(self.value):
             raise ValueError(
-                f"{self.target} {self.fault} takes a whole number ({kind.unit}), found "
+                f"{self.target} {self.fault} needs a whole number ({kind.unit}), found "
                 f"{self.value:g}"
             )
         if self.frames != Frames() and self.target not in ("bus", "line", "encoder_line"):
-            raise ValueError("'frames' is for faults of a bus or line; leave it out")
+            raise ValueError("'frames' is allowed for faults of a bus or line only; remove it")
         if self.frames.function is not None and self.target != "bus":
-            raise ValueError("'function' is for faults of a CAN bus; leave it out")
+            raise ValueError("'function' is allowed for faults of a CAN bus only; remove it")
         return self
 
     @property
@@ -267,14 +280,15 @@ class FaultSchedule(Schema):
 
 
 def load_faults(path: Path) -> Document[FaultSchedule]:
-    """Read a schedule: CSV by its ending, else YAML.
+    """Read a fault schedule: CSV if the name ends in ``.csv``, else YAML.
 
-    In CSV the first line names the columns, which are the keys of a row; ``device`` and
-    ``function`` stand for those of ``frames``, and ``deenergised_within_s``, ``exit_status`` and
-    ``words`` for those of ``expect``.
+    In CSV the first line names the columns, which are the keys of a row; the columns ``device`` and
+    ``function`` are the keys of ``frames``, and ``deenergised_within_s``, ``exit_status`` and
+    ``words`` are those of ``expect``.
 
     Raises:
-        InputError: It is missing or not valid; every problem with its place in the file.
+        InputError: The file is missing or not valid; the message lists every problem with its place
+            in the file.
     """
     if path.suffix.lower() != ".csv":
         return load_located(path, FaultSchedule)

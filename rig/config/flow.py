@@ -1,4 +1,4 @@
-"""Closed-loop stages in a sequence file: commanded gas flow and pressure controller."""
+"""Sequence file section for flow control: commanded gas flow over time and pressure controller."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Array = NDArray[np.float64]
 
 
 class FlowStep(Schema):
-    """From a time on, a flow.
+    """A flow that is commanded from a time on.
 
     Attributes:
         at_s: Time since the start of the excitation; the first step is at 0.
-        flow_kg_s: Mass flow that is asked for.
+        flow_kg_s: Commanded mass flow.
     """
 
     at_s: NonNegative
@@ -27,14 +27,15 @@ class FlowStep(Schema):
 
 
 class FlowController(Schema):
-    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen,
-    the paper has none.
+    """PI controller of the logarithm of the ratio of measured to desired pressure (Fig. 5, 11). The
+    default gains are assumptions, because the paper gives none.
 
-    Outside its range, or faster than its speed, the valve is not moved, and the integral waits
-    there.
+    The valve does not leave its range and does not exceed its speed; at these limits the integral
+    does not change.
 
     Attributes:
-        gain_deg: Valve angle per unit of the logarithm; one percent of pressure is about 0.01.
+        gain_deg: Valve angle per unit of the logarithm; a deviation of the pressure by one percent
+            is about 0.01.
         integral_1_s: Inverse reset time.
         filter_Hz: Cut-off of the low-pass on the measured pressure.
         angle_min_deg: Lowest valve angle.
@@ -77,13 +78,13 @@ class FlowSection(Schema):
         times = [step.at_s for step in self.steps]
         if times[0] != 0.0:
             raise ValueError(
-                f"the first step must be at 0 s, where the excitation begins (got at_s "
+                f"the first step must be at 0 s, the start of the excitation (got at_s "
                 f"{times[0]:g})"
             )
         for earlier, later in pairwise(times):
             if later <= earlier + self.ramp_s:
                 raise ValueError(
-                    f"the step at {later:g} s begins before the one at {earlier:g} s is over "
+                    f"the step at {later:g} s begins before the step at {earlier:g} s ends "
                     f"(ramp_s {self.ramp_s:g}); "
                     "list steps in order, further apart than ramp_s"
                 )

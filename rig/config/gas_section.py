@@ -1,4 +1,4 @@
-"""The gas generator and its pressure transmitter in a bench file."""
+"""Bench file sections of the gas generator and its pressure transmitter."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class PressureSection(Schema):
     Attributes:
         kind: The protocol of the transmitter.
         node: CANopen node number.
-        unit_Pa: Pressure of one unit of the process value 9130h; held against 6131h and 6132h
+        unit_Pa: Pressure of one unit of the process value 9130h; checked against 6131h and 6132h
             before a run.
         range_MPa: Highest pressure that the transmitter measures.
         eds: The device's own EDS file, relative to the bench file; the simulated transmitter needs
@@ -40,8 +40,8 @@ class PressureSection(Schema):
 class GasGeneratorSection(Schema):
     """Nominal constants of gas generator and valve (Fig. 3, eq. 2, 3, 10).
 
-    Contact force and limits need the valve and the back pressure; a flow command needs what makes
-    the flow; the rest is for the diagnosis.
+    Contact force and limits need the valve and the back pressure; a flow command needs the
+    propellant, the burning law and the chamber; the other constants are for the diagnosis.
 
     Attributes:
         hole_diameter_m: Diameter of the hole in the valve's plate.

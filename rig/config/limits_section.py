@@ -1,4 +1,4 @@
-"""The limits in a bench file."""
+"""Bench file section of the limits on angles, speed, torque, current and other values."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rig.config.configuration import NonNegative, Positive, Schema
 
 
 class LimitsSection(Schema):
-    """Limits checked on every sample, and held by the drive as well where it has an object for
-    them.
+    """Limits that the program checks on every sample, and the drive as well if it has an object for
+    the limit.
 
     Attributes:
         angle_min_deg: Lowest joint angle, commanded or measured.
@@ -20,18 +20,18 @@ class LimitsSection(Schema):
         speed_deg_s: Highest joint speed.
         torque_N_m: Highest torque of the drive, at the joint after the gear.
         current_A: Highest motor current.
-        following_error_deg: Largest difference of commanded and measured joint angle.
-        encoder_disagreement_deg: Largest difference of joint encoder and motor encoder, at the
+        following_error_deg: Largest difference between commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference between joint encoder and motor encoder, at the
             joint.
         weight_kg: Heaviest weight that a sequence may hang.
         contact_force_N: Highest contact force, of a weight or of the gas generator's pressure.
-        pressure_MPa: Highest chamber pressure; needed where there is a pressure transmitter.
+        pressure_MPa: Highest chamber pressure; needed if there is a pressure transmitter.
         temperature_C: Highest temperature that the drive may report.
         supply_min_V: Lowest supply voltage.
         supply_max_V: Highest supply voltage.
-        sample_age_ms: Oldest sample that a cycle may go on with.
-        lateness_ms: Latest start of a cycle. At most half the heartbeat time of the drive, past
-            which the drive stops by itself.
+        sample_age_ms: Greatest age of a sample with which a cycle may continue.
+        lateness_ms: Greatest delay of the start of a cycle; at most half of the time without
+            heartbeat after which the drive stops by itself.
     """
 
     angle_min_deg: float

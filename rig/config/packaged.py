@@ -1,4 +1,4 @@
-"""Example benches and sequences that ship with the program, reachable by bare name."""
+"""Finds the example benches and sequences that are packaged with the program, by their names."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ _HERE = Path(__file__).parent
 
 
 def names(kind: Literal["benches", "sequences"]) -> list[str]:
-    """List the packaged names of one kind."""
+    """Return the packaged names of one kind."""
     return sorted(path.stem for path in (_HERE / kind).glob("*.yaml"))
 
 
 def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
-    """Return where the packaged file of that name is, or would be."""
+    """Return the path of the packaged file of this name; the file need not exist."""
     return _HERE / kind / f"{name}.yaml"
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
-    """Return the file a name stands for: the path itself if it exists, else the packaged file of
-    that name.
+    """Return the file for a name: the path itself if it exists, else the packaged file of this
+    name.
 
     Raises:
-        InputError: Neither is there, or the path is no file; suggests the nearest packaged names.
+        InputError: Neither exists, or the path is not a file; the message suggests the nearest
+            packaged names.
     """
     path = Path(name)
     if is_file(path):

@@ -1,4 +1,4 @@
-"""Removes from a simulated bench, before it is recorded, all values unknown on a real bench."""
+"""Removes the true constants of a simulated machine from its bench file before it is recorded."""
 
 from __future__ import annotations
 
@@ -25,16 +25,19 @@ _KNOWN: Mapping[str, frozenset[str] | None] = {
     "steps_per_loop": None,
     "supply_V": None,
 }
-"""Keys of the ``mock`` section that are kept; None for all of a subsection.
+"""Keys of the ``mock`` section that are kept; None for all keys of a subsection.
 
-Friction, inertia, noise, warming and effects are removed.
+Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
 """
-_HEAD = "# What is true of the simulated machine and not known of a real one was left out here.\n"
+_HEAD = (
+    "# The true constants of the simulated machine, which are unknown on a real "
+    "bench, were removed here.\n"
+)
 
 
 def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the simulated machine's true values; unchanged without a
-    ``mock`` section.
+    """Return a valid bench file without the true values of the simulated machine; a file without a
+    ``mock`` section is unchanged.
     """
     tree, _ = parse(content.decode("utf-8"))
     bench: Any = tree.plain()

@@ -1,4 +1,4 @@
-"""The sequence file: stages as data, and the angles they command."""
+"""Schema of the sequence file: stages with their excitations, and the joint angles they command."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ class Ramp(Schema):
     """A slow ramp: away from the centre at constant speed, and back.
 
     Attributes:
-        travel_deg: How far away from the centre; the sign is the direction.
+        travel_deg: Distance from the centre; the sign is the direction.
         speed_deg_s: Speed out and back.
-        rest_s: Commanded rest at the far end. What is left of `duration_s` is rest at the centre.
-        times: How often out and back, without a rest at the centre between.
+        rest_s: Commanded rest at the far end. The remaining time of `duration_s` is rest at the
+            centre.
+        times: Number of repetitions out and back, without a rest at the centre between them.
     """
 
     travel_deg: float
@@ -48,7 +49,7 @@ class Ramp(Schema):
 
     @property
     def period_s(self) -> float:
-        """Time to the far end and back, with the rest there, s."""
+        """Time to the far end and back, including the rest at the far end, s."""
         return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
 
     @property
@@ -58,30 +59,30 @@ class Ramp(Schema):
 
 
 class StageSection(Schema):
-    """One stage: what loads the valve, and an excitation of the joint, by tones or by one ramp.
+    """One stage: a load condition of the valve, and an excitation of the joint by tones or by one
+    ramp.
 
-    In a `hot_fire` stage a gas generator loads the valve, and a flow command may take the place of
-    an excitation: the
-    valve then goes where a controller moves it.
+    In a `hot_fire` stage a gas generator loads the valve, and a flow command may replace the
+    excitation: a controller then moves the valve.
 
     Attributes:
-        name: Name of the stage, without spaces; each stage has its own.
+        name: Name of the stage, without spaces and different from all other stages.
         stage: The load condition. `unloaded`: the empty lever; `loaded`: a weight on it;
             `hot_fire`: the gas generator.
         weight_kg: Mass on the lever of a loaded stage.
-        tones: Sines that are added up.
+        tones: Sines, which are added.
         ramp: A slow ramp instead of tones.
         flow: A flow command instead of tones, in a hot firing.
-        duration_s: Length of the excitation; fade-in and fade-out of the tones lie inside.
+        duration_s: Length of the excitation, including fade-in and fade-out of the tones.
         ramp_in_s: Fade-in of the tones.
         ramp_out_s: Fade-out of the tones.
-        repeats: How often the excitation is run; each repeat becomes one recording.
-        center_deg: Joint angle that the excitation is around.
+        repeats: Number of times that the excitation is run; each repeat becomes one recording.
+        center_deg: Joint angle at the centre of the excitation.
         settle_s: Rest at the starting angle before each repeat.
-        time_limit_s: Longest time under power in this stage; a bound computed from the plan unless
-            given.
-        role: `validate` sets the stage's recordings aside: identification does not fit them, and
-            scores them once at the end.
+        time_limit_s: Longest time with power on in this stage; if it is left out, a bound computed
+            from the plan.
+        role: `validate` excludes the stage's recordings from the fit; the identification scores
+            them once at the end.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
@@ -117,7 +118,7 @@ class StageSection(Schema):
         if self.ramp.moving_s > self.duration_s:
             raise ValueError(
                 f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s "
-                f"{self.duration_s:g} s; lengthen it"
+                f"{self.duration_s:g} s; increase duration_s"
             )
         return self
 
@@ -127,7 +128,7 @@ class StageSection(Schema):
             raise ValueError(
                 f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than "
                 f"duration_s "
-                f"{self.duration_s:g} s; the ramps lie inside the duration"
+                f"{self.duration_s:g} s; the duration must contain both ramps"
             )
         if self.stage == "unloaded" and self.weight_kg != 0:
             raise ValueError(
@@ -140,14 +141,14 @@ class StageSection(Schema):
             )
         if self.stage == "hot_fire" and self.weight_kg != 0:
             raise ValueError(
-                f"the gas generator loads a hot firing, no weight, but weight_kg is "
-                f"{self.weight_kg:g}; remove it"
+                f"a hot firing is loaded by the gas generator and not by a weight, but weight_kg "
+                f"is {self.weight_kg:g}; remove it"
             )
         return self
 
 
 class SequenceLimits(Schema):
-    """Limits of this sequence; each may only be tighter than the bench's.
+    """Limits of this sequence; a limit must not be wider than that of the bench.
 
     Attributes:
         angle_min_deg: Lowest joint angle.
@@ -155,13 +156,14 @@ class SequenceLimits(Schema):
         speed_deg_s: Highest joint speed.
         torque_N_m: Highest torque at the joint.
         current_A: Highest motor current.
-        following_error_deg: Largest difference of commanded and measured joint angle.
-        encoder_disagreement_deg: Largest difference of joint and motor encoder, at the joint.
+        following_error_deg: Largest difference between commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference between joint encoder and motor encoder, at the
+            joint.
         temperature_C: Highest temperature of the drive.
         supply_min_V: Lowest supply voltage.
         supply_max_V: Highest supply voltage.
-        sample_age_ms: Oldest sample that a cycle may go on with.
-        lateness_ms: Latest start of a cycle.
+        sample_age_ms: Greatest age of a sample with which a cycle may continue.
+        lateness_ms: Greatest delay of the start of a cycle.
     """
 
     angle_min_deg: float | None = None
@@ -181,13 +183,14 @@ class SequenceLimits(Schema):
 class FirstPass(Schema):
     """A short pass at low amplitude before each stage, under tighter limits.
 
-    While the joint does not move, passes of twice the amplitude follow.
+    As long as the joint does not move, passes with twice the former amplitude follow.
 
     Attributes:
-        amplitude: Share of the stage's own amplitude.
-        duration_s: Length of the pass; one period of the slowest tone and the fades unless given.
-        limit_share: Share of the speed limit that is allowed meanwhile. The limits on torque,
-            current and following error are half way from this share to the whole.
+        amplitude: Amplitude of the pass, as a share of the stage's amplitude.
+        duration_s: Length of the pass; if it is left out, one period of the slowest tone and the
+            fades.
+        limit_share: Share of the speed limit that is allowed in the pass. The shares of the limits
+            on torque, current and following error are half way between this share and one.
     """
 
     amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1
@@ -201,9 +204,9 @@ class Sequence(Schema):
     Attributes:
         sequence: Version of the file format.
         name: Name of the sequence, without spaces; part of the run folder's name.
-        stages: The stages, in the order they are run.
+        stages: The stages, in the order in which they are run.
         limits: Limits of this sequence.
-        first_pass: `auto` makes a first pass on a real bench and none on a simulated one.
+        first_pass: `auto`: a first pass on a real bench and none on a simulated bench.
     """
 
     sequence: Literal[1]
@@ -235,24 +238,25 @@ class Sequence(Schema):
         ]
         if aside and not any(fitted):
             raise ValueError(
-                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so "
-                f"that its working load "
-                "would be unknown; give one role fit"
+                f"{', '.join(aside)} is loaded and has role validate, but no loaded stage has "
+                "role fit, so that its working load would be unknown; give one loaded stage role "
+                "fit"
             )
         return self
 
 
 def load_sequence(name: str | Path) -> Document[Sequence]:
-    """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
+    """Read a sequence by path, or by the bare name of a packaged sequence (``figure10``).
 
     Raises:
-        InputError: It is missing or not valid; every problem with its place in the file.
+        InputError: The file is missing or not valid; the message lists every problem with its place
+            in the file.
     """
     return load_located(resolve(name, "sequences"), Sequence)
 
 
 def excitation(stage: StageSection, cycle_s: float) -> Array:
-    """Compute the joint angle commanded in each cycle of one repeat.
+    """Return the joint angle that is commanded in each cycle of one repeat.
 
     Returns:
         Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the
@@ -280,19 +284,19 @@ def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
 
 
 def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Array:
-    """Compute a smooth move that starts and ends at rest.
+    """Return the joint angles of a smooth move that starts and ends at rest.
 
     Args:
         start: Present joint angle, rad.
-        end: Angle to arrive at, rad.
+        end: Joint angle at the end, rad.
         peak_speed: Speed in the middle of the move, rad/s.
         cycle_s: Control cycle, s.
 
     Returns:
-        Angles in rad, shape (n,), the last one equal to ``end``; empty when there is nowhere to go.
+        Angles in rad, shape (n,), the last one equal to ``end``; empty if ``start`` equals ``end``.
     """
     distance = abs(end - start)
-    # A raised cosine over T peaks at pi/2 of its mean speed distance / T.
+    # The peak speed of a raised cosine over T is pi/2 times its mean speed distance / T.
     n = math.ceil(0.5 * math.pi * distance / peak_speed / cycle_s)
     if n == 0:
         return np.empty(0)
@@ -301,8 +305,8 @@ def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Arr
 
 
 def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
-    """Rise smoothly from 0 at t = 0 to 1 at t = ``duration`` and stay there; 1 throughout if there
-    is no duration.
+    """Return a function that rises smoothly from 0 at t = 0 to 1 at t = ``duration`` and stays at
+    1; 1 at all times if ``duration`` is 0.
     """
     if duration <= 0:
         return np.ones_like(t)

@@ -1,4 +1,4 @@
-"""Serial buses and encoders in a bench file: sections, cycle time check and devices."""
+"""Bench file sections of serial drives (EPOS4) and encoders (AMT21), with a cycle time check."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ from rig.config.configuration import Positive, Schema
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
-"""Factor on the bench's torque, current and speed limits for a drive without watchdog."""
+"""Factor on the bench's limits of torque, current and speed for a drive without a watchdog."""
 _ALONE: Final = (
-    "the drive goes on holding its last target under power, and nothing but the main switch or "
-    "the emergency stop "
-    "takes it off. Stay beside it. Torque, current and speed limits are cut to "
+    "the drive holds its last target with power on, and only the main switch or the emergency "
+    "stop switches the power off. Stay beside the bench. Torque, current and speed limits are "
+    "reduced to "
     f"{UNWATCHED_SHARE:.0%} of the bench file's"
 )
 NO_WATCHDOG: Final = (
-    f"this drive has no watchdog: if this program, its computer or the cable dies, {_ALONE}"
+    f"this drive has no watchdog: if this program, its computer or the cable fails, {_ALONE}"
 )
 GUARDED: Final = (
-    "this drive has no watchdog: if this program dies, a second process, its guardian, brakes and "
-    "takes the power off; "
-    f"if the computer or the cable dies, {_ALONE}"
+    "this drive has no watchdog: if this program ends, a second process, its guardian, brakes and "
+    f"switches the power off; if the computer or the cable fails, {_ALONE}"
 )
 
 _Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
@@ -42,8 +41,8 @@ class SerialBus(Schema):
         interface: The protocol of the line.
         port: `mock`, or a serial device of this computer such as `/dev/ttyUSB0`.
         baud: Bits per second.
-        round_trip_ms: What adapter and drive add to the bytes of every request and its answer;
-            measure it. FTDI adapters add 16, in low-latency mode 6.
+        round_trip_ms: Time that adapter and drive add to every request and its answer, in addition
+            to the time of the bytes; measure it. FTDI adapters add 16, in low-latency mode 6.
     """
 
     interface: Literal["epos_serial"]
@@ -53,16 +52,17 @@ class SerialBus(Schema):
 
 
 class Amt21Section(Schema):
-    """An AMT21 joint encoder on an RS-485 line of its own.
+    """An AMT21 joint encoder on a separate RS-485 line.
 
-    A position that would take more speed or acceleration than the gate allows is discarded.
+    A position that implies more speed or acceleration than `gate_speed_deg_s` or
+    `gate_acceleration_deg_s2` is discarded.
 
     Attributes:
         kind: The protocol of the encoder.
         port: `mock`, or a serial device of this computer.
         baud: Bits per second.
         address: Address of the encoder on its line, a multiple of 4.
-        sign: 1 where the encoder counts up for a positive joint angle, else -1.
+        sign: 1 if the encoder counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the encoder reads zero.
         gate_speed_deg_s: Highest joint speed between two positions.
         gate_acceleration_deg_s2: Highest joint acceleration between positions.
@@ -86,7 +86,7 @@ def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
     if needed_s > ANSWER_SHARE * cycle_s:
         shortest_ms = math.ceil(1e3 * needed_s / ANSWER_SHARE - 1e-9)
         yield (
-            f"too slow: {writes + reads} objects a cycle take up to {bits} bits and "
+            f"too slow: {writes + reads} objects per cycle take up to {bits} bits and "
             f"{needed_s * 1e3:.2f} ms, "
             f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit "
             f"{ANSWER_SHARE:.0%}; raise baud, lower "

@@ -1,7 +1,7 @@
 """Checks that the current loop of a simulated drive is stable with its motor.
 
-An unstable loop looks like a jam: the current oscillates at its limit, and the run trips on torque
-or current.
+The effects of an unstable current loop are like those of a jammed joint: the current oscillates at
+its limit, and the run stops with a violated limit of torque or current.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ _ADVISED_SHARE = 0.5
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
-    """Return the problem of a simulated drive's current loop gain, with a stable value.
+    """Return a text if the current loop gain of a simulated drive is unstable, with a stable value.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
-    (eq. 1). It is linear, so its eigenvalues decide; the supply voltage only limits the
-    oscillation.
+    (eq. 1). The loop is linear, so that its eigenvalues determine its stability; the supply voltage
+    only limits the oscillation.
 
     Args:
         machine: The simulated machine.
@@ -40,14 +40,14 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
         f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz "
         f"the current loop of "
         f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each "
-        f"period), and may trip on "
-        f"current or torque as a jam does; lower it to {advised:.2g} or less, or raise rate_Hz"
+        f"period), and may stop a run by its limits of current or torque; lower the gain to "
+        f"{advised:.2g} or less, or raise rate_Hz"
     )
 
 
 def _radius(machine: constants.Machine, gain: float) -> float:
-    """Return the growth factor of the loop's error per period: the greatest eigenvalue
-    magnitude.
+    """Return the growth factor of the loop's error per period, which is the greatest magnitude of
+    the eigenvalues.
     """
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz

@@ -1,8 +1,8 @@
-"""Derives defaults of the ``mock`` section from the rest of a bench file, and checks its values.
+"""Completes and checks the simulated machine (``mock``) of a bench file.
 
-By default a simulated bench has the same motor, gear, lever, encoders, supply and current limit as
-the real one. Friction and inertia, unknown before an identification, are the paper's values scaled
-by the torque limit.
+By default the simulated bench has the motor, gear, lever, encoders, supply and current limit of the
+real bench. Friction and inertia are unknown before an identification; their defaults are the values
+of the paper, scaled by the torque limit.
 """
 
 from __future__ import annotations
@@ -19,13 +19,15 @@ from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sen
 from rig.common.yaml_tree import Mark, Node
 
 _PAPER_TORQUE_N_M: Final = 75.0
-"""Torque limit of the bench with the default friction."""
+"""Torque limit of the bench for which the default friction is not scaled."""
 _FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
 _ANY_SIGN: Final = frozenset({"temperature_C"})
 _SMALLEST: Final = 1e-12
 """Smallest permitted constant of the simulated machine, SI units; the largest is its inverse."""
 _LOOPS_HZ: Final = (100.0, 1e8)
-"""Rate of the simulated drive's loops; faster ones represent a continuous-time drive."""
+"""Permitted rates of the simulated drive's loops; faster loops represent a drive in continuous
+time.
+"""
 _MAY_BE_ZERO: Final = frozenset(
     {
         "inductance_H",
@@ -51,10 +53,10 @@ Section = dict[str, float]
 
 
 def follow_bench(root: Node) -> Node:
-    """Complete the ``mock`` section of a bench file; what it states is kept.
+    """Complete the ``mock`` section of a bench file; existing keys keep their values.
 
-    A simulated bench without the section gets a complete one. Values that cannot be computed,
-    because the file is incomplete or wrong, are left to the file's checks.
+    A simulated bench without the section gets a complete section. A value that cannot be computed
+    because the file is incomplete or wrong is left out; the checks of the file report the error.
     """
     top = root.value
     if not isinstance(top, dict):
@@ -75,7 +77,7 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     """Return the values of ``mock`` that follow from the other sections of a bench file.
 
     Args:
-        bench: The file as plain data, valid or not.
+        bench: The file as plain data, which need not be valid.
     """
     motor = _known(
         resistance_ohm=_number(bench, "machine", "resistance_ohm"),
@@ -145,7 +147,7 @@ def _sensing(bench: Mapping[str, Any]) -> Section:
 
 
 def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> float | None:
-    """Return an encoder's counts per turn, from the file or fixed by its kind."""
+    """Return an encoder's counts per turn, from the file or from the kind of the encoder."""
     found = bench.get(section)
     stated = found.get("kind", kind) if isinstance(found, dict) else kind
     fixed = _FALLBACK.get(stated) if isinstance(stated, str) else None
@@ -197,7 +199,9 @@ def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
 
 
 def may_be(name: str) -> str:
-    """Return the range of a number of the simulated machine: "> 0", "≥ 0", or any (empty)."""
+    """Return the permitted range of a number of the simulated machine: "> 0", "≥ 0", or an empty
+    text for any number.
+    """
     if name in _ANY_SIGN:
         return ""
     return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
@@ -207,8 +211,8 @@ def require_buildable(machine: Machine) -> None:
     """Check the numbers of a simulated machine.
 
     Raises:
-        ValueError: One is not finite, has the wrong sign or is outside a realistic range; or the
-            gas generator cannot burn steadily.
+        ValueError: A number is not finite, has the wrong sign or is outside a realistic range, or
+            the gas generator cannot burn steadily.
     """
     for path, value in _leaves(machine):
         name = path.rsplit(".", 1)[-1]
@@ -219,8 +223,8 @@ def require_buildable(machine: Machine) -> None:
             raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
         if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
             raise ValueError(
-                f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no "
-                f"machine is built so, check exponent and unit"
+                f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}, which is "
+                "not plausible; check exponent and unit"
             )
     if not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
         raise ValueError(
@@ -230,8 +234,8 @@ def require_buildable(machine: Machine) -> None:
     generator = machine.gas
     if not generator.pressure_exponent < 1.0:
         raise ValueError(
-            f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure "
-            f"is steady: below 1"
+            f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure is "
+            "steady: it must be below 1"
         )
     if not generator.valve.hole_diameter_m < min(
         generator.valve.plate_width_m, generator.valve.opening_diameter_m
@@ -258,7 +262,7 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
 
 
 def hidden_problems(machine: Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the effects to be injected into a simulated machine."""
+    """Yield the problems of the effects that are injected into a simulated machine."""
     if machine is None or not machine.effects:
         return
     found = False

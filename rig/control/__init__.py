@@ -1,1 +1,1 @@
-"""The control loop: phases, cycle, safety, sequencer, operator, session, jogging."""
+"""Runs a plan on a bench: control cycle, limit checks, phases, operator prompts, jogging."""

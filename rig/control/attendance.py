@@ -1,4 +1,4 @@
-"""Decides whether a run needs a person: on a real bench only a person hangs the weights."""
+"""Checks that a person confirms the weights on a real bench before a run starts."""
 
 from __future__ import annotations
 
@@ -15,26 +15,28 @@ from rig.wiring.devices import Devices
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
-    """Refuse a run that hangs weights if no person would be asked for their mass.
+    """Reject a run with weights if no person would be asked for the hung mass.
 
     Args:
         plan: The planned run.
-        bench: The bench it runs on.
-        yes: Whether prompts are answered with the planned mass (``--yes``).
+        bench: The bench of the run.
+        yes: Whether the program answers prompts with the planned mass (``--yes``).
         terminal: Whether a person can be asked.
 
     Raises:
-        InputError: Weights hang on a real bench, and nobody would be asked.
+        InputError: The run hangs weights on a real bench, and no person would be asked.
     """
     value = bench.value
     heavy = [stage.name for stage in plan.stages if stage.weight_kg]
     if value.simulated or not heavy or value.weights_hung_by == "hoist" or (terminal and not yes):
         return
-    reason = "--yes would answer the weight prompts" if yes else "there is no terminal to ask at"
+    reason = (
+        "--yes would answer the weight prompts" if yes else "there is no terminal for the prompts"
+    )
     raise InputError(
         f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, and a person hangs "
         f"them on this bench: "
-        "run at a terminal without --yes, or, where a hoist hangs them and is read back, set "
+        "run at a terminal without --yes, or, if a hoist hangs them and reports their mass, set "
         "`weights_hung_by: hoist`"
     )
 
@@ -50,7 +52,7 @@ def connected(
     purpose: str = "rig",
 ) -> Iterator[Devices]:
     """Open a bench as :func:`rig.wiring.connect.connect` does; a stop signal interrupts the
-    opening, as nothing is energised yet.
+    opening, because nothing is energised yet.
 
     Raises:
         KeyboardInterrupt: The operator stopped it.

@@ -1,6 +1,6 @@
-"""``rig check``: reads a bench's identities, live values and limits; says if a run would refuse it.
+"""Reads identities, values and limits of a bench, and judges if a run would start (``rig check``).
 
-Nothing is written, energised or moved.
+The module writes nothing to the devices, and energises and moves nothing.
 """
 
 from __future__ import annotations
@@ -29,14 +29,16 @@ SCHEMA = "loadrig.check/1"
 STATED = "*"
 """Mark of a limit that is stated in the bench file and not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
-"""A drive in which nothing was set holds the ends of its range: more than this is no limit."""
+"""Greatest value that counts as a limit; a drive without a configured limit reports the end of its
+range.
+"""
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
     """Return the faults of a bench file that do not prevent connecting to the bench.
 
     Raises:
-        InputError: It cannot be connected to; lists every reason.
+        InputError: No connection to the bench is possible; the message lists every reason.
     """
     found = bench_findings(document, utc_now().date())
     in_the_way = [finding.text for finding in found if not finding.connectable]
@@ -48,13 +50,13 @@ def require_connectable(document: Document[Bench]) -> list[Finding]:
 def examine(
     document: Document[Bench], devices: Devices, seed: int, found: list[Finding]
 ) -> tuple[dict[str, Any], Readings]:
-    """Read everything that can be read without moving or changing anything.
+    """Read all values that can be read without a motion or a change.
 
     Args:
         document: The bench.
-        devices: Its devices, on an open link.
+        devices: Devices of the bench, on an open link.
         seed: Seed of a simulated bench's noise.
-        found: Findings in its file, from :func:`require_connectable`.
+        found: Faults of the bench file, from :func:`require_connectable`.
 
     Returns:
         The record for ``--json``, and the readings it contains.
@@ -104,12 +106,13 @@ def examine(
 
 
 def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> str:
-    """Return the findings as text for the terminal.
+    """Return the results of the check as text for the terminal.
 
     Args:
         found: Record from :func:`examine`.
         readings: Readings from :func:`examine`.
-        watching: What stops the drive if this program no longer commands it.
+        watching: The watchdog or guardian that stops the drive when this program no longer commands
+            it.
     """
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
     lines += [
@@ -149,8 +152,8 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return the limits of drive and bench file side by side; those of the drive that it does not
-    report are as the bench file states them.
+    """Return a table of the limits of drive and bench file; a limit that the drive does not report
+    is as the bench file states it.
     """
     held = found["limits"]
     note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])

@@ -1,4 +1,4 @@
-"""The control cycle: send a target, receive the sample, record it, check it against the limits."""
+"""The control cycle: sends a target, receives the sample, records it, and checks the limits."""
 
 from __future__ import annotations
 
@@ -27,22 +27,24 @@ Progress = Callable[[str, int, Sample], None]
 
 
 class SampleSink(Protocol):
-    """Receives the sample of each cycle, as :class:`rig.runs.recorder.Recorder` does."""
+    """Interface of an object that receives the sample of each cycle, such as
+    :class:`rig.runs.recorder.Recorder`.
+    """
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Store the sample of one cycle.
 
         Raises:
-            StorageError: It cannot be stored.
+            StorageError: The sample cannot be stored.
         """
         ...
 
 
 class TripError(Exception):
-    """A sample broke a limit.
+    """A sample is outside a limit.
 
     Args:
-        trip: The limit that was broken.
+        trip: The limit that was violated.
     """
 
     def __init__(self, trip: Trip) -> None:
@@ -53,21 +55,21 @@ class TripError(Exception):
 class Cycle:
     """Runs control cycles at a fixed period.
 
-    A cycle that starts more than a period late delays all later ones; lost time is not made up.
+    A cycle that starts more than a period late delays all later cycles; lost time is not recovered.
 
     Args:
-        limits: Checked on every sample, until :meth:`use` changes them.
+        limits: Limits that are checked on every sample, until :meth:`use` changes them.
         cycle_ns: Control cycle, ns.
         devices: The devices to command.
-        recorder: Takes every sample.
-        stop: Stop button, read every cycle.
+        recorder: Receiver of every sample.
+        stop: Stop button, which is read in every cycle.
         progress: Progress callback.
 
     Attributes:
-        overruns: Cycles that started more than a period late.
-        stale: Cycles in which part of the sample was missing.
-        count: Cycles so far.
-        timing: Statistics of their lateness.
+        overruns: Number of cycles that started more than a period late.
+        stale: Number of cycles in which a part of the sample was missing.
+        count: Number of cycles so far.
+        timing: Statistics of the lateness of the cycles.
     """
 
     def __init__(
@@ -118,17 +120,15 @@ class Cycle:
         return (self._next_ns - self._start_ns) * 1e-9
 
     def ask_reset(self) -> None:
-        """Note that the operator asks for the safety latch to be reset at the next
-        :meth:`begin`.
-        """
+        """Store the operator's request to reset the safety latch at the next :meth:`begin`."""
         self._latch.ask()
 
     def end(self) -> None:
-        """Open the safety latch at an orderly end."""
+        """Open the safety latch at the regular end of a run."""
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Use these limits for all further samples, except those on what the drive does not
+        """Use these limits for all further samples, except limits on values that the drive does not
         report.
         """
         self._limits = self._checkable(limits)
@@ -139,11 +139,11 @@ class Cycle:
 
         Args:
             target: Present joint angle, rad.
-            time_limit_s: How long commands may be followed from now on, s; None for ever.
+            time_limit_s: Longest time for commands from now on, s; None for no limit.
 
         Raises:
-            TripError: That sample is outside a limit, or the reset was not requested; no motion was
-                commanded.
+            TripError: The first sample is outside a limit, or the reset was not requested; no
+                motion was commanded.
         """
         self.resume()
         self._powered_ns = self._next_ns
@@ -155,7 +155,7 @@ class Cycle:
             raise TripError(trip)
 
     def resume(self) -> None:
-        """Continue after work longer than a cycle, without counting it as lateness."""
+        """Continue after work that took longer than a cycle, without counting it as lateness."""
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
 
@@ -170,17 +170,17 @@ class Cycle:
         """Command one joint angle (rad) per cycle; each sample is checked before the next command.
 
         Args:
-            targets: Joint angles, rad; each is drawn after the previous sample was checked and
-            stored.
+            targets: Joint angles, rad; the next angle is taken from the iterable after the previous
+                sample was checked and stored.
             segment: Number of the excitation, 0 for none.
             stage: Name for the progress display.
-            keep: Called with every sample inside the limits.
-            compensate: Called before every command with the previous sample (None before the
-                first); returns the torque, N m, that the drive adds until the next command. No
-                torque is added after the last command.
+            keep: Function that is called with every sample inside the limits.
+            compensate: Function that is called before every command with the previous sample (None
+                before the first command). It returns the torque, N m, that the drive adds until the
+                next command. No torque is added after the last command.
 
         Raises:
-            TripError: A sample broke a limit.
+            TripError: A sample is outside a limit.
             OperatorStopError: The stop button was pressed.
             DeviceError: A device or the bus failed.
             StorageError: The recording cannot be written.
@@ -220,14 +220,14 @@ class Cycle:
         """
         now_ns = self._clock.now_ns()
         if now_ns > self._next_ns:
-            # After a pause, which is no lateness.
+            # The time since the last cycle is a pause and no lateness.
             self._start_grid(now_ns)
-        # A recording that cannot be written is no reason to leave the drive alone while it brakes.
+        # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
             self._exchange(self._target, 0)
 
     def _checkable(self, limits: Limits) -> Limits:
-        """Return limits of which those on what the drive does not report are not checked."""
+        """Return limits without those on values that the drive does not report."""
         return dataclasses.replace(
             limits,
             reports_temperature=self._reports_temperature,
@@ -235,7 +235,7 @@ class Cycle:
         )
 
     def _start_grid(self, now_ns: int) -> None:
-        """Have the next cycle start now, by the real clock as well."""
+        """Set the start of the next cycle to the present time, by the real clock as well."""
         self._next_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
@@ -246,7 +246,9 @@ class Cycle:
             raise TripError(trip)
 
     def _exchange(self, target: float, segment: int) -> Sample:
-        """Wait for the cycle's start, send what is staged, collect and record the answer."""
+        """Wait for the start of the cycle, send the prepared commands, receive the answer and
+        record it.
+        """
         link, clock = self._link, self._clock
         self._target = target
         begin_ns = self._next_ns
@@ -299,9 +301,9 @@ class Cycle:
         return sample
 
     def _pace(self, pacer: Clock, begin_ns: int) -> int:
-        """Slow simulated time down to real time; returns how late this computer is, ns.
+        """Slow simulated time down to real time; return the lateness of this computer, ns.
 
-        The simulated bench itself is never late, so this computer's lateness is checked instead.
+        The simulated bench is never late, so that the lateness of this computer is checked instead.
         """
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)

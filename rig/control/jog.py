@@ -1,4 +1,4 @@
-"""Jogging: single moves at low limits, the drive de-energised before and after each."""
+"""Jogging: single moves of the joint under low limits, with the drive off before and after each."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from rig.wiring.drive_limits import only_here, require_within_own, require_writt
 from rig.wiring.teardown import attempt_all, give_back, make_safe, words_of
 
 SPEED_MARGIN = 2.0
-"""Ratio of the speed limit to the requested speed: a margin for breaking away."""
+"""Ratio of the speed limit to the requested speed, a margin for the breakaway."""
 TORQUE_SHARE = 0.6
-"""Share of the bench's torque and current limits that a jog uses."""
+"""Limits of torque and current in a jog, as a share of the bench's limits."""
 GREATEST_SPEED_SHARE = 0.25
-"""Highest speed that may be requested, as a share of the bench's speed limit."""
+"""Highest permitted speed of a jog, as a share of the bench's speed limit."""
 REST_S = 0.2
 """Time at rest after a move before the drive is de-energised."""
 
 
 @dataclass(frozen=True)
 class Jog:
-    """Moves to make, in order.
+    """The moves of a jog, in order.
 
     Attributes:
-        angles: Joint angles to go to, rad.
-        speed: Greatest speed on the way, rad/s.
-        limits: Limits in force during the moves.
+        angles: Joint angles at the ends of the moves, rad.
+        speed: Greatest speed of the moves, rad/s.
+        limits: Limits that apply during the moves.
     """
 
     angles: tuple[float, ...]
@@ -52,7 +52,7 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
     """Check the requested moves against the bench.
 
     Raises:
-        InputError: An angle or the speed is outside its permitted range; lists all.
+        InputError: An angle or the speed is outside its permitted range; the message lists all.
     """
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
@@ -79,7 +79,8 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
 
 
 def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
-    """Return which limits of the jog the drive neither takes nor is set to; None if there are none.
+    """Return a text on the limits of the jog that only this program checks; None if the drive has
+    all of them.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -89,10 +90,10 @@ def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
 
 
 class _Discard:
-    """A jog leaves no recording."""
+    """Discards all samples, because a jog makes no recording."""
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
-        """Keep nothing."""
+        """Discard the sample."""
 
 
 def move(
@@ -104,11 +105,12 @@ def move(
     tell: Callable[[str, bool], None],
     reset_fault: bool = False,
 ) -> Outcome:
-    """Make the moves and leave the drive de-energised, whatever happens. Never raises.
+    """Make the moves and de-energise the drive in every case; the function raises no error.
 
     The limits are written into the drive before each enabling, and its own limits are restored at
-    the end. A drive fault is cleared if ``reset_fault``. ``tell`` shows at once how the moves ended
-    and whether that is good; an unexpected exception becomes the outcome's ``error``.
+    the end. A drive fault is cleared if ``reset_fault`` is true. ``tell`` is called at the end with
+    a text on the outcome and with whether the outcome is good; an unexpected exception becomes the
+    ``error`` of the outcome.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo = devices.servo
@@ -146,9 +148,9 @@ def _moves(
     reset_fault: bool,
     own: list[ServoLimits],
 ) -> tuple[Ending, str, BaseException | None]:
-    """Make the moves; returns how they ended.
+    """Make the moves; return how they ended.
 
-    ``own`` receives the drive's own limits once they are read.
+    The drive's limits are stored in ``own`` when they have been read.
     """
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     try:
@@ -173,12 +175,12 @@ def _moves(
     except DeviceError as failure:
         return Ending.FAILED, str(failure), None
     except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the command raises it again
-        return Ending.CRASHED, f"the program broke down ({words_of(defect)})", defect
+        return Ending.CRASHED, f"the program failed ({words_of(defect)})", defect
     return Ending.DONE, f"{len(jog.angles)} moves done", None
 
 
 def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:
-    """Energise and hold; returns the joint angle held, rad."""
+    """Energise the drive and hold the present position; return the joint angle, rad."""
     devices.servo.enable()
     here = devices.servo.sample().motor_angle_rad / bench.machine.gear_ratio
     cycle.ask_reset()

@@ -1,6 +1,4 @@
-"""The operator at the bench, who hangs the weights and types their mass, and automatic
-substitutes.
-"""
+"""Prompts to the operator, who hangs the weights and types their mass, and automatic answers."""
 
 from __future__ import annotations
 
@@ -15,9 +13,10 @@ from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 
 WEIGHT_TOLERANCE = 0.005
-"""Default tolerance of the typed mass, as a share of the planned mass."""
+"""Default tolerance of the typed mass, relative to the planned mass."""
 LEAST_TOLERANCE_KG = 0.001
-"""Difference that is always allowed: the resolution of a balance; also needed for an empty lever.
+"""Difference of masses that is always allowed: the resolution of scales; for an empty lever the
+relative tolerance is zero.
 """
 _LOOK_NS = NS // 20
 _ROUNDING = 1e-9
@@ -26,7 +25,7 @@ _UNIT_KG = {"kg": 1.0, "g": 1e-3}
 
 
 class Verb(Enum):
-    """Requests the operator can make between stages, while the drive is de-energised."""
+    """Requests of the operator between stages, while the drive is de-energised."""
 
     GO_ON = "go on"
     REPEAT = "repeat"
@@ -34,17 +33,18 @@ class Verb(Enum):
 
 
 class Operator(Protocol):
-    """Whoever hangs the weights."""
+    """Interface of the person or program that hangs the weights."""
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Ask for a weight to be hung and its mass confirmed. The drive is verified off before.
+        """Ask the operator to hang a weight and to confirm its mass. The caller verifies before
+        that the drive is off.
 
         Returns:
-            The mass on the lever, kg, from which force and fit are computed, or :attr:`Verb.REPEAT`
-            to repeat the previous stage.
+            The mass on the lever, kg, which force and fit use, or :attr:`Verb.REPEAT` to repeat the
+            previous stage.
 
         Raises:
-            OperatorStopError: The operator gave up.
+            OperatorStopError: The operator stopped the run.
         """
         ...
 
@@ -61,18 +61,18 @@ class Operator(Protocol):
         ...
 
     def result(self, words: str, good: bool) -> None:
-        """Show how the run ended, the moment it is known, without blocking."""
+        """Show how the run ended as soon as this is known, without blocking."""
         ...
 
 
 class AutomaticOperator:
-    """Answers every prompt as planned (``--yes``); a second pause signal ends a pause.
+    """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause.
 
     Args:
-        hung: Stage to the mass actually hung on a simulated lever, kg, where it differs from the
-            planned mass: a simulated mistake.
+        hung: True mass on a simulated lever, kg, by stage, if it differs from the planned mass: a
+            simulated mistake.
         clock: Clock for waiting while paused.
-        screen: Where messages go.
+        screen: Terminal for the messages.
     """
 
     def __init__(
@@ -90,7 +90,7 @@ class AutomaticOperator:
         return weight_kg
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the confirmed mass, or the simulated mistaken one."""
+        """Return the confirmed mass, or the wrong mass of a simulated mistake."""
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
@@ -114,14 +114,14 @@ class AutomaticOperator:
 
 
 class ConsoleOperator(AutomaticOperator):
-    """Asks at the terminal.
+    """Asks the operator at the terminal.
 
     Args:
-        screen: Where questions and messages go.
+        screen: Terminal for questions and messages.
         asker: Asks and reads answers; by default a :class:`rig.terminal.prompt.Prompt` on the
             terminal.
-        patience_s: How long an answer is waited for; None for ever.
-        tolerance: Share of the planned mass by which the typed one may differ.
+        patience_s: Longest wait for an answer, s; None for no time-out.
+        tolerance: Greatest relative difference between typed and planned mass.
     """
 
     def __init__(
@@ -142,7 +142,8 @@ class ConsoleOperator(AutomaticOperator):
         weighed mass.
 
         Raises:
-            OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
+            OperatorStopError: The operator pressed Ctrl-C or typed ``abort``, the input ended, or
+                there was no answer in time.
         """
         action = (
             "Hang the weight that is planned for it"
@@ -181,10 +182,10 @@ class ConsoleOperator(AutomaticOperator):
                 )
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Ask how to go on.
+        """Ask the operator how to continue.
 
         Raises:
-            OperatorStopError: Nobody answered in time.
+            OperatorStopError: There was no answer in time.
         """
         self.tell(f"Paused after stage {stage}; the drive is off.")
         try:
@@ -211,10 +212,10 @@ def operator_for(
     """Return the operator object that answers the prompts of a run.
 
     Args:
-        yes: Whether they are answered as planned, without asking.
-        screen: Where questions and messages go.
-        patience_s: How long an answer is waited for; None for ever.
-        tolerance: Share of the planned mass by which the typed one may differ.
+        yes: Whether the program answers the prompts with the plan, without asking.
+        screen: Terminal for questions and messages.
+        patience_s: Longest wait for an answer, s; None for no time-out.
+        tolerance: Greatest relative difference between typed and planned mass.
     """
     if yes:
         return AutomaticOperator(screen=screen)
@@ -222,8 +223,8 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Parse a typed mass to kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None if it is no
-    mass.
+    """Return a typed mass in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None if the text is
+    not a mass.
     """
     found = _MASS.fullmatch(text.strip())
     if found is None:

@@ -1,4 +1,4 @@
-"""Handlers of the phases of a run, one per phase; each returns how its phase ended."""
+"""Carries out the phases of a run (load, prepare, enable, ...); one function for each phase."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ class Console:
     """The operator's interface: prompts, stop button and progress display.
 
     Attributes:
-        operator: Answers the prompts.
-        stop: Stop button, read every cycle.
+        operator: Object that answers the prompts.
+        stop: Stop button, which is read in every cycle.
         progress: Progress callback.
     """
 
@@ -47,12 +47,12 @@ class Console:
 
 @dataclass(frozen=True)
 class StartingPoint:
-    """Where a run begins.
+    """The point at which a run starts.
 
     Attributes:
-        stage: Index of the stage to begin with.
+        stage: Index of the first stage.
         segment: Number of the last excitation of an earlier part of the run.
-        reset_fault: Whether to clear a drive fault once the operator has answered the weight
+        reset_fault: Whether to clear a drive fault after the operator has answered the weight
             prompt.
     """
 
@@ -62,11 +62,12 @@ class StartingPoint:
 
 
 class PhaseHandlers:
-    """The handlers of a run's phases; keeps track of its current stage.
+    """The handlers of the phases of a run, with its present stage.
 
     Attributes:
-        cycle: The control cycle, with its counts.
-        own_limits: The limits that the drive held before the run; None until they are read.
+        cycle: The control cycle, with its counters.
+        own_limits: The limits that were stored in the drive before the run; None until they are
+            read.
     """
 
     def __init__(
@@ -114,14 +115,14 @@ class PhaseHandlers:
 
     @property
     def stage(self) -> PlannedStage:
-        """The current stage."""
+        """The present stage."""
         return self._stages[self._stage_index]
 
     def handle(self, phase: Phase) -> Event:
         """Execute a phase and return how it ended.
 
         Raises:
-            TripError: A limit tripped.
+            TripError: A sample is outside a limit.
             WeightError: The friction of the stage does not fit the confirmed mass.
             OperatorStopError: The operator stopped the run.
             DeviceError: A device failed.
@@ -134,8 +135,8 @@ class PhaseHandlers:
         if (error := energised(devices.servo.state())) is not None:
             raise error
         if devices.hang is None and self.own_limits is None:
-            # Checked before a person hangs a weight, so that no weight is hung for a run that is
-            # refused.
+            # This is checked before a person hangs a weight, so that no weight is hung for a run
+            # that does not start.
             require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
@@ -158,8 +159,8 @@ class PhaseHandlers:
         self._stages[self._stage_index] = stage = with_mass(
             self._plan, self._plan.stages[self._stage_index], confirmed
         )
-        # By confirming the weight, the operator requests both the enabling and the reset of the
-        # latch.
+        # With the confirmation of the weight, the operator requests the enabling and the reset of
+        # the latch.
         self.cycle.ask_reset()
         if self._reset_fault and devices.servo.state() is ServoState.FAULT:
             devices.servo.reset_fault()
@@ -225,10 +226,10 @@ class PhaseHandlers:
 
     def _weigh(self) -> Event:
         """Compare the friction measured at low amplitude with the confirmed mass, while the drive
-        holds.
+        holds the position.
 
-        This takes milliseconds, far less than the drive's heartbeat time-out. If the joint did not
-        move, nothing can be compared, and a pass at larger amplitude follows.
+        The comparison takes milliseconds, far less than the drive's heartbeat time-out. If the
+        joint did not move, no comparison is possible, and a pass with larger amplitude follows.
         """
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []

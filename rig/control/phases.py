@@ -40,10 +40,10 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
 
 
 def next_phase(phase: Phase, event: Event) -> Phase:
-    """Look up the transition table.
+    """Return the next phase by the transition table.
 
     Raises:
-        ValueError: No such transition; names phase and event.
+        ValueError: There is no such transition; the message states phase and event.
     """
     try:
         return TRANSITIONS[phase, event]

@@ -1,4 +1,4 @@
-"""Progress of a run on the status line; nothing where the output is not a terminal."""
+"""Shows the progress of a run on the status line of a terminal."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ _BAR = 12
 class RunProgress:
     """Shows elapsed and remaining run time, stage, angle error and current.
 
-    Only time in motion counts, not waiting at a prompt.
+    Only time in motion counts, not the wait at a prompt. Nothing is shown if the output is not a
+    terminal.
 
     Args:
         cycle_s: Control cycle, s.
         duration_s: Expected time in motion, s.
-        screen: Terminal to show it on.
+        screen: Terminal of the status line.
     """
 
     def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
@@ -32,7 +33,7 @@ class RunProgress:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Release the status line."""
+        """Clear the status line for other output."""
 
     def __call__(self, stage: str, cycles: int, sample: Sample) -> None:
         """Advance by this many cycles and show the latest sample."""

@@ -1,4 +1,4 @@
-"""Readings of all devices before a run, without writing to them, and whether a run could start."""
+"""Reads the values of all devices before a run, and finds values that would prevent the run."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ NOT_AVAILABLE = "not available"
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the devices, not all of the same instant. NaN where a device gives no value.
+    """Readings of the devices, which are not simultaneous. NaN if a device gives no value.
 
     Attributes:
         state: State of the drive, as text.
-        motor_encoder_at_joint_rad: Angle of the drive's encoder divided by the gear ratio.
+        motor_encoder_at_joint_rad: Angle of the drive's encoder, divided by the gear ratio.
         joint_encoder_rad: Angle measured by the joint encoder.
         speed_rad_s: Joint speed as estimated by the drive.
         current_A: Motor current.
         supply_V: Supply voltage of the drive's power stage.
         temperature_C: Temperature reported by the drive.
-        pressure_Pa: Pressure in the gas generator's chamber; None on a bench without transmitter.
+        pressure_Pa: Pressure in the gas generator's chamber; None on a bench without a pressure
+            transmitter.
     """
 
     state: str
@@ -70,7 +71,7 @@ class Readings:
 
 
 def take_readings(devices: Devices, gear_ratio: float) -> Readings:
-    """Read the values of every device. Writes nothing.
+    """Read the values of every device, without writing to a device.
 
     Args:
         devices: The devices, on an open link.
@@ -93,10 +94,10 @@ def take_readings(devices: Devices, gear_ratio: float) -> Readings:
 
 
 def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
-    """Yield the readings that would trip a run as soon as the drive is enabled.
+    """Yield the readings that would stop a run as soon as the drive is enabled.
 
-    Each is checked with :func:`rig.control.safety.check`, as in a run, with all others set inside
-    their limits. Values that are not available are not checked.
+    Each reading is checked by :func:`rig.control.safety.check`, as in a run, with all other values
+    set inside their limits. Values that are not available are not checked.
     """
     gear, angle, pressure = limits.gear_ratio, readings.joint_encoder_rad, readings.pressure_Pa
     calm = at_rest(limits)
@@ -112,7 +113,8 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]
     if pressure is not None:
-        # The gas force depends on the valve angle; an angle beyond its limit was reported above.
+        # The gas force depends on the valve angle; an angle beyond its limit has been reported
+        # already.
         at = angle if limits.angle_min <= angle <= limits.angle_max else calm.angle
         shown.append((pressure, calm._replace(pressure=pressure, angle=at, motor_angle=at * gear)))
     for value, sample in shown:
@@ -121,7 +123,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
 
 
 def at_rest(limits: Limits) -> Sample:
-    """Return a sample at rest, well inside every limit."""
+    """Return a sample at rest, far inside every limit."""
     middle = 0.5 * (limits.angle_min + limits.angle_max)
     return Sample(
         time=0.0,

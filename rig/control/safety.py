@@ -1,6 +1,7 @@
-"""Limit check of every sample before the next command, and the latch that holds a trip.
+"""Checks every sample against the limits before the next command; a latch keeps a violation.
 
-Pure functions and one latch. This is a stop function in software, not an emergency stop.
+The module has pure functions and one latch. It is a stop function in software, not an emergency
+stop.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ RUNNING = 0x27
 
 
 class Check(Enum):
-    """The quantity that tripped."""
+    """The quantity that violated its limit."""
 
     NOT_RESET = "not reset"
     SAMPLE_AGE = "sample age"
@@ -56,15 +57,15 @@ _REMEDY = {
     Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
     "burn out",
     Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
-    Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
+    Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
 AGAIN = ", then run again"
-"""Ending of a remedy after which the same run can be repeated."""
+"""End of a remedy after which the same run can be repeated."""
 
 
 def remedy(check: Check) -> str:
-    """Return what the operator must do about a trip before the next motion."""
+    """Return the remedy of a trip, which the operator must apply before the next motion."""
     return _REMEDY[check].removesuffix(AGAIN)
 
 
@@ -75,7 +76,7 @@ class Trip:
     Attributes:
         check: The check that failed.
         value: Measured value.
-        limit: The bound that was crossed.
+        limit: The limit that was exceeded.
         unit: Unit of both values.
         time: Time of the sample since the start of the run, s.
     """
@@ -101,7 +102,7 @@ class Trip:
         if self.check is Check.DRIVE_STATE:
             return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
         if self.check is Check.NOT_RESET:
-            return "the safety latch is open: nobody has asked for its reset"
+            return "the safety latch is open: its reset was not requested"
         return (
             f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit "
             f"{_show(self.limit, self.unit)}"
@@ -111,16 +112,16 @@ class Trip:
 def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
     """Compare one sample with the limits.
 
-    Conditions are written as "inside the limit", so that NaN trips.
+    Each condition is written as "inside the limit", so that NaN counts as outside.
 
     Args:
-        sample: The sample just received.
-        age: Time since the last fresh sample, s.
-        late: How late the cycle started, s.
+        sample: The new sample.
+        age: Time since the last complete sample, s.
+        late: Delay of the start of the cycle, s.
         limits: The limits of this run.
 
     Returns:
-        The first limit broken, or None.
+        The first violated limit, or None.
     """
     time = sample.time
     if not late <= limits.lateness:
@@ -169,17 +170,17 @@ def _check_gas(sample: Sample, limits: GasLimits) -> Trip | None:
 
 
 def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
-    """Compare the time a stage has been under power with its limit, both in s."""
+    """Compare the time with power on in a stage with its limit, both in s."""
     if not elapsed <= limit:
         return Trip(Check.STAGE_TIME, elapsed, limit, "s", time)
     return None
 
 
 class Latch:
-    """Remembers the first trip. Starts tripped.
+    """Keeps the first trip. At the start the latch is open (tripped).
 
-    Closing it takes a request of the operator (:meth:`ask`) and a sample inside every limit
-    (:meth:`reset`). A request is valid for one reset. Neither causes motion.
+    To close the latch, a request of the operator (:meth:`ask`) and a sample inside every limit
+    (:meth:`reset`) are necessary. A request is valid for one reset. Neither causes motion.
     """
 
     def __init__(self) -> None:
@@ -188,23 +189,24 @@ class Latch:
 
     @property
     def trip(self) -> Trip | None:
-        """The trip that holds the latch open, or None when it is closed."""
+        """The trip that keeps the latch open; None if the latch is closed."""
         return self._trip
 
     def open(self) -> None:
-        """Open the latch at an orderly end and withdraw any reset request."""
+        """Open the latch at the regular end of a run, and cancel a reset request."""
         self._trip = _NOT_RESET
         self._asked = False
 
     def ask(self) -> None:
-        """Note the operator's request for the next reset."""
+        """Store the operator's request for the next reset."""
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if requested and the sample is inside every limit; else keep the reason.
+        """Close the latch if this was requested and the sample is inside every limit; else keep the
+        reason.
 
         Returns:
-            None when the latch is now closed.
+            None if the latch is now closed, else the trip.
         """
         if self._asked:
             self._trip = check(sample, age, late, limits)
@@ -214,7 +216,7 @@ class Latch:
         return self._trip
 
     def judge(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Check a sample. Once open, the latch stays open whatever later samples are."""
+        """Check a sample. An open latch stays open for all later samples."""
         if self._trip is None:
             self._trip = check(sample, age, late, limits)
         return self._trip
@@ -224,7 +226,7 @@ _NOT_RESET = Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
 
 
 def _show(value: float, unit: str) -> str:
-    """Show angles in degrees as well, since the bench file states them so."""
+    """Return a value as text, angles in degrees as well, because the bench file states degrees."""
     if unit in ("rad", "rad/s"):
         degrees = unit.replace("rad", "deg")
         return f"{value:.4g} {unit} ({math.degrees(value):.4g} {degrees})"

@@ -1,4 +1,4 @@
-"""Runs a plan on a bench, phase by phase from a transition table, with a teardown in every case."""
+"""Runs a plan on a bench, phase by phase, and switches the drive off at the end in every case."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, wo
 class Outcome:
     """Outcome of a run: ending, reason, remedy and final state of the drive.
 
-    ``error`` is an unexpected exception, a defect of this program; it is raised once everything is
-    recorded.
+    ``error`` is an unexpected exception, which is a defect of this program; it is raised after all
+    data are recorded.
     """
 
     ending: Ending
@@ -38,7 +38,7 @@ class Outcome:
 
 
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
-"""Trips caused by a failed device, bus or computer, not by the bench exceeding a physical limit."""
+"""Trips that a failed device, bus or computer causes, and not a physical limit of the bench."""
 
 
 class Sequencer:
@@ -48,10 +48,10 @@ class Sequencer:
         plan: The plan to run.
         devices: The devices, on an open link.
         console: Operator, stop button and progress display.
-        recorder: Open recording.
-        journal: Writes the state of the run to disk.
-        scale: Checks the weights.
-        start: Where the run begins.
+        recorder: The open recording.
+        journal: Object that writes the state of the run to disk.
+        scale: Object that checks the weights.
+        start: The point at which the run starts.
     """
 
     def __init__(
@@ -76,14 +76,14 @@ class Sequencer:
 
     @property
     def cycle(self) -> Cycle:
-        """The control cycle, with its counts."""
+        """The control cycle, with its counters."""
         return self._cycle
 
     def run(self) -> Outcome:
-        """Run until the end or the first stop, and make the drive safe.
+        """Run the plan until its end or the first stop, and bring the drive into a safe state.
 
-        The final state of the drive is shown and recorded as soon as it is known. Never raises; an
-        unexpected exception becomes the outcome's ``error``.
+        The final state of the drive is shown and recorded as soon as it is known. The method raises
+        no error; an unexpected exception becomes the ``error`` of the outcome.
         """
         ending, message, trip, error = self._attempt()
         presses = self._stop.presses
@@ -109,13 +109,12 @@ class Sequencer:
         return outcome
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
-        """Run the phases; returns how they ended, as text, with the trip or defect that ended
-        them.
-        """
+        """Run the phases; return how they ended, as text, with the trip or defect, if any."""
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
-                # Record the frames outside the control cycle before anything else can go wrong.
+                # Record the frames outside the control cycle first, before a further failure is
+                # possible.
                 self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
                     self._devices.observer(self._handlers.stage.name, self.phase)
@@ -137,13 +136,13 @@ class Sequencer:
         except StorageError as failure:
             return Ending.FAILED, self._where(str(failure)), None, None
         except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the session raises it again
-            words = f"the program broke down ({words_of(defect)})"
+            words = f"the program failed ({words_of(defect)})"
             return Ending.CRASHED, self._where(words), None, defect
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
 
     def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
-        """Show and record the final state of the drive at once, before later failures can hide
-        it.
+        """Show and record the final state of the drive at once, before a further failure is
+        possible.
         """
         ending = outcome.ending
         return attempt_all(

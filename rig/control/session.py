@@ -1,6 +1,4 @@
-"""One run from open bus to finished folder: starts the recording, runs the plan, stores the
-outcome.
-"""
+"""One complete run: starts the recording, runs the plan, stores the outcome in the run folder."""
 
 from __future__ import annotations
 
@@ -49,7 +47,7 @@ from rig.wiring.drive_limits import only_here
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
 DEVICES = ("servo", "encoder", "pressure")
-"""Device roles; a bench need not have all."""
+"""Roles of devices; a bench need not have all of them."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +55,11 @@ class Inputs:
     """The inputs of a run.
 
     Attributes:
-        bench: The bench file, validated.
-        sequence: The sequence file, validated.
+        bench: The validated bench file.
+        sequence: The validated sequence file.
         seed: Seed of a simulated bench's noise.
         realtime: Whether a simulated bench runs in real time.
-        operator: Name of the person who runs it, as given.
+        operator: Name of the person who runs the bench, as stated by the user.
         reference: Accepted identification of the bench, for the weight check.
         reset_fault: Whether a drive fault may be cleared.
         feedforward: Model of the feed-forward torque that the drive adds; None for none.
@@ -80,7 +78,7 @@ class Inputs:
     resumed: RunRecord | None = None
 
     def files(self) -> dict[str, bytes]:
-        """Return the content of both files under the names of their attachments."""
+        """Return the content of both files by the names of their attachments."""
         return {
             BENCH_ATTACHMENT: self.bench.path.read_bytes(),
             SEQUENCE_ATTACHMENT: self.sequence.path.read_bytes(),
@@ -134,20 +132,20 @@ def execute(
 ) -> tuple[RunFolder, Outcome]:
     """Run a plan into an empty folder, or continue a stopped run.
 
-    The link is open on entry and left open.
+    The link is open at the call and stays open.
 
     Args:
         inputs: The inputs of the run.
         plan: The plan computed from the inputs.
         devices: The devices to command.
         path: The run folder.
-        operator: Who hangs the weights.
-        stop: Stop button, read every cycle.
+        operator: The person or program that hangs the weights.
+        stop: Stop button, which is read in every cycle.
         progress: Progress callback.
-        start_recording: Creates the recording.
+        start_recording: Function that creates the recording.
 
     Raises:
-        DeviceError: A device cannot even be identified; nothing was energised.
+        DeviceError: A device cannot be identified; nothing was energised.
         StorageError: The recording cannot be started; nothing was energised.
     """
     wall = RealClock()
@@ -184,7 +182,8 @@ def execute(
 
 
 def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
-    """Say before the first prompt what this program alone watches, and note it in the record once.
+    """Show before the first prompt the limits that only this program checks, and store them in the
+    record once.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -201,7 +200,9 @@ def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -
 
 
 def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
-    """Return where a run begins: at its first unfinished stage, after the excitations it has."""
+    """Return the starting point of a run: its first unfinished stage, and the number of its
+    finished excitations.
+    """
     return StartingPoint(
         stage=first_unfinished(record) or 0,
         segment=max((segment.index for segment in record.segments), default=0),
@@ -215,10 +216,11 @@ def _start_recording(
     identities: dict[str, Any],
     start: Callable[[Path], Recorder],
 ) -> Recorder:
-    """Create the recording with its head.
+    """Create the recording with the data at its start.
 
     Raises:
-        StorageError: It cannot be written; nothing was energised, and ``run.json`` says so.
+        StorageError: The recording cannot be written; nothing was energised, which ``run.json``
+            states.
     """
     recorder = None
     try:
@@ -260,7 +262,7 @@ def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
 
 
 def describe_devices(devices: Devices) -> dict[str, Any]:
-    """Read identities and the limits that the drive holds.
+    """Read identities and the limits that are stored in the drive.
 
     Raises:
         DeviceError: A device does not answer.
@@ -276,8 +278,8 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 
 def held_limits(devices: Devices) -> dict[str, float | None]:
-    """Read the limits that the drive holds; None for those that it has no object for, and for a
-    following error window that is off.
+    """Read the limits that are stored in the drive; None for limits without an object in the drive,
+    and for a following error window that is off.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -294,7 +296,9 @@ def held_limits(devices: Devices) -> dict[str, float | None]:
 def _head(
     recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]
 ) -> None:
-    """Write everything that explains the samples at the start, where a truncated file keeps it."""
+    """Write all data that explain the samples at the start of the recording, so that a truncated
+    file contains them.
+    """
     part = record.parts[-1]
     run = {
         "name": record.name,
@@ -332,7 +336,7 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
-    """Save ``run.json``; on a full disk the previous version remains, and the outcome says so."""
+    """Save ``run.json``; on a full disk the old version remains, which the outcome states."""
     try:
         folder.save()
     except StorageError as error:
@@ -349,10 +353,10 @@ def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
 
 
 def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> None:
-    """Write the ending into the record; without an outcome the program itself broke down."""
+    """Write the ending into the record; if there is no outcome, the program failed."""
     record.seconds += part.seconds
     if outcome is None:
-        record.state, record.message = Ending.CRASHED.value, "the program broke down"
+        record.state, record.message = Ending.CRASHED.value, "the program failed"
         part.state = record.state
         record.stage_ended(record.state)
         return

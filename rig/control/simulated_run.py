@@ -1,4 +1,4 @@
-"""Runs a sequence on a simulated bench in one call, for studies and figures: bus to recording."""
+"""Runs a sequence on a simulated bench without an operator and returns its recordings."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from rig.wiring.connect import connect
 
 
 class _Unattended(AutomaticOperator):
-    """Operator of a simulated run: answers every prompt as planned and shows no messages."""
+    """Operator of a simulated run, who answers every prompt with the plan and shows no messages."""
 
     def tell(self, words: str) -> None:
-        """Say nothing."""
+        """Show nothing."""
 
     def result(self, words: str, good: bool) -> None:
-        """Say nothing."""
+        """Show nothing."""
 
 
 def run_simulated(
@@ -37,8 +37,7 @@ def run_simulated(
     folder: Path,
     feedforward: Feedforward | None = None,
 ) -> Dataset:
-    """Run a sequence on a simulated bench, every weight hung as planned, and read its recordings
-    back.
+    """Run a sequence on a simulated bench with the planned weights, and return its recordings.
 
     Args:
         bench: A simulated bench.
@@ -48,12 +47,15 @@ def run_simulated(
         feedforward: Model of the feed-forward torque that the drive adds; None for none.
 
     Raises:
-        InputError: The bench is a real one, or the run did not end in order.
+        InputError: The bench is a real bench, or the run did not end regularly.
         KeyboardInterrupt: The run was stopped.
     """
     if not bench.value.simulated:
         raise InputError(
-            bench.problem(("bus",), "this runs unattended, so the bench must be simulated")
+            bench.problem(
+                ("bus",),
+                "this command runs without an operator, so that the bench must be simulated",
+            )
         )
     plan = make_plan(sequence, bench, feedforward=feedforward)
     inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)

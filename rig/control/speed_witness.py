@@ -1,7 +1,7 @@
-"""Holds the speed that a drive reports against the change of the position that it reports.
+"""Compares the speed that a drive reports with the change of its position: finds wrong units.
 
-Units of speed differ between drives (counts per second, rpm), and a limit on a speed in a wrong
-unit limits nothing.
+Units of speed differ between drives (counts per second, rpm). With a wrong unit, the limit on the
+speed has no effect.
 """
 
 from __future__ import annotations
@@ -14,22 +14,24 @@ from drivers.interfaces import Servo
 from rig.common.sample import Sample
 
 STEP_RAD: Final = 0.01
-"""Joint travel of one comparison, rad; several counts of any motor encoder behind a gear."""
+"""Joint travel of one comparison, rad; several counts of any motor encoder before a gear."""
 STEPS: Final = 3
-"""Comparisons after which it is decided."""
+"""Number of comparisons for a decision."""
 LONGEST_S: Final = 1.0
-"""A travel that takes longer is not compared, as an offset of the speed would be added up."""
+"""Longest time of a travel, s; a longer travel is not compared, because its sum would contain an
+offset of the speed many times.
+"""
 BAND: Final = (0.25, 4.0)
-"""Ratio of reported to true speed that is taken for the same unit. Filters, and samples that miss
-the short peaks of stick and slip, change it by less (0.7 in the slow ramp), units by more: rpm and
-degrees per second differ by 6.
+"""Range of the ratio of reported to true speed that counts as the same unit. Filters, and samples
+that miss the short peaks of stick-slip, change the ratio less (0.7 in the slow ramp); wrong units
+change the ratio more, for example rpm and degrees per second by a factor of 6.
 """
 
 
 @dataclass
 class _Travel:
-    """A travel that is compared: since when, s, from which angle, rad, to which time, and the
-    travel that the reported speed adds up to, rad.
+    """A travel for one comparison: start time, s; start angle, rad; time of the last sample, s; and
+    the integral of the reported speed, rad.
     """
 
     begun_s: float
@@ -39,10 +41,10 @@ class _Travel:
 
 
 class SpeedWitness:
-    """Compares until it is decided.
+    """Compares speed and position until a decision.
 
     Args:
-        servo: The drive, which names the remedy.
+        servo: The drive, whose method returns the remedy.
         gear_ratio: Motor turns per joint turn.
     """
 
@@ -54,10 +56,10 @@ class SpeedWitness:
         self._left = STEPS
 
     def decided(self, sample: Sample) -> bool:
-        """Take a sample; returns True once the speed is known to be in the unit of the bench file.
+        """Process a sample; return True if the speed is known to have the unit of the bench file.
 
         Raises:
-            ConfigurationError: It is not.
+            ConfigurationError: The speed has another unit.
         """
         angle = sample.motor_angle / self._gear_ratio
         travel = self._travel
@@ -79,7 +81,7 @@ class SpeedWitness:
         if not BAND[0] <= factor <= BAND[1]:
             raise ConfigurationError(
                 f"the speed that the drive reports is {factor:.4g} times the change of its "
-                f"position, must be {BAND[0]:g} to {BAND[1]:g} times: "
+                f"position; it must be {BAND[0]:g} to {BAND[1]:g} times: "
                 f"{self._servo.speed_remedy(factor)}"
             )
         return True

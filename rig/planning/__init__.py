@@ -1,1 +1,1 @@
-"""From a sequence and a bench to a plan: targets, limits, first pass, feed-forward, gas flow."""
+"""Computes the plan of a run from sequence and bench: targets, limits, first passes."""

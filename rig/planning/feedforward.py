@@ -1,6 +1,4 @@
-"""Friction feed-forward: an identification of the bench turned into torque that its drive adds
-(60B2h).
-"""
+"""Friction feed-forward: computes torque offsets for the drive (60B2h) from identified friction."""
 
 from __future__ import annotations
 
@@ -28,9 +26,9 @@ from rig.planning.reference import moment_per_kg, read_identification
 UNLOADED = ("Mc", "sigma_2", "J")
 LOADED = ("mu_c", "mu_2")
 RISES = STRIBECK_TERMS[:2]
-"""Kinetic level, static level and Stribeck speed of eq. 9 and 12."""
+"""Names of sliding level, static level and Stribeck speed of eq. 9 and 12."""
 CATCH_UP_SHARE = 0.1
-"""Share of the speed limit at which damping balances the greatest stiffness torque."""
+"""Speed, as a share of the speed limit, at which damping balances the greatest stiffness torque."""
 
 
 @dataclass(frozen=True)
@@ -38,13 +36,13 @@ class Feedforward:
     """Identified parameters of a bench for the feed-forward torque.
 
     Attributes:
-        values: Parameter name to value, SI; those of the load may be missing. A rise of friction
-            toward rest that the identification did not determine is zero.
+        values: Values of the parameters by name, SI; the load parameters may be missing. A rise of
+            friction toward rest that the identification did not determine is zero.
         alpha: Stribeck exponent.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: The result file.
         sha256: SHA-256 of that file.
-        left_open: Parameters of friction's rise toward rest that the identification did not
+        left_open: Parameters of the rise of friction toward rest that the identification did not
             determine.
     """
 
@@ -61,11 +59,10 @@ class Feedforward:
         if not self.left_open:
             return None
         return (
-            f"feed-forward: {self.source} leaves {', '.join(self.left_open)} open: no rise of "
-            f"friction toward rest is "
-            "fed forward there, and stiffness takes its place; a run without feed-forward, in "
-            "which the joint comes to "
-            "rest and breaks away again, shows it"
+            f"feed-forward: {self.source} leaves {', '.join(self.left_open)} undetermined: the "
+            "feed-forward torque contains no rise of friction toward rest, and stiffness replaces "
+            "it; a run without feed-forward, in which the joint comes to rest and breaks away "
+            "again, determines the rise"
         )
 
     def missing(self, loaded: bool) -> tuple[str, ...]:
@@ -77,15 +74,15 @@ class Feedforward:
 
 @dataclass(frozen=True)
 class Offsets:
-    """Torque offsets of one stage, one a cycle, shape (n,) each.
+    """Torque offsets of one stage, one per cycle, shape (n,) each.
 
     Attributes:
         torque: Torque of the commanded motion, N m.
         stiffness: Torque per angle error, N m/rad; fades out while the command rests.
         damping: Torque per speed error, N m s/rad; fades out while the command rests.
         angle: Commanded joint angle that belongs to the sample before the cycle, rad.
-        speed: Commanded joint speed that belongs to the speed measured last before the cycle,
-        rad/s.
+        speed: Commanded joint speed that belongs to the last measured speed before the cycle,
+            rad/s.
         reach: Greatest stiffness torque, N m.
         limit: Limit on the magnitude of the sent torque, N m.
     """
@@ -100,7 +97,7 @@ class Offsets:
 
 
 class Compensator:
-    """Gives the torque offset of each cycle of one excitation, in order.
+    """Returns the torque offset of each cycle of one excitation, in order.
 
     Args:
         offsets: Torque offsets of the stage.
@@ -116,11 +113,11 @@ class Compensator:
         self._before: float | None = None
 
     def __call__(self, sample: Sample | None) -> float:
-        """Return the torque offset to send next, N m, within its limit.
+        """Return the next torque offset, N m, within its limit.
 
         Args:
-            sample: Sample of the previous cycle; None in the first. A sample that is not fresh
-                gives no feedback; damping needs two fresh samples in succession.
+            sample: Sample of the previous cycle; None in the first. An incomplete sample gives no
+                feedback; damping needs two successive complete samples.
         """
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
@@ -139,8 +136,8 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or does not determine the unloaded joint,
-            apart from friction's rise toward rest.
+        InputError: The file cannot be read, is not such a result, or does not determine the
+            unloaded joint, except the rise of friction toward rest.
     """
     raw = read_identification(path)
     try:
@@ -168,27 +165,30 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
 
 
 def require_torque_offset(bench: Document[Bench]) -> None:
-    """Refuse a bench whose drive cannot add a torque sent in every cycle.
+    """Reject a bench whose drive cannot add a torque that is sent in every cycle.
 
     Raises:
-        InputError: With the reason and the place in the bench file.
+        InputError: The drive cannot add a torque; the message states the reason and the place in
+            the bench file.
     """
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
         if value.servo.torque_offset is not None:
             return
         text = (
-            "missing; feed-forward needs the signal of a torque that the drive adds to its own; "
-            "name it, or run without feed-forward"
+            "missing; feed-forward needs the signal of a torque that the drive adds to the torque "
+            "of its controller; state the signal, or run without feed-forward"
         )
         raise InputError(bench.problem(("servo", "torque_offset"), text))
     if not isinstance(value.bus, Bus):
         text = (
-            "feed-forward needs the torque offset in the instant of the target; a serial line "
-            "brings it later"
+            "feed-forward needs the torque offset at the time of the target, but a serial line "
+            "transmits it later"
         )
         raise InputError(
-            bench.problem(("bus", "interface"), f"{text}: use a CANopen drive, or run without it")
+            bench.problem(
+                ("bus", "interface"), f"{text}: use a CANopen drive, or run without feed-forward"
+            )
         )
     bench.require(
         (("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value)
@@ -203,20 +203,19 @@ def stage_offsets(
     torque_limit: float,
     speed_limit: float,
 ) -> Offsets:
-    """Compute the torque offsets of a stage from its commands, shape (n,).
+    """Return the torque offsets of a stage, computed from its commands, shape (n,).
 
     Args:
         model: Identified parameters of the bench.
-        targets: Joint angles, rad, one a cycle; each is reached one cycle after it is sent.
+        targets: Joint angles, rad, one per cycle; each is reached one cycle after it is sent.
         weight_kg: Mass on the lever.
         cycle_s: Control cycle, s.
         torque_limit: Torque limit of the run, N m.
         speed_limit: Speed limit of the run, rad/s. A joint far from its command, as with soft
-            gains, returns at no more than :data:`CATCH_UP_SHARE` of it.
+            gains, returns with at most :data:`CATCH_UP_SHARE` of this speed.
 
     Raises:
-        InputError: The stage is loaded, and the identification did not determine a parameter of the
-            load.
+        InputError: The stage is loaded, and the identification did not determine a load parameter.
     """
     moment = model.moment_per_kg * weight_kg
     if missing := model.missing(loaded=moment > 0.0):
@@ -225,7 +224,7 @@ def stage_offsets(
     speed = friction_feedforward.commanded_speed(targets, cycle_s)
     gains = feedback.gains(model.values["J"], cycle_s)
     share = np.abs(friction_feedforward.motion(targets, cycle_s))
-    # When cycle k is sent, the last sample is of cycle k - 1, in which the joint should reach
+    # When cycle k is sent, the last sample belongs to cycle k - 1, in which the joint should reach
     # target k - 2.
     return Offsets(
         torque,
@@ -240,6 +239,6 @@ def stage_offsets(
 
 def _open(path: Path, name: str) -> str:
     return (
-        f"{path}: parameters.{name}: not identified; feed-forward needs it: identify a run in "
-        f"which this can be seen"
+        f"{path}: parameters.{name}: not identified, but feed-forward needs it: identify a run "
+        "that determines this parameter"
     )

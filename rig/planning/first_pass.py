@@ -1,5 +1,6 @@
-"""Plans the trial pass at low amplitude before a stage, and the larger ones if the joint does
-not move, with tighter limits.
+"""Plans the first passes before a stage: the same motion at low amplitude under tighter limits.
+
+If the joint does not move, passes with larger amplitude follow.
 """
 
 from __future__ import annotations
@@ -13,10 +14,10 @@ from rig.config.sequence import Array, FirstPass, StageSection, excitation
 from rig.planning.limits import Limits
 
 LONGEST_RAMP_SHARE = 0.25
-"""Longest fade-in or fade-out, as a share of the pass."""
+"""Longest fade-in or fade-out, as a share of the duration of the pass."""
 GROWTH = 2.0
-"""Factor on the amplitude from one pass to the next while the joint does not move: a soft drive
-deflects by degrees before breaking away.
+"""Factor on the amplitude from one pass to the next while the joint does not move; with soft gains
+the command must lead by degrees before the joint breaks away.
 """
 
 
@@ -25,10 +26,10 @@ class PlannedPass:
     """A first pass, ready to run.
 
     Attributes:
-        targets: Joint angles in rad, one a cycle, shape (n,).
-        amplitude: Share of the stage's own amplitude.
+        targets: Joint angles in rad, one per cycle, shape (n,).
+        amplitude: Amplitude as a share of the stage's amplitude.
         duration_s: Duration, s.
-        move_limits: Limits during the move to its start.
+        move_limits: Limits during the move to the start of the pass.
         limits: Limits during the pass.
     """
 
@@ -42,7 +43,7 @@ class PlannedPass:
 def plan_passes(
     section: StageSection, low: FirstPass, limits: Limits, cycle_s: float
 ) -> tuple[PlannedPass, ...]:
-    """Compute the first pass of a stage, and the larger ones that follow while the joint does not
+    """Return the first pass of a stage, and the larger passes that follow while the joint does not
     move.
     """
     passes: list[PlannedPass] = []
@@ -59,8 +60,8 @@ def plan_passes(
 def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Compute one pass: tones about the same centre with less amplitude and duration, or a ramp
-    at the same speed with less travel.
+    """Return one pass: tones about the same centre with less amplitude and duration, or a ramp at
+    the same speed with less travel.
     """
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
@@ -89,7 +90,7 @@ def _plan_pass(
 def _judged(
     targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
-    """Set the limits of a first pass from its targets."""
+    """Return a first pass with the limits that follow from its targets."""
     moving = _tighter(limits, low.limit_share)
     return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
 
@@ -99,10 +100,11 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
-    """Reduce the limits.
+    """Return reduced limits.
 
-    Static friction does not decrease with the amplitude, so torque limits are reduced half as much,
-    and so is the following error limit, since a soft drive's error is proportional to torque.
+    Static friction does not decrease with the amplitude, so that torque limits are reduced half as
+    much. So is the limit of the following error, because the error of a drive with soft gains is
+    proportional to torque.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(
@@ -115,7 +117,7 @@ def _tighter(limits: Limits, share: float) -> Limits:
 
 
 def _around(targets: Array, limits: Limits) -> Limits:
-    """Limit the joint to the range of the pass, widened by the allowed following error."""
+    """Return limits with the angle range of the pass, widened by the allowed following error."""
     slack = limits.following_error
     return dataclasses.replace(
         limits,

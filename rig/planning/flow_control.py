@@ -1,8 +1,8 @@
-"""Flow control by the valve angle: the closed loop of Fig. 5 and 11 around the position servo.
+"""Controls the gas flow by the valve angle: PI controller of the chamber pressure (Fig. 5, 11).
 
-A flow corresponds to a chamber pressure (eq. 2); a PI controller turns the valve until the chamber
-has that pressure. Valve and gas generator are coupled: pressure and area load the valve (eq. 10),
-and friction under that load delays the valve.
+A flow corresponds to a chamber pressure (eq. 2). The PI controller turns the valve, by the position
+servo, until the chamber has this pressure. Valve and gas generator are coupled: pressure and area
+load the valve (eq. 10), and friction under this load delays the valve.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from rig.common.sample import Sample
 from rig.config.flow import Array, FlowController
 
 _LEAST_PRESSURE_PA = 1e3
-"""Lower bound of the pressure in the control law, Pa, to avoid the logarithm of zero."""
+"""Lower bound of the pressure in the control law, Pa, which avoids the logarithm of zero."""
 _ANGLES = 20001
 
 
@@ -33,7 +33,7 @@ class FlowLaw:
         share: Weight of a new reading in the low-pass filter.
         least: Least angle, rad.
         most: Greatest angle, rad.
-        step: Greatest change in a cycle, rad.
+        step: Greatest change in one cycle, rad.
     """
 
     gain: float
@@ -69,7 +69,7 @@ def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> 
 
 
 def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> LawState:
-    """Run the controller once.
+    """Return the state of the controller after one cycle.
 
     Args:
         law: The controller.
@@ -82,15 +82,15 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
     integral = state.integral + law.integral * error
     asked = law.gain * error + integral
     angle = min(max(asked, law.least, state.angle - law.step), law.most, state.angle + law.step)
-    # Anti-windup: at a bound the integral only moves away from it.
+    # Anti-windup: at a bound the integral changes only away from the bound.
     if (asked - angle) * error > 0.0:
         integral = state.integral
     return LawState(pressure, integral, angle)
 
 
 class Regulator:
-    """The controller in the control cycle: yields a target, receives the resulting sample, yields
-    the next.
+    """The controller in the control cycle: it yields a target, receives the resulting sample, and
+    yields the next target.
 
     Args:
         law: The controller.
@@ -124,8 +124,8 @@ def pressure_for(flow: Array, g: GasGenerator) -> Array:
 
 
 def angle_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the steady valve angle for a flow (kg/s), eq. 3, rad; outside the valve's range,
-    the angle with the nearest throat area.
+    """Return the steady valve angle for a flow (kg/s), eq. 3, rad; for a flow outside the valve's
+    range, the angle with the nearest throat area.
     """
     angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
     areas = throat_area(angles, g.valve)

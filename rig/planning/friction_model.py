@@ -1,4 +1,4 @@
-"""Friction and inertia for the prediction of a run: identified on the bench, or from the paper."""
+"""Finds friction and inertia for predictions: from an identification of the bench, or the paper."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LOAD_FRICTION = ("mu_c", "mu_s")
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """Known friction and inertia of a bench.
+    """Friction and inertia of a bench for predictions.
 
     Attributes:
         values: The nine parameters, SI, at the joint.
@@ -34,8 +34,8 @@ class FrictionModel:
         moment_arm_m: Moment arm L1, m.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: Origin of the values, as text.
-        measured: Whether they come from an identification.
-        from_paper: Names of the parameters whose values are the paper's.
+        measured: Whether the values come from an identification.
+        from_paper: Names of the parameters with values of the paper.
     """
 
     values: Mapping[str, float]
@@ -62,12 +62,13 @@ def friction_model(
     """Return the best known friction of a bench.
 
     Args:
-        bench: Its constants.
+        bench: Constants of the bench.
         named: Result of ``rig identify --json`` to use.
-        runs: Folder searched otherwise for the newest result of a bench with the same constants.
+        runs: Folder in which the newest result of a bench with the same constants is searched if
+            ``named`` is None.
 
     Raises:
-        InputError: ``named`` cannot be read, or is no such result.
+        InputError: ``named`` cannot be read, or is not such a result.
     """
     if named is not None:
         return _identified(named, bench)
@@ -76,11 +77,10 @@ def friction_model(
             if recorded_bench(read_record(path.parent)) == bench:
                 return _identified(path, bench)
         except InputError:
-            continue  # an incomplete run does not describe this bench
+            continue  # an incomplete run folder does not state its bench
     words = (
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
-        f"as nothing was "
-        "identified on this bench; give --identification"
+        f"because there is no identification of this bench; give one with --identification"
     )
     arm = bench.moment_arm or 0.0
     per_kg = moment_per_kg(bench)
@@ -94,12 +94,12 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
 
     Args:
         path: Result of ``rig identify --json``.
-        bench: Constants of the bench that it is to be used on.
+        bench: Constants of the bench for which the result is used.
     """
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:
-        return None  # not in a run folder: its bench is unknown
+        return None  # outside a run folder the bench is unknown
     if recorded == bench:
         return None
     differing = [
@@ -143,7 +143,7 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     missing = [name for name in NOMINAL if name not in known]
     words = f"the identification {path}"
     if missing:
-        words += f"; {', '.join(missing)}, which it leaves open, from the paper"
+        words += f"; {', '.join(missing)}, which it does not determine, from the paper"
     arm = bench.moment_arm or 0.0
     per_kg = moment_per_kg(bench)
     return FrictionModel(

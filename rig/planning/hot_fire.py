@@ -1,4 +1,4 @@
-"""Plans hot firings: flow command, expected state of the gas generator, and its limits."""
+"""Plans hot firings: flow command, expected pressure and contact force, limits of the gas."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.planning.flow_control import FlowLaw, angle_for, make_law, pressure_for
 from rig.planning.limits import GasLimits
 
 NEEDS_PRESSURE = (
-    "a hot firing is loaded by its chamber pressure, and this bench has no transmitter for it; "
+    "a hot firing is loaded by its chamber pressure, and this bench has no pressure transmitter; "
     "add the sections "
     "`pressure` and `gas_generator` to the bench file, or use practical_hot"
 )
@@ -43,8 +43,8 @@ def nominal_generator(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Compute the closed-loop excitation of a stage; None if the stage has none or the bench no
-    gas generator.
+    """Return the closed-loop excitation of a stage; None if the stage has no flow command or the
+    bench no gas generator.
     """
     generator = nominal_generator(bench)
     if section.flow is None:
@@ -64,7 +64,7 @@ def expected_force(targets: Array, bench: Bench) -> float:
 def steady_force(targets: Array, bench: Bench) -> Array:
     """Return the contact force at these joint angles at steady pressure, N, shape (n,).
 
-    Zero on a bench without gas generator.
+    The force is zero on a bench without a gas generator.
     """
     generator = nominal_generator(bench)
     if generator is None or not len(targets):
@@ -81,7 +81,7 @@ def _steady(targets: Array, generator: GasGenerator) -> Array:
 def hot_objections(
     section: StageSection, targets: Array, bench: Bench
 ) -> Iterator[tuple[tuple[str | int, ...], str, object]]:
-    """Yield key, message and value of everything that a hot firing requests beyond the limits."""
+    """Yield key, message and value of each request of a hot firing that exceeds a limit."""
     if section.stage != "hot_fire":
         return
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
@@ -109,8 +109,8 @@ def hot_objections(
         for index, step in enumerate(section.flow.steps):
             if not least <= step.flow_kg_s <= most:
                 text = (
-                    f"outside {least:.4g} to {most:.4g} kg/s, which the valve gives within the "
-                    f"controller's angles"
+                    f"outside {least:.4g} to {most:.4g} kg/s, the range of the valve within the "
+                    "angles of the controller"
                 )
                 yield ("flow", "steps", index, "flow_kg_s"), text, step.flow_kg_s
 

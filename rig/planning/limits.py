@@ -1,4 +1,4 @@
-"""The limits of a run, in SI units at the joint."""
+"""Records of the limits of a run, in SI units at the joint."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ class GasLimits:
 class Limits:
     """Limits in SI units at the joint, with the two constants that the checks need.
 
-    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without
+    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without a
     pressure transmitter. ``reports_temperature`` and ``reports_supply`` are False for a drive that
-    has no object for them; these limits, and infinite ones, are not checked.
+    has no object for them; these limits, and infinite limits, are not checked.
     """
 
     angle_min: float

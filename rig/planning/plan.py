@@ -1,6 +1,4 @@
-"""Plans a run from bench and sequence: computes all targets and checks all limits before any
-motion.
-"""
+"""Plans a run from bench and sequence: computes all targets and checks all limits in advance."""
 
 from __future__ import annotations
 
@@ -23,9 +21,9 @@ from rig.planning.limits import Limits
 from rig.runs.run_record import Load, Role, StageRecord
 
 SAMPLES_PER_PERIOD = 20
-"""Fewest control cycles per period of a tone, for a smooth sine."""
+"""Least number of control cycles per period of a tone, for a smooth sine."""
 APPROACH_SPEED_SHARE = 0.25
-"""Share of the speed limit used to move to the start of a stage."""
+"""Speed of the move to the start of a stage, as a share of the speed limit."""
 HOLD_S = 0.1
 """Rest at the last target before the drive is de-energised, s."""
 _LIMIT_NAMES = (
@@ -44,17 +42,17 @@ _LIMIT_NAMES = (
 )
 _LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
 TIME_LIMIT_SHARE = 1.5
-"""Default ratio of the time limit of a stage to its planned time under power."""
+"""Default ratio of the time limit of a stage to its planned time with power on."""
 
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
+    """One stage, ready to run. ``targets`` are joint angles in rad, one per cycle, shape (n,).
 
-    ``first_passes`` precede it, in order, until one has moved the joint. ``offsets`` are torques
-    that the drive adds during the excitation, None for none. With a ``flow`` a controller moves the
-    valve, and ``targets`` are the expected angles. ``contact_force_N`` is the greatest contact
-    force.
+    ``first_passes`` are run before the stage, in order, until one of them has moved the joint.
+    ``offsets`` are torques that the drive adds during the excitation, or None. With a ``flow`` a
+    controller moves the valve, and ``targets`` are the expected angles. ``contact_force_N`` is the
+    greatest contact force.
     """
 
     name: str
@@ -81,7 +79,7 @@ class Plan:
     Attributes:
         name: Name of the sequence.
         stages: Stages in the order in which they run.
-        limits: The limits in force: limits of the bench, tightened by the sequence.
+        limits: The limits that apply: limits of the bench, tightened by the sequence.
         servo_limits: The limits to be written into the drive.
         approach_speed: Peak speed of moves to a start angle, rad/s.
         cycle_ns: Control cycle, ns.
@@ -118,19 +116,21 @@ def make_plan(
     first_pass: bool | None = None,
     feedforward: Feedforward | None = None,
 ) -> Plan:
-    """Compute all targets and check them against the bench.
+    """Return the plan of a run: compute all targets, and check them against the limits of the
+    bench.
 
     Args:
         sequence: The sequence.
         bench: The bench.
-        first_pass: Whether to make a first pass at low amplitude; None to follow the sequence.
+        first_pass: Whether to make a first pass at low amplitude; None for the setting of the
+            sequence.
         feedforward: Identified parameters of the bench for the torque that the drive adds during
-            excitations; None for none.
+            excitations; None for no feed-forward.
 
     Raises:
-        InputError: A stage exceeds a limit of the bench, or a limit of the sequence is looser than
-            the bench's (lists all); or the drive cannot add torque, or the identification lacks
-            parameters for it.
+        InputError: A stage exceeds a limit of the bench, or a limit of the sequence is wider than
+            that of the bench (the message lists all); or the drive cannot add torque, or the
+            identification lacks parameters for feed-forward.
     """
     if feedforward is not None:
         require_torque_offset(bench)
@@ -169,7 +169,7 @@ def make_plan(
 
 
 def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage:
-    """Return a stage with contact force and feed-forward for the confirmed mass, kg."""
+    """Return a stage with the contact force and feed-forward of the confirmed mass, kg."""
     if weight_kg == stage.weight_kg:
         return stage
     force = stage.contact_force_N * (weight_kg / stage.weight_kg if stage.weight_kg else 1.0)
@@ -184,7 +184,7 @@ def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage
 
 
 def bench_limits(bench: Bench) -> Limits:
-    """Return the bench's own limits in SI units."""
+    """Return the limits of the bench file in SI units."""
     return _limits({name: getattr(bench.limits, name) for name in _LIMIT_NAMES}, bench)
 
 
@@ -221,7 +221,7 @@ def _plan_stage(
         / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        # The load of a hot firing is measured; its friction does not depend on a weight.
+        # A hot firing measures its load; its friction does not depend on a weight.
         first_passes=()
         if low is None or section.stage == "hot_fire"
         else plan_passes(section, low, limits, bench.cycle_s),
@@ -263,7 +263,7 @@ def _objections(
         return
     yield from hot_objections(section, stage.targets, bench)
     if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
-        text = f"below the {_under_power_s(stage):.4g} s that this stage takes by itself; raise it"
+        text = f"below the {_under_power_s(stage):.4g} s that this stage takes; raise the limit"
         yield ("time_limit_s",), text, section.time_limit_s
     if section.weight_kg > bench.limits.weight_kg:
         text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
@@ -289,8 +289,8 @@ def _objections(
     for index, tone in enumerate(section.tones):
         if tone.frequency_Hz > fastest:
             text = (
-                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it "
-                f"or raise cycle_Hz"
+                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles per period; lower the "
+                "frequency or raise cycle_Hz"
             )
             yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
 
@@ -330,7 +330,7 @@ def _motion_objections(
 
 
 def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
-    """Merge the sequence's limits into the bench's, and collect those that are looser."""
+    """Merge the limits of the sequence into those of the bench, and collect wider ones."""
     values: dict[str, float] = {}
     problems: list[str] = []
     for name in _LIMIT_NAMES:
@@ -338,20 +338,20 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
         asked: float | None = getattr(sequence.value.limits, name)
         values[name] = allowed if asked is None else asked
         if asked is not None and (asked < allowed if name in _LOWER_BOUNDS else asked > allowed):
-            text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
+            text = f"wider than the bench's {allowed:g}; a sequence may only tighten a limit"
             problems.append(sequence.problem(("limits", name), text, asked))
         elif asked is not None and name in bench.unreported:
             problems.append(sequence.problem(("limits", name), NOT_REPORTED, asked))
     if values["angle_min_deg"] >= values["angle_max_deg"]:
         text = (
             f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
-            f"empty; swap or widen it"
+            "empty; swap the limits or widen the range"
         )
         problems.append(sequence.problem(("limits",), text))
     if values["supply_min_V"] >= values["supply_max_V"]:
         text = (
-            f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is "
-            f"empty; swap or widen it"
+            f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; "
+            "swap the limits or widen the range"
         )
         problems.append(sequence.problem(("limits",), text))
     return values, problems

@@ -1,4 +1,4 @@
-"""A plan as text and tables, for ``rig run --dry-run``."""
+"""Describes the plan of a run as text and tables, for ``rig run --dry-run``."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.planning.plan import Plan, PlannedStage
 
 
 def describe(plan: Plan) -> str:
-    """Return the plan as tables: the stages and the limits in force."""
+    """Return the plan as text, with tables of the stages and of the limits that apply."""
     stages = table(
         [
             "stage",

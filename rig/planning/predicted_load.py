@@ -1,5 +1,6 @@
-"""Predicts peak torque and current of the stages of a plan from friction, load (eq. 9 to 13) and
-inertia.
+"""Predicts peak torque and current of the stages of a plan from friction, load and inertia.
+
+Friction and load follow eq. 9 to 13.
 """
 
 from __future__ import annotations
@@ -18,10 +19,10 @@ from rig.planning.limits import Limits
 from rig.planning.plan import Plan, PlannedStage
 
 WARNING_SHARE = 0.8
-"""Share of a limit above which a predicted peak gives a warning."""
+"""Predicted peak, as a share of its limit, above which there is a warning."""
 LOOP_S = 0.005
-"""Time in which a stiff drive follows a step of the commanded speed, s; a softer drive needs
-less torque.
+"""Time in which a drive with stiff gains follows a step of the commanded speed, s; with softer
+gains the torque is less.
 """
 
 
@@ -33,9 +34,9 @@ class PredictedPeak:
         stage: Name of the stage.
         part: ``first pass`` or ``stage``.
         torque_N_m: Peak torque at the joint.
-        torque_limit_N_m: Torque limit in force.
+        torque_limit_N_m: Torque limit that applies.
         current_A: Peak motor current.
-        current_limit_A: Current limit in force.
+        current_limit_A: Current limit that applies.
     """
 
     stage: str
@@ -96,7 +97,7 @@ def _peaks(
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
     """Return the joint angles of each move to the start of a part of a stage, rad.
 
-    The first is from 0. A part that starts at the present angle has none.
+    The first move starts at 0. A part that starts at the present angle has no move.
     """
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
@@ -115,11 +116,11 @@ def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak
 def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionModel) -> float:
     """Return the greatest torque at the joint while it follows commanded angles, N m.
 
-    The torque overcomes static friction at breakaway, and friction, working load and inertia in
-    motion (eq. 15). Feedback torque, as in stick-slip, is not predicted.
+    The torque balances static friction at a breakaway, and friction, working load and inertia in
+    motion (eq. 15). The prediction does not contain feedback torque, as in stick-slip.
 
     Args:
-        angle: Commanded joint angles, rad, one a cycle, shape (n,), at least two.
+        angle: Commanded joint angles, rad, one per cycle, shape (n,), at least two.
         cycle_s: Control cycle, s.
         moments: Contact moment F_P L1 at each angle, N m, shape (n,).
         model: Friction and inertia of the bench.
@@ -142,8 +143,10 @@ def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
 
 
 def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
-    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static at rest."""
-    # The sign of eq. 9 and 12 is 0 at rest; the smallest speed has the sign of the motion to come.
+    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static friction at
+    speed 0.
+    """
+    # The sign of eq. 9 and 12 is 0 at rest, so that the smallest speed replaces zero.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(
         system_friction(speed, model.values, model.alpha)

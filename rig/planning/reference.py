@@ -1,4 +1,4 @@
-"""Accepted identification of a bench, as the reference of the weight check."""
+"""Reads an identification of the bench as the reference for the weight check."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ LARGEST_ALPHA = 100.0
 
 @dataclass(frozen=True)
 class Reference:
-    """Known friction of a bench.
+    """Friction of a bench from an accepted identification.
 
     Attributes:
-        values: Parameter name to value, SI units.
-        sigmas: Parameter name to standard error.
+        values: Values of the parameters by name, SI units.
+        sigmas: Standard errors of the parameters by name.
         alpha: Stribeck exponent.
         moment_per_kg: Contact moment F_P L1 of one kilogram on the lever, N m (eq. 13, 17).
         source: The result file.
@@ -48,7 +48,7 @@ class Reference:
         return self.moment_per_kg * load_coefficient(speed, self.values, self.alpha)
 
     def shifted(self, name: str) -> Reference:
-        """Return a copy with one parameter larger by its standard error."""
+        """Return a copy in which one parameter is larger by its standard error."""
         values = {**self.values, name: self.values[name] + self.sigmas[name]}
         return Reference(values, self.sigmas, self.alpha, self.moment_per_kg, self.source)
 
@@ -62,8 +62,8 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or does not determine a parameter that the
-            check needs.
+        InputError: The file cannot be read, is not such a result, or does not determine a parameter
+            that the check needs.
     """
     raw = read_identification(path)
     try:
@@ -76,7 +76,7 @@ def read_identification(path: Path) -> dict[str, Any]:
     """Read the result file of ``rig identify`` on a rotary bench.
 
     Raises:
-        InputError: It cannot be read, or is no such result.
+        InputError: The file cannot be read, or is not such a result.
     """
     raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:

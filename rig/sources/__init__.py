@@ -1,6 +1,4 @@
-"""Recordings made elsewhere: one reader per file format, and conversion of columns to
-recordings.
-"""
+"""Reads recordings of other programs: one reader per file format, conversion to SI channels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Named arrays: MATLAB .mat files (up to v7), numpy .npz archives and .npy arrays."""
+"""Readers of array files: MATLAB .mat (up to v7), numpy .npz archives and .npy arrays."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DAMAGED = (
     MemoryError,
     NotImplementedError,
 )
-"""Exceptions of scipy, numpy and zipfile on damaged data."""
+"""Exceptions that scipy, numpy and zipfile raise for damaged data."""
 
 
 class _Column(NamedTuple):
@@ -42,7 +42,7 @@ class _Column(NamedTuple):
 class ArrayTable(Table):
     """Arrays by name. A matrix counts as one column per series, named ``name[0]``, ``name[1]``, ...
 
-    The longer side of a matrix is taken as time. Single numbers and text are no columns.
+    The longer side of a matrix counts as time. Single numbers and text are not columns.
     """
 
     def __init__(self, path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
@@ -89,8 +89,8 @@ class MatTable(ArrayTable):
     ``recordings[1].angle``.
 
     Raises:
-        InputError: It is of version 7.3 (HDF5), holds no arrays of numbers, or is not a MATLAB
-            file.
+        InputError: The file has version 7.3 (HDF5), contains no arrays of numbers, or is not a
+            MATLAB file.
     """
 
     def __init__(self, path: Path) -> None:
@@ -144,7 +144,7 @@ class MatTable(ArrayTable):
 def _members(name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
     """Yield dotted name and array of every array of real numbers inside a struct or a cell.
 
-    An element of a struct array is ``name[0]``, unless it is the only one.
+    An element of a struct array is ``name[0]``, unless there is only one element.
     """
     if value.dtype.names is not None or value.dtype == object:
         for index, element in enumerate(value.ravel(order="F")):
@@ -162,10 +162,10 @@ def _members(name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 
 
 class NpzTable(ArrayTable):
-    """A numpy archive; never unpickles.
+    """A numpy archive; pickled objects are never read.
 
     Raises:
-        InputError: It is damaged, or not an archive.
+        InputError: The file is damaged, or is not an archive.
     """
 
     def __init__(self, path: Path) -> None:
@@ -188,11 +188,11 @@ class NpzTable(ArrayTable):
 
 
 class NpyTable(ArrayTable):
-    """One numpy array; never unpickles. A matrix gives ``array[0]``, ...; a structured array its
-    fields.
+    """One numpy array; pickled objects are never read. The columns of a matrix are ``array[0]``,
+    ...; those of a structured array are its fields.
 
     Raises:
-        InputError: It is damaged, or no numpy array.
+        InputError: The file is damaged, or is not a numpy array.
     """
 
     def __init__(self, path: Path) -> None:
@@ -203,7 +203,9 @@ class NpyTable(ArrayTable):
         except _DAMAGED as error:
             raise damaged(path, error, "save it again with numpy.save") from error
         if not isinstance(array, np.ndarray):
-            raise InputError(f"{path}: holds several arrays; name it .npz")
+            raise InputError(
+                f"{path}: the file contains several arrays; change its extension to .npz"
+            )
         self._arrays = (
             {"array": array}
             if array.dtype.names is None
@@ -216,7 +218,7 @@ class NpyTable(ArrayTable):
 
 
 def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, ...]]:
-    """Read name and shape of one array without its data."""
+    """Return name and shape of one array, without reading its data."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
         read = (

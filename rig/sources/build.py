@@ -39,28 +39,29 @@ from rig.sources.wraps import unwrapped
 Rows = NDArray[np.intp]
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
-"""Channels often logged at a lower rate: their missing samples are interpolated without limit."""
+"""Channels that are often logged at a lower rate; any number of their missing samples is
+interpolated.
+"""
 
 
 def build(
     file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
 ) -> Read:
-    """Read one file, convert it to SI, and make the allowed corrections.
+    """Read one file, convert its channels to SI units, and make the allowed corrections.
 
     Args:
         file: The recording.
-        section: Its entry in the campaign.
-        bench: The machine.
-        document: The campaign, to point at the entry in errors.
+        section: Entry of the file in the campaign.
+        bench: Constants of the machine.
+        document: The campaign; error messages state the line of the entry.
         index: Position of the entry in ``recordings``.
 
     Returns:
-        One recording per piece without gaps, every correction in its notes; and the span of the
-        file's time, with what the window leaves out.
+        One recording per piece without gaps, with its corrections as notes, and the time span of
+        the whole file, also outside the window.
 
     Raises:
-        InputError: A column is missing, the window holds no sample, or the data cannot be used;
-            names file and row.
+        InputError: A column or a sample in the window is missing, or the data cannot be used.
     """
     unsure = document.value.bench.uncertainties()
     if section.moment_arm is not None:
@@ -103,10 +104,10 @@ def build(
 def _doubts(
     file: Path, channels: dict[str, Array], section: RecordingSection, bench: Bench
 ) -> list[str]:
-    """Return notes on channels whose values look odd.
+    """Return notes on channels with implausible values.
 
     Raises:
-        InputError: Values are impossible, or signs contradict each other.
+        InputError: Values are impossible, or the signs of two channels contradict each other.
     """
     notes: list[str] = []
     problems = list(value_errors(channels))
@@ -129,7 +130,7 @@ def _doubts(
 def _read_channels(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, Array], list[str]]:
-    """Return canonical channels in SI units, all of shape (n,), time among them, and notes."""
+    """Return the canonical channels in SI units, including time, each of shape (n,), and notes."""
     columns: dict[str, int] = {}
     problems = []
     notes: list[str] = []
@@ -143,14 +144,14 @@ def _read_channels(
             problems.append(document.problem(_column_loc(index, name), found, channel.column))
     if problems:
         raise InputError(problems)
-    # A column may feed several channels; it is read once.
+    # Several channels may use one column, which is read once.
     wanted = sorted(set(columns.values()))
     data = dict(zip(wanted, table.read(wanted), strict=True))
     lengths = {name: len(data[column]) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
         raise InputError(
-            f"{table.path}: channels differ in length: {listed}; they must share their rows"
+            f"{table.path}: channels differ in length: {listed}; they must have the same rows"
         )
     channels = {}
     for name, column in columns.items():
@@ -165,13 +166,14 @@ def _read_channels(
 def _windowed(
     file: Path, channels: dict[str, Array], section: RecordingSection
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Return the channels within the section's window, the rows left out before it, and notes.
+    """Return the channels within the window of the section, the number of rows before the window,
+    and notes.
 
-    What stands between the first and the last sample of the window is used, so that time which is
-    missing or runs backwards is still found.
+    All rows between the first and the last sample of the window are used, so that the later checks
+    find missing time stamps and time that runs backwards.
 
     Raises:
-        InputError: The window holds no sample.
+        InputError: The window contains no sample.
     """
     window, time = section.window, channels["time"]
     if window is None:
@@ -186,7 +188,7 @@ def _windowed(
             f"{file}: the window {window.words()} holds no sample: the file's time runs from "
             f"{there}, after scale and offset; move the window"
         )
-    # Where an end is open the rows beyond it without time are checked as well.
+    # If an end of the window is open, the rows beyond it that have no time are checked as well.
     first = 0 if window.begin is None else int(rows[0])
     stop = len(time) if window.to is None else int(rows[-1]) + 1
     note = f"window {window.words()}: {stop - first} of {len(time)} samples used"
@@ -212,7 +214,7 @@ def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
 
 
 def _find(table: Table, column: str | int) -> int | str:
-    """Return a column's index, or an error message."""
+    """Return the index of a column, or an error message."""
     if isinstance(column, int):
         count = len(table.names)
         return (
@@ -262,8 +264,8 @@ def _mend(
 ) -> tuple[dict[str, Array], Timing, list[str]]:
     """Check time, fill isolated missing samples, drop repeated time stamps.
 
-    Rows of other topics are dropped only where rows have stamps (``stamped``): with a rate, each
-    row is a sample. ``skipped`` rows of the table stand before these channels.
+    Rows of other topics are dropped only if rows have time stamps (``stamped``); with a rate, each
+    row is a sample. ``skipped`` is the number of rows of the table before these channels.
     """
     dropped: list[str] = []
     rows: Rows = skipped + np.arange(len(channels["time"]))
@@ -294,13 +296,16 @@ def _mend(
 
 
 def _power_off(table: Table, channels: dict[str, Array], rows: Rows) -> Mask | None:
-    """Return where the power stage is off, making ``enabled`` 0 or 1 on the way."""
+    """Return in which rows the power stage is off, and set ``enabled`` to 0 or 1."""
     if "enabled" not in channels:
         return None
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
     if unknown.size:
         place = table.place(int(rows[unknown[0]]))
-        raise InputError(f"{place}: `enabled` is missing in {unknown.size} rows; it must be known")
+        raise InputError(
+            f"{place}: `enabled` is missing in {unknown.size} rows; it must have a value in "
+            "each row"
+        )
     on = channels["enabled"] > 0.5
     channels["enabled"] = on.astype(np.float64)
     return ~on
@@ -311,7 +316,7 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
         finite = np.isfinite(values)
         count = int(len(values) - finite.sum())
         if count in (0, len(values)):
-            return values, [f"`{name}` was never measured"] if count else []
+            return values, [f"`{name}` has no value in any row"] if count else []
         return np.interp(time, time[finite], values[finite]), [
             f"`{name}`: {count} missing samples interpolated"
         ]
@@ -322,9 +327,9 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
 def _without_other_topics(
     channels: dict[str, Array],
 ) -> tuple[dict[str, Array], list[str], Rows]:
-    """Drop rows that hold a time and none of the channels: rows of another topic in a sparse log.
+    """Drop rows that contain a time and no channel: rows of another topic in a sparse log.
 
-    A few rows without values are missing samples, which are interpolated instead.
+    If there are few such rows, they count as missing samples, which are interpolated instead.
     """
     others = [values for name, values in channels.items() if name != "time"]
     empty = np.logical_and.reduce([np.isnan(values) for values in others])
@@ -332,18 +337,18 @@ def _without_other_topics(
     if count <= MISSING_SHARE * len(empty) or len(empty) - count < MIN_SAMPLES:
         return channels, [], np.arange(len(empty))
     kept = {name: values[~empty] for name, values in channels.items()}
-    note = f"{count} rows with a time only, as of another topic, dropped"
+    note = f"{count} rows that contain only a time, as rows of another topic do, dropped"
     return kept, [note], np.flatnonzero(~empty)
 
 
 def _apart(name: str, channels: dict[str, Array]) -> str:
-    """Return a remedy where a channel shares no row with another one."""
+    """Return a remedy if a channel has no row in common with another channel."""
     known = np.isfinite(channels[name])
     for other, values in channels.items():
         if other != name and not np.any(known & np.isfinite(values)):
             return (
-                f"; it shares no row with `{other}`: they are of different topics, so bring them "
-                f"to one time base first"
+                f"; it has no row in common with `{other}`: they belong to different topics, so "
+                "bring them to one time base first"
             )
     return ""
 
@@ -353,14 +358,12 @@ def _at(table: Table, error: UnusableError, channel: str, rows: Rows) -> str:
     place = str(table.path) if row is None else table.place(row)
     hint = ""
     if channel == "`voltage`: ":
-        hint = "; where the power stage was off, say so with an `enabled` channel"
+        hint = "; if the power stage was off in these rows, state this with an `enabled` channel"
     return f"{place}: {channel}{error}{hint}"
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per piece, numbered from 1 where there are several, each on one
-    clock.
-    """
+    """Return one recording per piece, each on one clock; several pieces are numbered from 1."""
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]

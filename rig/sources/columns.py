@@ -1,4 +1,4 @@
-"""Guesses the channels of a recording's columns from their names and units."""
+"""Guesses which column of a recording is which channel, from the names and units of the columns."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "mpa": ("Pa", 1e6),
     "bar": ("Pa", 1e5),
 }
-"""Unit as written (lower case, no blanks) to its SI unit and scale."""
+"""SI unit and scale of each unit as files write it (lower case, no blanks)."""
 _NAMES: Final[Mapping[str, str]] = {
     "time": r"t|time|timestamp|zeit|stamp|seconds|elapsed",
     "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
@@ -67,15 +67,15 @@ _NAMES: Final[Mapping[str, str]] = {
     "temperature": r"temp|temperature|t_?motor",
     "pressure": r"p|pressure|druck|chamber_?pressure",
 }
-"""Channel to its usual column names, the more specific channels first."""
+"""Usual column names of each channel; more specific channels come first."""
 
 
 class Guess(NamedTuple):
-    """The column guessed for a channel.
+    """The column that is guessed for a channel.
 
     Attributes:
         column: Name, or index if the columns have no names.
-        scale: Scale to SI.
+        scale: SI units per unit of the column.
         sure: Whether the column states its unit.
     """
 
@@ -91,7 +91,7 @@ def split_unit(name: str) -> tuple[str, str]:
     """
     found = re.fullmatch(r"\s*(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
     if found is None:
-        # "i_m" is a current of the motor: a bare m is a unit in brackets only.
+        # "i_m" is a motor current: the letter m counts as a unit in brackets only.
         for unit in sorted(UNITS.keys() - {"m"}, key=len, reverse=True):
             tail = re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit)}\s*", name, re.IGNORECASE)
             tail = tail or re.fullmatch(
@@ -116,7 +116,7 @@ def scale_of(name: str, channel: str, linear: bool = False) -> float:
 
 
 def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Guess]:
-    """Return the channels that columns of these names may hold, each column at most once.
+    """Return the channels that columns with these names may contain, each column at most once.
 
     Args:
         names: Column names in the order of the file; empty for a column without one.
@@ -129,7 +129,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
         unit = channel_unit(channel, linear)
         for column, bare, stated in columns:
             word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
-            # The scale of an unknown unit is unknown.
+            # An unknown unit has an unknown scale.
             si, scale = UNITS.get(stated, ("", 1.0)) if stated else (unit, 1.0)
             if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
                 continue
@@ -140,7 +140,7 @@ def guess_channels(names: Iterable[str], linear: bool = False) -> dict[str, Gues
 
 
 def is_linear(names: Iterable[str]) -> bool:
-    """Return whether the columns state a length or its rate, as on a linear bench."""
+    """Return whether a column has a unit of length or of linear speed, as on a linear bench."""
     return any(
         UNITS.get(split_unit(name)[1], ("", 1.0))[0] in ("m", "m/s") for name in names if name
     )

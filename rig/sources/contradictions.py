@@ -1,6 +1,6 @@
-"""Channels that contradict another one, or themselves: doubts, in words.
+"""Notes on channels that contradict each other or themselves: wrong units, signs, single outliers.
 
-Pure functions; each yields notes. Nothing is changed or left out because of a doubt.
+Each function is a pure function that yields notes. A note changes no data and leaves no data out.
 """
 
 from __future__ import annotations
@@ -16,19 +16,23 @@ from rig.sources.columns import UNITS
 from rig.sources.table import Table
 
 BLOCK_S = 0.02
-"""Samples are averaged over this time before a position is differentiated, s."""
+"""Time over which samples are averaged before a position is differentiated, s."""
 FACTOR_TOLERANCE = 0.1
-"""Deviation of a measured speed from the derivative of the position that is noted."""
+"""Relative deviation of a measured speed from the derivative of the position above which there is a
+note.
+"""
 AGREEMENT = 0.9
-"""Correlation of speed and derivative above which their ratio means something."""
+"""Correlation of speed and derivative above which their ratio is meaningful."""
 BOTH_WAYS = 0.1
-"""Least share of the motion in each direction in which a current must change its sign."""
+"""Least share of the motion in each direction for a current that must change its sign."""
 ALIKE = 1.5
-"""Largest ratio of the effort in both directions that a log of sizes may show."""
+"""Greatest ratio of the efforts in both directions at which a log may contain magnitudes only."""
 FAR = 100.0
-"""A sample this many times further from its neighbours than all others is reported in a note."""
+"""Ratio of a sample's distance from its neighbours to that of all other samples above which there
+is a note.
+"""
 OUTLIERS = 3
-"""Most samples of a channel that count as single ones."""
+"""Greatest number of samples of a channel that count as single outliers."""
 _FACTORS = (
     (30.0 / np.pi, "rpm", "0.10471975511965977"),
     (180.0 / np.pi, "degrees per second", "0.017453292519943295"),
@@ -50,8 +54,8 @@ def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
         si, size = UNITS.get(unit.lower(), ("", 1.0))
         if size != 1.0 and name in CHANNELS and si == CHANNELS[name]:
             yield (
-                f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set it to "
-                f"{size:.10g}"
+                f"`{name}` is in {unit} by the file's row of units, but its scale is 1: set the "
+                f"scale to {size:.10g}"
             )
 
 
@@ -62,12 +66,13 @@ def _index(names: tuple[str, ...], column: str) -> int | None:
 def doubts(
     channels: Mapping[str, Array], gear_ratio: float, *, driven_by_weight: bool
 ) -> Iterator[str]:
-    """Yield a note for each channel that another one, or its own samples, contradict.
+    """Yield a note for each channel that contradicts another channel or has contradictory samples.
 
     Args:
         channels: Canonical channels in SI units, shape (n,); time increasing.
-        gear_ratio: Of the bench.
-        driven_by_weight: Whether a turning weight is declared; its torque may have one sign.
+        gear_ratio: Gear ratio of the bench.
+        driven_by_weight: Whether a weight that turns with the joint is declared; the torque may
+            then have one sign.
     """
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
@@ -92,7 +97,7 @@ def _speed(position: str, derived: Array, measured: Array, gear: float) -> Itera
     if energy <= 0.0 or float(a @ b) / np.sqrt(energy) < AGREEMENT:
         return
     factor = float(a @ b) / float(a @ a)
-    # Velocity is at the joint, whichever shaft the position is of.
+    # The velocity is at the joint, whether the position is that of the motor or of the joint.
     ratio = factor * gear
     if abs(ratio - 1.0) <= FACTOR_TOLERANCE:
         return
@@ -102,7 +107,7 @@ def _speed(position: str, derived: Array, measured: Array, gear: float) -> Itera
             for size, unit, scale in _FACTORS
             if abs(ratio / size - 1.0) <= FACTOR_TOLERANCE
         ),
-        ": check its scale, the gear ratio, and whether both are of one shaft",
+        ": check its scale, the gear ratio, and whether both channels belong to one shaft",
     )
     yield f"`velocity` is {ratio:.4g} times the speed of the joint by `{position}`{guess}"
 
@@ -110,9 +115,11 @@ def _speed(position: str, derived: Array, measured: Array, gear: float) -> Itera
 def _signless(
     channels: Mapping[str, Array], mean: Mapping[str, Array], derived: Array
 ) -> Iterator[str]:
-    """Yield a note where the effort has one sign and is as large in both directions of motion.
+    """Yield a note if the effort (torque or current) has one sign and is as large in both
+    directions of motion.
 
-    A load that pulls one way also gives one sign, but more effort against it than with it.
+    With a load in one direction the effort also has one sign, but it is greater against the load
+    than with the load.
     """
     moving = np.abs(derived) > BOTH_WAYS * np.max(np.abs(derived), initial=0.0)
     forward = float(np.mean(derived[moving] > 0)) if moving.any() else 0.0
@@ -131,14 +138,14 @@ def _signless(
         sizes = sorted(abs(float(mean[name][part].mean())) for part in (ahead, back))
         if (values.min() >= 0.0 or values.max() <= 0.0) and sizes[1] < ALIKE * sizes[0]:
             yield (
-                f"`{name}` keeps one sign while the joint moves both ways: the log may hold its "
-                f"size only, and the fit is then wrong; log it with its sign, or map `voltage` "
-                f"instead"
+                f"`{name}` keeps one sign while the joint moves both ways: the log may contain "
+                "its magnitude only, and the fit is then wrong; log the channel with its sign, or "
+                "use `voltage` instead"
             )
 
 
 def _single(name: str, values: Array, time: Array) -> Iterator[str]:
-    """Yield a note where single samples lie far from both neighbours."""
+    """Yield a note if single samples are far from both neighbours."""
     known = np.isfinite(values)
     x, t = values[known], time[known]
     if len(x) < 10:
@@ -155,7 +162,7 @@ def _single(name: str, values: Array, time: Array) -> Iterator[str]:
         yield (
             f"`{name}` has {far.size} single {'sample' if far.size == 1 else 'samples'} more than "
             f"{FAR:g} times as far from the neighbours as all others, first {x[row]:.6g} "
-            f"{CHANNELS[name]} at {t[row]:.6g} s: repair the file if it is not real"
+            f"{CHANNELS[name]} at {t[row]:.6g} s: repair the file if the value is wrong"
         )
 
 

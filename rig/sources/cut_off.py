@@ -1,7 +1,7 @@
-"""Messages of an MCAP file whose writer ended before it closed the file.
+"""Reads the messages of an incomplete MCAP file, whose writer ended before it closed the file.
 
-Whole chunks are checked against their checksum. The chunk that the file ends in has none that can
-be checked: its messages are taken as far as they are there.
+The checksum of each complete chunk is checked. The last chunk may be incomplete, so that its
+checksum cannot be checked; its complete messages are used.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from rig.runs.mcap.records import HEADER
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
-"""Start time, end time, size, checksum and the length of the compression's name."""
+"""Format of start time, end time, size, checksum and length of the compression's name."""
 
 Found = tuple[None, Channel, Message]
 
 
 def until_cut(stream: IO[bytes]) -> Iterator[Found]:
-    """Yield the messages of a file without an end.
+    """Yield the messages of an incomplete file.
 
     Args:
-        stream: At its start.
+        stream: The file, at its start.
 
     Raises:
-        McapError: The file has its end, and is damaged inside; or it is no MCAP file.
+        McapError: The file is complete but damaged inside, or is not an MCAP file.
     """
     data = _rest(stream)
     if not data.startswith(MAGIC):
         raise McapError("not an MCAP file")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
-        raise McapError("the file has its end, but is damaged inside")
+        raise McapError("the file is complete, but damaged inside")
     channels: dict[int, Channel] = {}
     for opcode, content, whole in _records(data[len(MAGIC) :]):
         if opcode == Opcode.CHUNK:
@@ -53,7 +53,7 @@ def until_cut(stream: IO[bytes]) -> Iterator[Found]:
 
 
 def _rest(stream: IO[bytes]) -> bytes:
-    """Return what can be read, of a cut gzip file too."""
+    """Return the bytes that can be read, also from an incomplete gzip file."""
     parts = []
     try:
         while part := stream.read(1 << 16):
@@ -64,7 +64,7 @@ def _rest(stream: IO[bytes]) -> bytes:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes, bool]]:
-    """Yield opcode and content of each record, and whether all of it is there."""
+    """Yield opcode and content of each record, and whether the record is complete."""
     offset = 0
     while offset + HEADER.size <= len(data):
         opcode, length = HEADER.unpack_from(data, offset)
@@ -74,10 +74,10 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _unpacked(content: bytes, whole: bool) -> bytes:
-    """Return the records of a chunk, or of its part that is there.
+    """Return the records of a chunk, or of the part of it that is in the file.
 
     Raises:
-        McapError: A whole chunk is damaged, or its compression is unknown.
+        McapError: A complete chunk is damaged, or its compression is unknown.
     """
     if len(content) < _CHUNK_HEAD.size:
         return b""

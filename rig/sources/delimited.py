@@ -1,8 +1,8 @@
-"""Reader of delimited text (CSV and similar), plain or gzipped.
+"""Reader of delimited text files (CSV and similar), plain or gzipped.
 
-The fast path is numpy's compiled reader on the needed columns, for files in which every row has as
-many cells as the header. Others are read row by row with tolerance for empty cells, quotes, row
-names, dates and times, and trailing commas.
+Files in which every row has as many cells as the header are read with numpy's compiled reader,
+which is fast. Other files are read row by row, and may have empty cells, quotes, row names, dates
+and times, and trailing commas.
 """
 
 from __future__ import annotations
@@ -40,18 +40,18 @@ from rig.sources.text_layout import (
 
 _READ_ERRORS = (OSError, EOFError, zlib.error)
 _HEAD_LINES = 6
-"""Lines with content, from the first, that show how the file is laid out."""
+"""Number of lines with content, from the first, from which the layout of the file is found."""
 
 
 class DelimitedTable(Table):
     """A text file with one row of numbers per line, with or without a header line.
 
     Args:
-        path: The file; read through gzip where it ends in ``.gz``.
+        path: The file; it is decompressed by gzip if its name ends in ``.gz``.
         options: Delimiter and lines to skip.
 
     Raises:
-        InputError: It holds no line after the skipped ones, or is damaged.
+        InputError: The file contains no line after the skipped lines, or is damaged.
     """
 
     def __init__(self, path: Path, options: ReadSection) -> None:
@@ -69,8 +69,8 @@ class DelimitedTable(Table):
         line, text = head[0]
         if "\0" in text:
             raise InputError(
-                f"{path}: line {line} holds zero bytes, so it is not text; name the file by its "
-                f"format"
+                f"{path}: line {line} contains zero bytes, so that the file is not text; use the "
+                "file extension of its format"
             )
         self._decimal = options.decimal
         self._delimiter = options.delimiter or guess_delimiter(
@@ -78,7 +78,7 @@ class DelimitedTable(Table):
         )
         self._lay_out(head)
         if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
-            self._note("the last skipped line already holds numbers: check read.skip_rows")
+            self._note("the last skipped line contains numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
         """Find header, units, row names and columns of dates in the first lines."""
@@ -88,7 +88,7 @@ class DelimitedTable(Table):
         counted = bool(rows) and counts_columns(cells, rows[0][1])
         has_header = counted or not all(is_number(self._pointed(cell)) for cell in cells)
         if has_header and any(nanoseconds(cell) is not None for cell in cells):
-            # A row of dates and numbers is data: no name is a date.
+            # A row of dates and numbers is data, because the name of a column is not a date.
             has_header = not all(
                 is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
             )
@@ -103,13 +103,13 @@ class DelimitedTable(Table):
             self._note("columns separated by blanks")
         if counted:
             self._note(
-                f"line {line} counts the columns from 0 to {len(cells) - 1}: taken as the header"
+                f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
             )
         while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
             at, words = rows.pop(0)
             self.units = tuple(word.strip(' "\t') for word in words)
             self._skip = at
-            self._note(f"line {at} below the names taken as units: {', '.join(self.units)[:80]}")
+            self._note(f"line {at} below the names read as units: {', '.join(self.units)[:80]}")
         self._has_header = has_header
         self._find_row_names(head, rows)
         self._find_dates(rows)
@@ -117,14 +117,16 @@ class DelimitedTable(Table):
     def _find_row_names(
         self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
     ) -> None:
-        """Recognise quoted or worded row names: one cell more than names, in every row."""
+        """Find row names: every row has one cell more than the header has names, and the first cell
+        is quoted or a word.
+        """
         width = len(self.names)
         if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
             return
         lines = dict(head)
         if all(_names_its_row(lines[at], row[0]) for at, row in rows):
             self._first_row = 1
-            self._note("the first cell of each row is a row name, which the header does not count")
+            self._note("the first cell of each row is a row name, for which the header has no name")
 
     def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
         self._zero: dict[int, int] = {}
@@ -162,7 +164,7 @@ class DelimitedTable(Table):
         return [table[:, k] for k in range(len(columns))]
 
     def place(self, row: int) -> str:
-        """Name the line of a row, blank and comment lines counted."""
+        """Return the line of a row; blank lines and comment lines count."""
         with open_text(self.path, self._encoding) as stream:
             for index, (line, _) in enumerate(self._rows(stream)):
                 if index == row:
@@ -170,7 +172,7 @@ class DelimitedTable(Table):
         return super().place(row)
 
     def _even(self) -> bool:
-        """Whether each row has as many cells as the header, without quotes and comments."""
+        """Return whether each row has as many cells as the header, without quotes and comments."""
         if self._first_row:
             return False
         delimiter, others = self._delimiter, 0
@@ -204,7 +206,8 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row; rows without a cell end the file, or are missing.
+        """Yield the required cells row by row. Rows without values count as missing samples; at the
+        end of the file they are dropped.
 
         Raises:
             InputError: A cell is not a number, or a row is too short or too long.
@@ -237,23 +240,25 @@ class DelimitedTable(Table):
             self._note(f"{short} rows have fewer cells than the first line: read from the left")
 
     def _end(self, stream: TextIO, line: int, mark: str) -> None:
-        """Note the line that says where the file ends.
+        """Add a note on the line that marks the end of the file.
 
         Raises:
-            InputError: Something follows it.
+            InputError: More lines follow.
         """
         if any(text.strip() for text in stream):
             raise InputError(
                 f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
                 f"the line"
             )
-        self._note(f"line {line} ({mark}) taken as the end of the file")
+        self._note(f"line {line} ({mark}) read as the end of the file")
 
     def _check_width(self, cells: Sequence[str], line: int) -> bool:
-        """Refuse cells beyond the header; return whether the row is shorter than it.
+        """Reject a row that is longer than the header; return whether the row is shorter than the
+        header.
 
         Raises:
-            InputError: The row holds more values than there are names, so that no name is sure.
+            InputError: The row contains more values than there are names, so that the names cannot
+                be assigned.
         """
         width = len(self.names) + self._first_row
         if not any(cells[width:]):
@@ -266,8 +271,8 @@ class DelimitedTable(Table):
             else "repair the line, or check read.delimiter and read.skip_rows"
         )
         raise InputError(
-            f"{self.path}:{line}: {len(cells)} cells, but {width} {what}, so that columns cannot "
-            f"be told for sure; {remedy}"
+            f"{self.path}:{line}: {len(cells)} cells, but {width} {what}, so that the names of "
+            f"the columns are uncertain; {remedy}"
         )
 
     def _number(self, text: str, line: int, column: int) -> float:
@@ -283,7 +288,7 @@ class DelimitedTable(Table):
         if is_number(text) and column not in self._zero:
             return float(text)
         if is_number(text.replace(",", ".", 1)):
-            hint = '; if that is a decimal comma, set read.decimal: ","'
+            hint = '; if the comma is a decimal comma, set read.decimal: ","'
         else:
             hint = (
                 "; skip header lines with read.skip_rows"
@@ -312,14 +317,14 @@ class DelimitedTable(Table):
 
 
 def _names_its_row(line: str, cell: str) -> bool:
-    """Whether the first cell is quoted where the next is not, or is a word."""
+    """Return whether the first cell is a word, or is quoted while the next cell is not."""
     rest = line.lstrip()
     return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
     """Return number (from 1) and text of the first lines with content; ``skip`` lines were read
-    before.
+    before them.
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):

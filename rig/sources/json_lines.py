@@ -1,4 +1,4 @@
-"""Logs of one JSON object a line."""
+"""Reader of logs with one JSON object per line."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from rig.sources.text_layout import encoding_of, open_text
 class JsonLinesTable(Table):
     """One column per number in the objects, named ``field``, ``field.inner`` or ``field[0]``.
 
-    A field that a line lacks is NaN there.
+    If a line lacks a field, the value is NaN.
 
     Raises:
-        InputError: A line is no JSON object, or no object holds a number.
+        InputError: A line is not a JSON object, or no object contains a number.
     """
 
     def __init__(self, path: Path) -> None:
@@ -37,14 +37,14 @@ class JsonLinesTable(Table):
             raise damaged(path, error, "check that it was copied whole") from error
         self.names = tuple(dict.fromkeys(field for row in self._rows for field in row))
         if not self.names:
-            raise InputError(f"{path}: no JSON object holds a number")
+            raise InputError(f"{path}: no JSON object contains a number")
 
     def _take(self, line: int, text: str) -> None:
         try:
             value = json.loads(text)
         except (ValueError, RecursionError) as error:
             if self._rows and not text.endswith("\n"):
-                self.notes = (*self.notes, f"line {line} is cut off: dropped")
+                self.notes = (*self.notes, f"line {line} is incomplete: dropped")
                 return
             raise InputError(
                 f"{self.path}:{line}: not JSON ({error}); write one object a line"
@@ -59,5 +59,5 @@ class JsonLinesTable(Table):
         return [series(self._rows, self.names[k]) for k in columns]
 
     def place(self, row: int) -> str:
-        """Name the line of a row."""
+        """Return the line of a row."""
         return f"{self.path}:{self._lines[row]}" if row < len(self._lines) else str(self.path)

@@ -1,4 +1,4 @@
-"""Loads a source named by the user (run folder or campaign file) into a dataset."""
+"""Loads the recordings of a run folder or of a campaign file into a dataset."""
 
 from __future__ import annotations
 
@@ -30,20 +30,21 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
     Args:
         path: Path of the run folder or campaign file.
-        partial: Whether to take a run's unfinished excitations as well.
+        partial: Whether to load a run's unfinished excitations as well.
 
     Raises:
-        InputError: It is neither, or a part of it cannot be used; lists all problems.
+        InputError: The path is neither, or a part of the source cannot be used; the message lists
+            all problems.
     """
     _require_visible(path)
     if is_file(path / "run.json"):
-        # Imported here because the run folder's reader is not needed for recordings made elsewhere.
+        # Imported here, because recordings of a campaign do not need the reader of run folders.
         from rig.runs.run import load_run
 
         return load_run(path, partial=partial)
     if is_folder(path):
         raise InputError(
-            f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)"
+            f"{path}: the folder has no run.json; give a run folder or a campaign file (.yaml)"
         )
     if path.suffix.lower() not in (".yaml", ".yml"):
         remedy = (
@@ -55,16 +56,17 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
         raise InputError(f"{path}: {missing}a source is a run folder or a campaign file{remedy}")
     if partial:
         raise InputError(
-            f"{path}: --partial is for a run folder; a campaign file names what is to be taken"
+            f"{path}: --partial is allowed for a run folder only; a campaign file names the "
+            "recordings to load"
         )
     return _load_campaign(load_campaign(path))
 
 
 def _require_visible(path: Path) -> None:
-    """Refuse a source that cannot be read, e.g. a folder without permission.
+    """Reject a source that cannot be read, for example a folder without permission.
 
     Raises:
-        InputError: With the reason.
+        InputError: The source cannot be read; the message states the reason.
     """
     try:
         (path / "run.json").stat()
@@ -97,7 +99,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _expand(
     document: Document[Campaign], problems: list[str]
 ) -> list[tuple[Path, int, RecordingSection]]:
-    """Expand file names and globs, and report missing files, unknown formats and duplicates."""
+    """Expand file names and patterns, and report missing files, unknown formats and duplicates."""
     files: list[tuple[Path, int, RecordingSection]] = []
     fitted: dict[tuple[str, str], list[RecordingSection]] = {}
     for index, section in enumerate(document.value.recordings):
@@ -113,8 +115,8 @@ def _expand(
                     problems.append(
                         document.problem(
                             loc,
-                            f"{file} is used {again}; keep one entry for it, or give each a "
-                            f"`window` of its own",
+                            f"{file} is used {again}; keep one entry for the file, or give each "
+                            "entry its own `window`",
                         )
                     )
                     break
@@ -124,7 +126,7 @@ def _expand(
 
 
 def _apart(one: WindowSection | None, other: WindowSection | None) -> bool:
-    """Whether two windows of a file have no sample in common."""
+    """Return whether two windows of a file have no sample in common."""
     if one is None or other is None:
         return False
     (a, b), (c, d) = (
@@ -142,7 +144,7 @@ def _files(
         if not isinstance(section.file, str):
             loc = (*loc, position)
         exact = folder / stored_path(pattern)
-        # An existing name is used literally, since file names may contain brackets.
+        # An existing name is used literally, because file names may contain brackets.
         matches = (
             [exact]
             if os.path.exists(exact)
@@ -155,7 +157,7 @@ def _files(
             if is_folder(file):
                 problems.append(
                     document.problem(
-                        loc, f"{file} is a folder; name files, or add /* to the pattern"
+                        loc, f"{file} is a folder; give files, or add /* to the pattern"
                     )
                 )
             elif format_of(file) not in FORMATS:
@@ -169,7 +171,7 @@ def _files(
 
 
 def _distinct_names(recordings: list[Recording]) -> Iterator[Recording]:
-    """Prefix duplicate names with their folder, then number those still equal."""
+    """Add the folder to duplicate names, then number the names that are still equal."""
     count = Counter(recording.name for recording in recordings)
     used: Counter[str] = Counter()
     for recording in recordings:

@@ -1,6 +1,7 @@
-"""What is in a log: its columns, their units and sizes, and the rate and gaps of its time.
+"""Describes the content of a log for ``rig look``: columns, units, ranges, sample rate and gaps.
 
-Nothing is converted or repaired here; what the loading of a campaign would repair is only named.
+This module converts and repairs nothing; it only names the repairs that loading a campaign would
+make.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from rig.sources.table import Table, format_of
 from rig.sources.wraps import unwrapped
 
 STRIP = 40
-"""Values of the small picture of a column."""
+"""Number of values in the small picture of a column."""
 FLICKER_SHARE = 0.02
-"""Share of steps to a neighbouring value and back above which a column is said to flicker."""
+"""Share of steps to a neighbouring value and back above which a column counts as flickering."""
 _INDEX = re.compile(r"\[\d+\]$")
 _COARSE = 1000
-"""Most different values of a column whose step is looked for."""
+"""Greatest number of different values of a column for which the quantisation step is determined."""
 
 
 @dataclass(frozen=True)
@@ -35,19 +36,19 @@ class Column:
     """One column of a log.
 
     Attributes:
-        name: As in the file; empty without a header.
-        index: From 0.
-        channel: The canonical channel that it may hold; empty for none.
-        unit: As the file states it; empty where it states none.
-        scale: SI units per unit of the column, by its unit; 1 where unknown.
-        samples: Rows.
-        missing: Rows without a value.
-        low: Least value, NaN without values.
+        name: Name in the file; empty without a header.
+        index: Index of the column, from 0.
+        channel: The canonical channel that the column may contain; empty for none.
+        unit: Unit in the file; empty if the file states none.
+        scale: SI units per unit of the column; 1 if the unit is unknown.
+        samples: Number of rows.
+        missing: Number of rows without a value.
+        low: Least value; NaN without values.
         high: Greatest value.
-        step: Distance between neighbouring values of a coarse column; 0 where not found.
-        flicker: Share of steps to a neighbouring value and straight back.
-        wrap: Words on a counter that passes its end; empty for none.
-        problem: Why it cannot be read as numbers; empty where it can.
+        step: Quantisation step of a coarse column; 0 if none was found.
+        flicker: Share of steps to a neighbouring value that the next step reverses.
+        wrap: Text on a counter that overflows; empty for none.
+        problem: Reason why the column cannot be read as numbers; empty if it can.
         strip: Means of equal spans of the column, for a picture, shape (:data:`STRIP`,) at most.
     """
 
@@ -77,10 +78,10 @@ class Clock:
         period: Median step.
         low: 5th percentile of the steps.
         high: 95th percentile of the steps.
-        gaps: Steps longer than five median periods.
+        gaps: Number of steps longer than five median periods.
         longest: Longest step.
-        backwards: Steps below zero, after the wraps of a counter were undone.
-        repeated: Steps of zero.
+        backwards: Number of negative steps, after the overflows of a counter were corrected.
+        repeated: Number of steps of zero.
     """
 
     column: int
@@ -116,7 +117,7 @@ class Look:
 
 
 def look_at_file(path: Path, options: ReadSection) -> Look:
-    """Look at a file of any format that campaigns can name.
+    """Describe a file of any format that campaigns support.
 
     Raises:
         InputError: The format is unknown, or the file cannot be read.
@@ -134,8 +135,8 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
         f"{name} [{unit.strip('[]()')}]" if unit else name
         for name, unit in zip(table.names, (*units, *[""] * len(table.names)), strict=False)
     ]
-    # An MCAP field, a member of a struct and an element of a list are guessed by the last part of
-    # the name, without the index.
+    # For an MCAP field, a member of a struct and an element of a list, the guess uses the last part
+    # of the name, without the index.
     leaves = [_INDEX.sub("", name.rsplit(".", 1)[-1]) for name in stated]
     guesses = {
         channel: guess._replace(column=leaves.index(str(guess.column)))
@@ -154,7 +155,7 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
 
 
 def look_at_recording(recording: Recording) -> Look:
-    """Look at a recording of a run folder or a campaign: its channels, in SI units."""
+    """Describe a recording of a run folder or a campaign by its channels, in SI units."""
     guesses = {name: Guess(k, 1.0, True) for k, name in enumerate(recording.channels)}
     columns = tuple(
         _column(k, name, channel_unit(name) if name in CHANNELS else "", values, guesses)
@@ -165,7 +166,9 @@ def look_at_recording(recording: Recording) -> Look:
 
 
 def _series(table: Table) -> list[Array | str]:
-    """Read every column; one that is not numbers is the message why."""
+    """Read every column; for a column that is not numbers, the result has the error message
+    instead.
+    """
     every = range(len(table.names))
     try:
         return list(table.read(every))
@@ -212,7 +215,7 @@ def _column(
 
 
 def _step(known: Array) -> float:
-    """Return the distance of neighbouring values where all are multiples of it, else 0."""
+    """Return the least distance of two values if all distances are multiples of it, else 0."""
     levels = np.unique(known[: 1 << 20])
     if not 2 <= len(levels) <= max(_COARSE, len(known) // 10):
         return 0.0

@@ -1,7 +1,8 @@
-"""Checks the element headers of a MATLAB file (level 5, ``-v6`` and ``-v7``) before scipy reads it.
+"""Checks the element headers of a MATLAB file (-v6, -v7) for damage before scipy reads the file.
 
-scipy trusts them: a wrong type or length in an uncompressed file ends the whole process instead of
-raising. Compressed elements carry a checksum, which scipy checks.
+scipy does not check these headers: a wrong type or length in an uncompressed file ends the whole
+process instead of raising an error. Compressed elements have a checksum, which scipy checks. The
+format is MATLAB level 5.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes per number of each numeric data type, miINT8 to miUINT64."""
 NUMERIC_CLASSES = range(6, 16)
-"""Array classes mxDOUBLE to mxUINT64; of text and sparse arrays nothing but the header is read."""
+"""Array classes mxDOUBLE to mxUINT64; of text and sparse arrays only the header is read."""
 CLASSES = range(1, 19)
 CELL_CLASS, STRUCT_CLASS, CHAR_CLASS = 1, 2, 4
 _MEMBERS = frozenset({CELL_CLASS, STRUCT_CLASS, CHAR_CLASS, *NUMERIC_CLASSES})
 OPAQUE_CLASS = 17
-"""A MATLAB object; it has no dimensions."""
+"""Class of a MATLAB object, which has no dimensions."""
 COMPLEX_FLAG = 0x0800
 _MOST_DIMENSIONS = 32
 
 
 class DamagedElementError(ValueError):
-    """A header contradicts the file; the message names the byte."""
+    """A header contradicts the file; the message states the byte."""
 
 
 class _Element(NamedTuple):
@@ -40,17 +41,19 @@ class _Element(NamedTuple):
 
 
 class UnreadMemberError(ValueError):
-    """A struct or cell holds a member that is not read: an object, a function or a sparse array."""
+    """A struct or cell contains a member that is not supported: an object, a function or a sparse
+    array.
+    """
 
 
 def check_elements(stream: IO[bytes]) -> frozenset[str]:
-    """Check every variable of a level 5 file; files of another level are left to their reader.
+    """Check every variable of a level 5 file; files of another level are not checked.
 
     Args:
-        stream: Seekable, at its start; left anywhere.
+        stream: The file, seekable and at its start; its position afterwards is undefined.
 
     Returns:
-        Names of the structs and cells that must not be read, for a member of theirs.
+        Names of the structs and cells that must not be read, because of one of their members.
 
     Raises:
         DamagedElementError: An element's type or length is impossible.
@@ -82,7 +85,7 @@ def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[
         if len(tag) < 8:
             raise DamagedElementError(f"cut off inside an element header, at byte {start}")
         first, length = struct.unpack(f"{order}II", tag)
-        if first >> 16:  # a small element: type and length share a word, up to four bytes follow
+        if first >> 16:  # a small element: type and length in one word, data in the next
             element = _Element(first & 0xFFFF, first >> 16, start + 4, start + 8)
             fits = element.length <= 4
         else:

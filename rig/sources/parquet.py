@@ -1,4 +1,4 @@
-"""Parquet files, through the optional pyarrow."""
+"""Reader of Parquet files, with the optional library pyarrow."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def _exceeds_doubles(column: Any) -> bool:
 
 
 def _differences(column: Any) -> Array:
-    """Return integers minus the first one, exact where the difference fits a double."""
+    """Return integers minus the first integer, exact if the difference fits a double."""
     first = _first(column)
     missing = column.is_null().to_numpy()
     whole = column.fill_null(first).to_numpy()

@@ -1,6 +1,6 @@
-"""Plausibility of a recording's channels: sizes, and signs against each other.
+"""Checks the channels of a recording for plausible sizes, units and mutual signs.
 
-Pure functions of arrays; each returns the text of an error or a note, or nothing.
+All functions are pure functions of arrays that return the texts of errors and notes.
 """
 
 from __future__ import annotations
@@ -13,30 +13,30 @@ import numpy as np
 from identification.recording import CHANNELS, Array
 
 BLOCK_S = 0.02
-"""Samples are averaged over this time first, s, so that encoder steps and noise do not hide the
-sign.
+"""Time over which samples are averaged before the check of signs, s, so that encoder steps and
+noise do not hide the sign.
 """
 OPPOSED = -0.3
 """Correlation of torque and velocity in motion below which the signs count as opposite.
 """
 LARGEST, SMALLEST = 1e12, 1e-12
-"""Greatest plausible size of a channel in SI units, and the least of drive and motion where there
-are any.
+"""Greatest plausible size of each channel in SI units, and the least sizes of drive and motion that
+are not zero.
 """
 _MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
 UNRELATED = 0.5
-"""Mean square step over twice the variance of a position above which neighbouring samples count
-as unrelated (1 for rows in random order and for mere noise; a sine has less up to a sixth of
-the sample rate).
+"""Ratio of the mean square step of a position to twice its variance above which neighbouring
+samples count as unrelated. The ratio is 1 for rows in random order and for noise, and less for a
+sine of up to a sixth of the sample rate.
 """
 STILL_LEVELS = 8
-"""Most values of a position at rest, whose encoder flickers between neighbouring counts; in random
-order it is the same recording.
+"""Greatest number of different values of a position at rest, where an encoder flickers between
+neighbouring counts; the order of such rows does not matter.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
-"""Peaks above which a note suggests that the unit is a thousandth."""
+"""Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
 RATIO_TOLERANCE = 0.05
-"""Deviation of the measured from the declared gear ratio that is noted."""
+"""Relative deviation of the measured from the declared gear ratio above which there is a note."""
 
 
 def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
@@ -47,7 +47,8 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
 
     Args:
         channels: Canonical channels in SI units, shape (n,); time increasing.
-        driven_by_weight: Whether a turning weight is declared; torque is then not judged.
+        driven_by_weight: Whether a weight that turns with the joint is declared; the torque is then
+            not checked.
     """
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
@@ -82,8 +83,8 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
 
 
 def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
-    """Yield an error for each channel of impossible size, and for a position whose rows do not
-    follow each other.
+    """Yield an error for each channel of impossible size, and for a position whose rows are out of
+    order.
     """
     for name, values in channels.items():
         top = _peak(values)
@@ -93,8 +94,8 @@ def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
         if name in channels and _unrelated(channels[name]):
             yield (
                 f"`{name}` jumps from sample to sample as far as over the whole recording: its "
-                f"rows are out of order,"
-                " or it holds nothing but noise; sort them by time, or leave the file out"
+                "rows are out of order, or it contains only noise; sort the rows by time, or "
+                "leave the file out"
             )
 
 
@@ -126,7 +127,7 @@ def unit_hints(
 
 
 def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
-    """Compare motor and joint angle; return (text, whether it is an error) where they disagree."""
+    """Compare motor and joint angle; if they disagree, return a text and whether it is an error."""
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
@@ -136,7 +137,7 @@ def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[s
     if ratio < 0:
         return "`motor_angle` runs against `angle`; negate the scale of one of them", True
     if abs(ratio / gear_ratio - 1.0) > RATIO_TOLERANCE:
-        return f"motor_angle / angle is {ratio:.4g}, bench.gear_ratio says {gear_ratio:.4g}", False
+        return f"motor_angle / angle is {ratio:.4g}, bench.gear_ratio is {gear_ratio:.4g}", False
     return None
 
 
@@ -157,7 +158,7 @@ def _block_mean(values: Array, block: int) -> Array:
 
 
 def _correlation(a: Array, b: Array, velocity: Array) -> float:
-    """Return sum(a b) / sqrt(sum a^2 sum b^2) over the blocks in motion; 0 without any."""
+    """Return sum(a b) / sqrt(sum a^2 sum b^2) over the blocks in motion; 0 without motion."""
     a, b, velocity = _finite(a, b, velocity)
     if not velocity.size:
         return 0.0

@@ -1,6 +1,7 @@
-"""Time stamps and missing samples: corrections with a note, and refusals.
+"""Checks and repairs time stamps and missing samples of a recording; rejects unusable data.
 
-Pure functions of arrays. Rows count from 0; callers convert them to a place in a file.
+All functions are pure functions of arrays. Every correction gives a note. Rows count from 0;
+callers convert them to places in a file.
 """
 
 from __future__ import annotations
@@ -14,19 +15,19 @@ from numpy.typing import NDArray
 from identification.recording import Array
 
 REPEATED_SHARE = 0.01
-"""Repeated time stamps dropped with a note, as a share of the samples."""
+"""Greatest share of samples with repeated time stamps that are dropped with a note."""
 MISSING_SHARE = 0.05
-"""Missing samples of a channel interpolated with a note, as a share of the samples."""
+"""Greatest share of missing samples of a channel that are interpolated with a note."""
 MISSING_RUN = 5
-"""Longest run of missing samples that is interpolated."""
+"""Greatest number of successive missing samples that are interpolated."""
 GAP_PERIODS = 5.0
-"""A step longer than this many median periods splits the recording."""
+"""Length of a time step, in median periods, above which the recording is split."""
 MIN_SAMPLES = 50
-"""Least samples of a piece without gaps."""
+"""Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
-"""Spread of the sample period, 5 to 95 %, above which it is noted, as a share of the median."""
+"""Spread of the sample period (5 to 95 %), relative to the median, above which there is a note."""
 SLOW_PERIOD_S = 0.5
-"""Median sample period above which a note asks whether time is in seconds."""
+"""Median sample period, s, above which a note asks whether the time is in seconds."""
 
 Mask = NDArray[np.bool_]
 
@@ -45,11 +46,11 @@ class UnusableError(Exception):
 
 @dataclass(frozen=True)
 class Timing:
-    """Rows of a time base that remain.
+    """The rows of a time base that are used, and their division into pieces.
 
     Attributes:
-        keep: Mask of rows with a new time stamp, shape (n,); None where all remain.
-        pieces: (start, stop) of each piece without a gap, in the remaining rows.
+        keep: Mask of the rows that are used, shape (n,); None for all rows.
+        pieces: (start, stop) of each piece without a gap, as numbers of the used rows.
         notes: Message on each correction.
     """
 
@@ -65,14 +66,16 @@ def examine_time(time: Array) -> Timing:
         time: Time stamps, s, shape (n,).
 
     Raises:
-        UnusableError: Too few samples, NaN, time running backwards, or too many repeated stamps.
+        UnusableError: There are too few samples, a time stamp is NaN, the time runs backwards, or
+            too many time stamps are repeated.
     """
     if len(time) < MIN_SAMPLES:
         raise UnusableError(f"only {len(time)} samples; at least {MIN_SAMPLES} are needed")
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
         raise UnusableError(
-            f"time is not a number in {bad.size} rows; remove them or give `rate`", int(bad[0])
+            f"time is not a number in {bad.size} rows; remove these rows or state `rate`",
+            int(bad[0]),
         )
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
@@ -91,7 +94,8 @@ def examine_time(time: Array) -> Timing:
         if share > REPEATED_SHARE:
             raise UnusableError(
                 f"{repeated.size} repeated time stamps ({100 * share:.1f} % of the rows, at most"
-                f" {100 * REPEATED_SHARE:g} %); log time with more digits, or give `rate` instead",
+                f" {100 * REPEATED_SHARE:g} %); log the time with more digits, or state `rate` "
+                "instead",
                 int(repeated[0]),
             )
         keep = np.ones(len(time), dtype=np.bool_)
@@ -151,14 +155,14 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Args:
         values: Samples, NaN or infinite where missing, shape (n,).
         time: Time stamps, s, shape (n,), not decreasing.
-        legitimate: Rows where a missing sample is valid and stays NaN (power stage off), shape
+        legitimate: Rows in which a missing sample is valid and stays NaN (power stage off), shape
             (n,).
 
     Returns:
-        The samples (the same array where nothing was missing) and how many were interpolated.
+        The samples (the same array if none was missing) and the number of interpolated samples.
 
     Raises:
-        UnusableError: More than 5 % are missing, or more than 5 in a row.
+        UnusableError: More than 5 % of the samples are missing, or more than 5 successive ones.
     """
     finite = np.isfinite(values)
     missing = ~finite if legitimate is None else ~finite & ~legitimate

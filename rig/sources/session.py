@@ -1,4 +1,4 @@
-"""Places recordings on the clock of their session, from declared starts or their order."""
+"""Gives the recordings of a campaign a common session time, from start times or their order."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from rig.config.configuration import Document
 
 @dataclass(frozen=True)
 class Read:
-    """What was read from one file.
+    """The recordings of one file and the file's time span.
 
     Attributes:
         recordings: One per piece.
         first: First time stamp of the whole file, s.
-        last: Latest one, s.
+        last: Last time stamp of the whole file, s.
         section: The file's entry in the campaign.
         index: Position of the entry in ``recordings``.
     """
@@ -34,13 +34,14 @@ class Read:
 
 
 def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> list[Recording]:
-    """Return the recordings of all files, with their starts where the campaign states them.
+    """Return the recordings of all files, with start times in the session if the campaign states
+    them.
 
-    Seconds are as stated; of ISO times the earliest is zero; files in an order follow one another
-    without a pause.
+    Start times in seconds are used as stated. The earliest ISO time becomes zero. Files with a
+    stated order follow one another without a pause.
 
     Raises:
-        InputError: One start or order stands for several files, or recordings overlap.
+        InputError: One start time or order belongs to several files, or recordings overlap.
     """
     problems: list[str] = []
     starts = _starts(files, document, problems)
@@ -51,7 +52,7 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
                 begin = start + float(recording.time[0]) - file.first
                 note = f"begins {begin:.6g} s into the session"
                 if file.section.order is not None:
-                    note += "; only the order is known, pauses count as nothing"
+                    note += "; only the order is known, so that pauses count as zero"
                 recording = replace(recording, start=begin, notes=(*recording.notes, note))
             placed.append((recording, file.index))
     if any(start is not None for start in starts) and not problems:
@@ -64,7 +65,7 @@ def on_session_clock(files: Sequence[Read], document: Document[Campaign]) -> lis
 def _starts(
     files: Sequence[Read], document: Document[Campaign], problems: list[str]
 ) -> list[float | None]:
-    """Return when each file began, s; a file that stands in several windows began once."""
+    """Return the start time of each file, s; all windows of a file have one start time."""
     for name in ("start", "order"):
         for index in dict.fromkeys(f.index for f in files):
             same = [f for f in files if f.index == index]
@@ -72,7 +73,8 @@ def _starts(
                 problems.append(
                     document.problem(
                         ("recordings", index, name),
-                        f"one `{name}` for {len(same)} files; list them singly, each with its own",
+                        f"one `{name}` for {len(same)} files; list the files singly, each with "
+                        "its own",
                     )
                 )
     times = [instant(s) for f in files if isinstance(s := f.section.start, str)]
@@ -91,13 +93,14 @@ def _starts(
     clock = 0.0
     for n in ordered:
         found[n] = clock
-        # A period more, so that the next file's first sample comes after this one's last.
+        # One period is added, so that the first sample of the next file comes after the last sample
+        # of this file.
         clock += files[n].last - files[n].first + files[n].recordings[0].period
     return found
 
 
 def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campaign]) -> list[str]:
-    """Return a problem for each recording that begins before the one before it has ended."""
+    """Return a problem for each recording that begins before the former recording ends."""
     problems = []
     for (one, _), (other, index) in pairwise(sorted(placed, key=lambda item: item[0].span)):
         if other.span[0] <= one.span[1]:
@@ -105,8 +108,8 @@ def _overlaps(placed: Sequence[tuple[Recording, int]], document: Document[Campai
                 document.problem(
                     ("recordings", index, "start"),
                     f"{other.name} begins at {other.span[0]:.6g} s of the session, before "
-                    f"{one.name} ends at {one.span[1]:.6g} s; correct the starts (they are of the "
-                    f"first row of a file, whatever its window)",
+                    f"{one.name} ends at {one.span[1]:.6g} s; correct the start times (a start "
+                    "time belongs to the first row of a file, also if the file has a window)",
                 )
             )
     return problems

@@ -1,4 +1,4 @@
-"""Interface of every reader: named columns of numbers, and the place of a row in the file."""
+"""Interface of the readers of all file formats: named columns of numbers, places of rows."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from rig.common.errors import InputError
 
 
 class Table(ABC):
-    """An opened recording file. Opening reads the names only.
+    """An opened recording file. Opening reads only the names of the columns.
 
     Attributes:
         path: The file.
         names: Column names in file order; an empty string for a column without a name.
-        notes: Messages to the user about the reading.
-        units: Units as the file states them, in column order; empty where it states none.
+        notes: Messages to the user about the reading of the file.
+        units: Units that the file states, in column order; empty for a column without a unit.
     """
 
     path: Path
@@ -33,7 +33,8 @@ class Table(ABC):
         """Read columns by index, each of shape (n,); empty cells are NaN.
 
         Raises:
-            InputError: A value is not a number, or the file is damaged; names file, row and column.
+            InputError: A value is not a number, or the file is damaged; the message states file,
+                row and column.
         """
 
     def place(self, row: int) -> str:
@@ -42,24 +43,24 @@ class Table(ABC):
 
 
 def open_binary(path: Path) -> IO[bytes]:
-    """Open a plain file for reading, through gzip where its name ends in ``.gz``.
+    """Open a file for reading; it is decompressed by gzip if its name ends in ``.gz``.
 
     Raises:
-        OSError: It cannot be opened.
+        OSError: The file cannot be opened.
     """
     require_plain(path)
     return cast("IO[bytes]", gzip.open(path, "rb")) if path.suffix == ".gz" else path.open("rb")
 
 
 def format_of(path: Path) -> str:
-    """Return the extension that names the format, without a dot and without ``.gz``."""
+    """Return the extension that determines the format, without a dot and without ``.gz``."""
     return (
         (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower().lstrip(".")
     )
 
 
 def damaged(path: Path, error: Exception, remedy: str) -> InputError:
-    """Return a message from a library's error on a file that it could not read."""
+    """Return the message for a file that a library could not read, from the library's error."""
     said = str(error).strip().splitlines()
     return InputError(
         f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"

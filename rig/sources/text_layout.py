@@ -1,6 +1,6 @@
-"""What a delimited text file looks like: encoding, delimiter, header, units, times of day.
+"""Finds the layout of a delimited text file: encoding, delimiter, header, units, dates and times.
 
-Pure functions of lines and cells, and the opening of a text file.
+All functions but those that open a file are pure functions of lines and cells.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from typing import TextIO, cast
 from drivers.plain_file import require_plain
 
 BLANKS = " "
-"""The delimiter of columns aligned by blanks: any number of blanks or tabs."""
+"""Delimiter of columns that are aligned with blanks: any number of blanks or tabs."""
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
 DAY_NS = 86_400 * 10**9
-"""A time with a date is at least this; a time of day alone is less."""
+"""Least value of a time with a date, ns; a time of day without a date is less."""
 END_MARKS = frozenset({"eof", "end of file"})
 _DELIMITERS = (";", "\t", "|", ",")
 _WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
-"""Not-a-numbers and infinities as the C library of Windows writes them."""
+"""NaN and infinity as the C library of Windows writes them."""
 _DAY = re.compile(
     r"(?:(\d{4})[-/](\d{1,2})[-/](\d{1,2})[T ]\s*)?(\d{1,2}):(\d{2}):(\d{2})(?:[.,](\d{1,9}))?\s*"
     r"(?:Z|UTC|([+-])(\d{2}):?(\d{2}))?",
@@ -34,7 +34,7 @@ _QUOTED = re.compile(r'"(?:[^"]|"")*"|[^\s"]+')
 
 
 def open_text(path: Path, encoding: str) -> TextIO:
-    """Open a plain text file, through gzip where its name ends in ``.gz``.
+    """Open a text file; it is decompressed by gzip if its name ends in ``.gz``.
 
     Raises:
         OSError: It cannot be opened.
@@ -46,13 +46,13 @@ def open_text(path: Path, encoding: str) -> TextIO:
 
 
 def encoding_of(path: Path) -> str:
-    """Return the encoding that the first bytes show: UTF-16, or else Latin-1.
+    """Return the encoding of a file: UTF-16 if its first bytes show this, else Latin-1.
 
-    Latin-1 decodes any byte, so that a degree sign in a vendor's header cannot stop the reading of
-    numbers.
+    Latin-1 decodes every byte, so that a degree sign in the header of a file cannot prevent the
+    reading of numbers.
 
     Raises:
-        OSError, EOFError, zlib.error: It cannot be read.
+        OSError, EOFError, zlib.error: The file cannot be read.
     """
     require_plain(path)
     with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as stream:
@@ -68,7 +68,9 @@ def encoding_of(path: Path) -> str:
 
 
 def utf8(text: str) -> str:
-    """Return a line that was read as Latin-1 as UTF-8 where it is that."""
+    """Return a line that was decoded as Latin-1; if its bytes are UTF-8, return it decoded as
+    UTF-8.
+    """
     try:
         return text.encode("latin-1").decode("utf-8").lstrip("\ufeff")
     except UnicodeError:
@@ -101,7 +103,7 @@ def _numbers(line: str, decimal: str) -> bool:
 
 
 def split(text: str, delimiter: str) -> list[str]:
-    """Split one line into cells, undoing what spreadsheet programs add to it."""
+    """Split one line into cells, without the characters that spreadsheet programs add."""
     text = text.strip(" \r\n")
     if delimiter == BLANKS:
         found = text.split() if '"' not in text else _QUOTED.findall(text)
@@ -134,12 +136,12 @@ def pointed(cell: str, decimal: str) -> str:
 
 
 def is_empty(cell: str) -> bool:
-    """Whether a cell says that there is no value."""
+    """Return whether a cell states that there is no value."""
     return cell.lower() in EMPTY or _WINDOWS_NAN.fullmatch(cell) is not None
 
 
 def is_number(cell: str) -> bool:
-    """Whether a cell holds a number, or a word for a missing one."""
+    """Return whether a cell contains a number, or a word for a missing number."""
     text = cell.strip(' "\t')
     if is_empty(text):
         return text != ""
@@ -151,9 +153,10 @@ def is_number(cell: str) -> bool:
 
 
 def without_comment(text: str) -> str:
-    """Return a line without a comment: a # that begins the line or follows a blank.
+    """Return a line without its comment; a comment starts with a # at the start of the line or
+    after a blank.
 
-    A # inside a cell, as in ``-1.#IND``, begins none.
+    A # inside a cell, as in ``-1.#IND``, starts no comment.
     """
     if "#" in text:
         if text.lstrip().startswith("#"):
@@ -163,12 +166,13 @@ def without_comment(text: str) -> str:
 
 
 def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
-    """Whether the first line is 0, 1, 2, ...: the header of a table whose columns have no names.
+    """Return whether the first line is 0, 1, 2, ...: the header of a table whose columns have no
+    names.
 
     Args:
-        cells: Of the first line.
-        below: Of the next line with content; numbers with decimals there tell two columns apart
-            from two whole numbers.
+        cells: Cells of the first line.
+        below: Cells of the next line with content. If there are two columns, the line counts as a
+            header only if these cells have decimals.
     """
     if [cell.strip(' "') for cell in cells] != [str(k) for k in range(len(cells))]:
         return False
@@ -176,7 +180,9 @@ def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def are_units(cells: Sequence[str], width: int) -> bool:
-    """Whether a line below the names holds no number but short words, as units are."""
+    """Return whether a line below the names contains short words and no number, as a row of units
+    does.
+    """
     words = [cell.strip(' "\t') for cell in cells]
     return (
         len(words) <= width
@@ -189,9 +195,10 @@ def are_units(cells: Sequence[str], width: int) -> bool:
 
 
 def nanoseconds(cell: str) -> int | None:
-    """Return a date and time, or a time of day, in ns since the year 1; None where it is neither.
+    """Return a date and time, or a time of day, in ns since the year 1; None if the cell is
+    neither.
 
-    The date comes year first (ISO 8601); an offset from UTC is taken off.
+    The date starts with the year (ISO 8601); an offset from UTC is subtracted.
     """
     match = _DAY.fullmatch(cell.strip(' "\t'))
     if match is None:

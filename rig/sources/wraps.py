@@ -1,6 +1,6 @@
-"""Counters that begin anew: a step of a power of two in a column or in its time.
+"""Finds and corrects counter overflows: steps of a power of two in a column or in the time.
 
-Pure functions of arrays.
+All functions are pure functions of arrays.
 """
 
 from __future__ import annotations
@@ -10,34 +10,36 @@ import numpy as np
 from identification.recording import Array
 
 POWERS = range(8, 33)
-"""Widths of counters, bits."""
+"""Widths of counters that are recognised, bits."""
 CONVERTED_UNITS = (1e-3, 1e-6)
-"""Milli and microseconds of a 32-bit counter that the logger has converted. Shorter counters are
-not looked for in converted stamps: recordings of 4096 or 65536 samples that follow each other look
-the same.
+"""Units of the time of a 32-bit counter that the logger has converted to seconds: milliseconds and
+microseconds. Overflows of shorter counters are not searched in converted time stamps, because
+successive recordings of 4096 or 65536 samples look the same.
 """
 LEVELS = 8
-"""Least different values of a column that is read as signed; fewer may be a switched output."""
+"""Least number of different values of a column that is read as signed; a column with fewer values
+may be a switched output.
+"""
 DAY_S = 86400.0
 ORDINARY_SHARE = 0.125
-"""Largest other step beside the wraps, as a share of the modulus; with larger steps the direction
-of a step is not sure.
+"""Greatest step other than an overflow, as a share of the modulus; with larger steps the direction
+of a step is uncertain.
 """
 TIME_PERIODS = 100.0
-"""Longest step of time over a wrap, in median periods."""
+"""Longest step of time at an overflow, in median periods."""
 POSITIONS = frozenset({"angle", "motor_angle"})
 TIMES = frozenset({"time", "angle_time"})
 
 
 def unwrapped(name: str, values: Array) -> tuple[Array, str]:
-    """Undo the wraps of a counter.
+    """Correct the overflows of a counter.
 
     Args:
-        name: The channel that the column feeds.
+        name: The channel of the column.
         values: The column as stored, shape (n,).
 
     Returns:
-        The column, and a note; the same array and an empty note where there is no wrap.
+        The corrected column and a note; the same array and an empty note if there is no overflow.
     """
     if name == "enabled" or len(values) < 3:
         return values, ""
@@ -58,25 +60,27 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
         count = int(jumps.sum())
         if name in POSITIONS:
             return _continued(values, modulus), (
-                f"a counter of {power} bits, which passes its end {count} times: unwrapped"
+                f"a counter of {power} bits that overflows {count} times: corrected"
             )
         if finite.min() >= 0 and len(np.unique(finite)) >= LEVELS:
             signed = np.where(values >= modulus / 2, values - modulus, values)
             return signed, (
                 f"steps of 2^{power} around zero: the column holds signed numbers of {power} bits "
-                f"as unsigned ones, and was read as signed"
+                f"as unsigned ones, and was read as signed numbers"
             )
     return values, ""
 
 
 def _in_window(values: Array, modulus: float) -> bool:
-    """Whether all values fit an unsigned or a signed counter of this modulus."""
+    """Return whether all values fit an unsigned or a signed counter of this modulus."""
     low, high = float(values.min()), float(values.max())
     return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
 
 
 def _continued(values: Array, modulus: float) -> Array:
-    """Return values with multiples of the modulus added, so that no step is over half of it."""
+    """Return the values with multiples of the modulus added, so that no step exceeds half of the
+    modulus.
+    """
     result = values.astype(np.float64)
     known = np.isfinite(result)
     steps = np.diff(result[known])
@@ -105,6 +109,6 @@ def _time(values: Array) -> tuple[Array, str]:
         if values.min() >= 0 and values.max() < modulus and np.all((over > 0) & (over <= longest)):
             turns = np.concatenate(([0.0], np.cumsum(back)))
             return values + modulus * turns, (
-                f"begins anew after {words}, {int(back.sum())} times: unwrapped"
+                f"starts again after {words}, {int(back.sum())} times: corrected"
             )
     return values, ""

@@ -35,10 +35,13 @@ WORDS = {
     ServoState.FAULT: (None, 0x00, 0x02, 0x80),
 }
 REFUSED = {
-    Command.ENABLE: "'enable' is not allowed in state '{}': disable it, or reset its fault, first",
-    Command.RESET_FAULT: "'reset fault' is not allowed in state '{}': disable it first; there is "
-    "no fault to reset, "
-    "or its reaction is not over",
+    Command.ENABLE: (
+        "'enable' is not allowed in state '{}': disable the drive, or reset its fault, first"
+    ),
+    Command.RESET_FAULT: (
+        "'reset fault' is not allowed in state '{}': disable the drive first; there is "
+        "no fault to reset, or the reaction to the fault is not over"
+    ),
 }
 TOWARD_POWER = [
     ServoState.NOT_READY,

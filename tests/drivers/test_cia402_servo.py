@@ -273,7 +273,10 @@ def test_a_cycle_of_a_part_of_a_millisecond_is_refused(cycle_s: float, shown: st
     drive = Drive()
     with pytest.raises(ConfigurationError) as caught:
         make(drive).prepare(cycle_s)
-    assert str(caught.value) == f"cycle is {shown} ms, must be whole milliseconds (60C2h)"
+    assert (
+        str(caught.value)
+        == f"the cycle time is {shown} ms; it must be a whole number of milliseconds (60C2h)"
+    )
     assert drive.take() == []
 
 
@@ -491,7 +494,7 @@ def test_a_drive_without_the_mode_stays_as_it_is(offered: int, good: bool) -> No
     if good:
         servo.enable()
         return
-    with pytest.raises(StateError, match=r"does not offer mode 8.*6502h reads 0000007Fh"):
+    with pytest.raises(StateError, match=r"does not support mode 8.*6502h reads 0000007Fh"):
         servo.enable()
     assert drive.take("exchange") == []
     assert drive.state is State.SWITCH_ON_DISABLED
@@ -558,8 +561,8 @@ def test_a_drive_that_does_not_obey_is_given_a_second(verb: str, wanted: str) ->
         getattr(servo, verb)()
     shown = ServoState[drive.state.name].value
     assert str(caught.value) == (
-        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: take its power away "
-        f"by hand"
+        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: switch the supply "
+        "of the drive off by hand"
     )
     # Read every millisecond, the last time as the time is up; a reset reads the state before it
     # begins.

@@ -137,7 +137,7 @@ def test_a_long_identifier_has_its_flag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        ("BO_ 5 M: 16 A", "16 bytes; classical CAN carries at most 8"),
+        ("BO_ 5 M: 16 A", "16 bytes; a classical CAN frame has at most 8"),
         (
             'BO_ 5 M: 8 A\n SG_ K M : 0|8@1+ (1,0) [0|0] "" B\n'
             ' SG_ L m0M : 8|8@1+ (1,0) [0|0] "" B\n SG_ X m1 : 16|8@1+ (1,0) [0|0] "" B\n\n'

@@ -151,7 +151,7 @@ def test_a_drive_with_long_identifiers_is_enabled_and_disabled(tmp_path: Path) -
 def test_a_short_identifier_does_not_pass_for_a_long_one(tmp_path: Path) -> None:
     wire, _, servo = motor(tmp_path, text=LONG)
     wire.answers[0x18FEF101 | EXTENDED_FLAG] = lambda _: [(0x102, reply())]
-    with pytest.raises(LinkError, match=r"no good Reply \(18FEF102h\)"):
+    with pytest.raises(LinkError, match=r"no valid Reply \(18FEF102h\)"):
         servo.prepare(CYCLE_S)
 
 
@@ -236,7 +236,7 @@ def test_a_silent_drive_is_asked_with_its_disable_order(tmp_path: Path, verb: st
 
 def test_a_drive_that_is_silent_even_then_is_reported(tmp_path: Path) -> None:
     wire, _, servo = motor(tmp_path)
-    with pytest.raises(LinkError, match=r"no good Reply \(002h\) in 0\.3 s"):
+    with pytest.raises(LinkError, match=r"no valid Reply \(002h\) in 0\.3 s"):
         servo.state()
     assert {data.hex() for _, data in wire.sent} == {"fffffffffffffffd"}
 
@@ -341,4 +341,4 @@ def test_a_limit_that_is_not_reported_is_written_and_held_by_the_program_alone(
     assert servo.read_limits() == HELD
     assert servo.limits_taken == frozenset()
     assert servo.limit_places is not None
-    assert servo.limit_places["speed_rad_s"] == "Limits.Speed, written and not reported"
+    assert servo.limit_places["speed_rad_s"] == "Limits.Speed, written but not reported"

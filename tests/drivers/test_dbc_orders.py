@@ -80,7 +80,7 @@ def test_the_target_comes_back_with_an_order_that_leaves_it_free(tmp_path: Path)
 def test_a_running_drive_must_get_its_target(tmp_path: Path) -> None:
     enable = {"disabled": special(0xFC), "running": {**GAINS, "Command.Pos": 5}}
     found = problems(tmp_path, ordered(enable=enable))
-    assert "a running drive would never get one" in found["orders.enable.running"]
+    assert "a running drive would never receive a target" in found["orders.enable.running"]
 
 
 def test_an_order_on_another_page_wins_too_and_says_its_page(tmp_path: Path) -> None:

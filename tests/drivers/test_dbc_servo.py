@@ -132,7 +132,8 @@ def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
         lambda _t, found, data, _s: None if found == MOTION else (found, data)
     )
     with pytest.raises(
-        LinkError, match=r"sent no good DRV_Motion \(190h\) in 0\.3 s: check its supply and bus"
+        LinkError,
+        match=r"sent no valid DRV_Motion \(190h\) in 0\.3 s: check the supply and the bus",
     ):
         host.servo.state()
 
@@ -141,7 +142,7 @@ def test_a_wrong_checksum_in_the_map_is_told_apart_from_silence() -> None:
     messages = {**MAP.messages, "DRV_Motion": Protection("Life", "Check", "sum8")}
     host = make_dbc_host(spec=replace(MAP, messages=messages))
     with pytest.raises(
-        LinkError, match=r"\d+ came with a bad length, checksum or counter: check the map"
+        LinkError, match=r"\d+ had a wrong length, checksum or counter: check the map"
     ):
         host.servo.state()
     host.link.close()
@@ -164,7 +165,7 @@ def test_a_status_that_the_map_does_not_name_is_an_error() -> None:
     host.bench.drive._enter(State.READY)
     host.cycles(1)
     assert host.servo.sample().statusword & 0x6F == 0
-    with pytest.raises(StateError, match="reports status 1, which the map does not name"):
+    with pytest.raises(StateError, match="reports status 1, which the map does not contain"):
         host.servo.state()
     host.link.close()
 
@@ -298,7 +299,7 @@ def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
         lambda _t, found, data, _s: None if found == LIMITS else (found, data)
     )
     with pytest.raises(
-        ConfigurationError, match=r"house servo does not take these limits.*speed reads 240 after"
+        ConfigurationError, match=r"house servo does not accept these limits.*speed reads 240 after"
     ):
         host.servo.write_limits(HELD)
 
@@ -320,7 +321,7 @@ def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
 
 
 def test_a_cycle_too_slow_for_the_watchdog_is_refused(host: DbcHost) -> None:
-    with pytest.raises(ConfigurationError, match="every 60 ms, the drive stops after 100 ms"):
+    with pytest.raises(ConfigurationError, match="every 60 ms, and the drive stops after 100 ms"):
         host.servo.prepare(0.06)
 
 
@@ -344,7 +345,7 @@ def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:
     host.cycles(300)
     host.bench.drive.limits = COMMISSIONED
     with pytest.raises(
-        StateError, match=r"no longer holds the limits written into it .*speed.* restarted"
+        StateError, match=r"no longer reports the limits written into it .*speed.* restarted"
     ):
         host.cycles(300)
     # Told once, so that the drive can be stopped.

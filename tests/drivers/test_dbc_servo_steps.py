@@ -269,9 +269,9 @@ def test_a_message_that_does_not_come_is_asked_for_again_and_again() -> None:
     began = bench.clock.now_ns()
     with pytest.raises(LinkError) as caught:
         make(bench).prepare(CYCLE_S)
-    assert (
-        str(caught.value)
-        == "house servo sent no good Motion (191h) in 0.5 s: check its supply and bus"
+    assert str(caught.value) == (
+        "house servo sent no valid Motion (191h) in 0.5 s: check the supply and the "
+        "bus of the drive"
     )
     assert bench.take("command", "pump")[-4:] == [("command", b"off"), ("pump", 0.02)] * 2
     # Two frames of the status, and two and a half periods of the other.
@@ -287,7 +287,7 @@ def test_a_message_that_comes_damaged_is_told_apart() -> None:
         make(bench).prepare(CYCLE_S)
     # 25 waits, two frames in each; those before do not count.
     assert str(caught.value) == (
-        "house servo sent no good Motion (191h) in 0.5 s: 50 came with a bad length, checksum or "
+        "house servo sent no valid Motion (191h) in 0.5 s: 50 had a wrong length, checksum or "
         "counter: check the map"
     )
 
@@ -298,13 +298,13 @@ def test_a_status_that_does_not_come_or_comes_damaged() -> None:
     servo = make(bench)
     with pytest.raises(LinkError) as caught:
         servo.state()
-    assert (
-        str(caught.value)
-        == "house servo sent no good Status (190h) in 0.3 s: check its supply and bus"
+    assert str(caught.value) == (
+        "house servo sent no valid Status (190h) in 0.3 s: check the supply and the "
+        "bus of the drive"
     )
     bench.slots["Status"].refused = 5
     bench.refused = 1
-    with pytest.raises(LinkError, match=r"in 0\.3 s: 1 came with a bad length"):
+    with pytest.raises(LinkError, match=r"in 0\.3 s: 1 had a wrong length"):
         servo.state()
 
 
@@ -313,7 +313,10 @@ def test_a_status_that_the_map_does_not_name() -> None:
     bench.state = None
     with pytest.raises(StateError) as caught:
         make(bench).state()
-    assert str(caught.value) == "house servo reports status 9, which the map does not name: add it"
+    assert (
+        str(caught.value)
+        == "house servo reports status 9, which the map does not contain: add it to the map"
+    )
 
 
 def test_preparing_under_power_is_refused() -> None:
@@ -339,9 +342,8 @@ def test_commands_that_are_too_rare_for_the_watchdog_are_refused(
     with pytest.raises(ConfigurationError) as caught:
         make(bench, replaced(watchdog_s=watchdog_s)).prepare(cycle_s)
     assert str(caught.value) == (
-        f"commands go every {slowest} ms, the drive stops after {watchdog_s * 1e3:g} ms without "
-        f"one: "
-        "at most half of that; raise cycle_Hz"
+        f"commands go every {slowest} ms, and the drive stops after {watchdog_s * 1e3:g} ms "
+        "without a command; commands must be at most half of this time apart: raise cycle_Hz"
     )
     assert bench.take() == [("await", "Status", 0.3)]
 
@@ -605,8 +607,8 @@ def test_a_drive_that_does_not_obey_is_told_for_a_second(
     with pytest.raises(StateError) as caught:
         getattr(servo, verb)()
     assert str(caught.value) == (
-        f"the drive reports '{state.value}' 1 s after the command, wanted {wanted}: take its "
-        f"power away by hand"
+        f"the drive reports '{state.value}' 1 s after the command, wanted {wanted}: switch the "
+        "supply of the drive off by hand"
     )
     log = bench.take("command", "await")
     # A status every 10 ms; the orders go out again after each but the last.
@@ -767,7 +769,7 @@ def test_limits_are_written_awaited_verified_and_watched() -> None:
     ]
     assert servo.read_limits() == HELD
     bench.values["speed"] = 250.0
-    with pytest.raises(ConfigurationError, match="house servo does not take these limits"):
+    with pytest.raises(ConfigurationError, match="house servo does not accept these limits"):
         servo.write_limits(HELD)
     assert bench.take("pin") == [("pin", {})]
 

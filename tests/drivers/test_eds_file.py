@@ -113,22 +113,22 @@ def test_an_object_that_every_drive_needs_is_missed(tmp_path: Path, index: str) 
 
 
 OPTIONAL = {
-    "6072": "not held by the drive: joint torque (6072h)",
-    "6073": "not held by the drive: motor current (6073h)",
-    "607D": "not held by the drive: lower end of the joint angle (607Dh:01h)",
-    "607F": "not held by the drive: joint speed (607Fh)",
-    "6065": "not held by the drive: following error (6065h)",
-    "605A": "not held by the drive: quick stop option (605Ah)",
-    "6085": "not held by the drive: quick stop deceleration (6085h)",
-    "6079": "not watched: supply voltage (6079h)",
-    "2101": "not watched: temperature (2101h)",
+    "6072": "no such limit in the drive: joint torque (6072h)",
+    "6073": "no such limit in the drive: motor current (6073h)",
+    "607D": "no such limit in the drive: lower end of the joint angle (607Dh:01h)",
+    "607F": "no such limit in the drive: joint speed (607Fh)",
+    "6065": "no such limit in the drive: following error (6065h)",
+    "605A": "no such limit in the drive: quick stop option (605Ah)",
+    "6085": "no such limit in the drive: quick stop deceleration (6085h)",
+    "6079": "not monitored: supply voltage (6079h)",
+    "2101": "not monitored: temperature (2101h)",
     "2100": "not recorded: motor voltage",
     "606C": "no motor speed (606Ch)",
     "6075": "not checked: rated current (6075h)",
     "6076": "not checked: rated torque (6076h)",
-    "6078": "no motor current (6078h): it is taken from the torque 6077h",
+    "6078": "no motor current (6078h): the current is computed from the torque 6077h",
     "1013": "no time stamp (1013h)",
-    "60C2": "no interpolation period (60C2h): set it to 1 ms",
+    "60C2": "no interpolation period (60C2h): set the period to 1 ms",
     "6007": "no reaction to a lost master (6007h)",
 }
 

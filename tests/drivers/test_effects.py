@@ -301,5 +301,5 @@ def test_effects_that_cannot_be_are_refused(effects: Effects, says: str) -> None
 
 def test_a_rotor_heavier_than_the_whole_is_refused() -> None:
     heavy = replace(Machine(), motor=replace(Machine().motor, rotor_inertia_kg_m2=3e-5))
-    with pytest.raises(ValueError, match="needs some on both sides"):
+    with pytest.raises(ValueError, match="needs inertia on both sides"):
         effect_vector(replace(heavy, effects={"backlash": {"gap_rad": 0.01}}))

@@ -120,7 +120,9 @@ def test_pdos_with_fixed_identifiers_are_used_where_the_device_has_them(host: Ho
 
 def test_a_fixed_identifier_of_another_node_is_refused(host: Host) -> None:
     fix_identifiers(host.bench.drive, (0x1A1, 0x281, 0x381, 0x481))
-    with pytest.raises(ConfigurationError, match="identifier 1A1h of another node, and 1800h:01h"):
+    with pytest.raises(
+        ConfigurationError, match="identifier 1A1h, which belongs to another node, and 1800h:01h"
+    ):
         host.servo.prepare(host.cycle_s)
 
 
@@ -350,7 +352,7 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
     [
         (0.0146, "606Ch is in rpm: set servo.velocity_unit: rpm"),
         (0.0104, "606Ch is in rpm: set servo.velocity_unit: rpm"),
-        (-1.0, "606Ch has the other sign than 6064h"),
+        (-1.0, "606Ch has the opposite sign of 6064h"),
         (0.1, "set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about 0.015"),
     ],
 )

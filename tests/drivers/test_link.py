@@ -200,7 +200,7 @@ def test_process_data_must_fit_the_device(host: Host) -> None:
     def mapped(*objects: tuple[int, int], number: int = 1) -> None:
         host.drive.map_process_data([], [PdoLayout(number, objects)], 0.001)
 
-    with pytest.raises(ConfigurationError, match="12 bytes, limit 8"):
+    with pytest.raises(ConfigurationError, match="12 bytes, the limit is 8"):
         mapped((0x6064, 0), (0x606C, 0), (0x60F4, 0))
     with pytest.raises(ConfigurationError, match="not in the device's EDS"):
         mapped((0x5000, 0))
@@ -212,7 +212,7 @@ def test_process_data_must_fit_the_device(host: Host) -> None:
 
 def test_node_identifiers_are_checked(host: Host) -> None:
     for taken in (0, 1, 127, 128):
-        with pytest.raises(ConfigurationError, match=f"{taken} is out of"):
+        with pytest.raises(ConfigurationError, match=f"{taken} is not in"):
             host.link.add_node(taken, DRIVE_EDS)
 
 

@@ -508,7 +508,8 @@ def test_answers_to_other_requests_without_end_are_none_to_this_one() -> None:
     node = link.add_node(1, DRIVE_EDS)
     link.open()
     with pytest.raises(
-        LinkError, match=r"object 6041h:00h: 64 SDO responses to other requests, none to this one"
+        LinkError,
+        match=r"object 6041h:00h: 64 SDO responses belong to other requests, none to this request",
     ):
         node.read(0x6041)
     link.close()

@@ -193,7 +193,7 @@ def test_all_refusals_of_a_drive_are_yielded() -> None:
         "rated current, 6075h",
         "rated torque, 6076h",
         "encoder resolution, 608Fh",
-        "cycle is 1.5 ms, must be whole milliseconds (60C2h)",
+        "the cycle time is 1.5 ms; it must be a whole number of milliseconds (60C2h)",
     ]
     host.link.close()
 
@@ -219,7 +219,7 @@ def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
     values = can.bench.encoder.objects.values
     values[key(0x6001)], values[key(0x6503)] = 1000, 0x1
     resolution, alarm = can.encoder.refusals(0.001)
-    assert "6001h says 1000 counts per turn, the bench file 262144" in str(resolution)
+    assert "6001h says 1000 counts per turn, the bench file states 262144" in str(resolution)
     assert "reports alarms 0001h" in str(alarm)
     with pytest.raises(ConfigurationError) as caught:
         can.encoder.prepare(0.001)
@@ -301,7 +301,7 @@ def test_a_watchdog_of_a_drive_of_its_own_kind_must_outlast_two_commands() -> No
     host = make_dbc_host()
     assert list(host.servo.refusals(0.05)) == []
     (error,) = host.servo.refusals(0.051)
-    assert "at most half of that" in str(error)
+    assert "at most half of this time apart" in str(error)
     host.link.close()
 
 

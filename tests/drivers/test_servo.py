@@ -249,7 +249,9 @@ def test_a_watch_that_does_not_read_back_stops_preparation(host: Host) -> None:
     host.bench.drive.objects.written[0x1016] = lambda _sub, _v: host.bench.drive.objects.reset(
         0x1016, 0x1016
     )
-    with pytest.raises(ConfigurationError, match="would not notice a stopped control loop"):
+    with pytest.raises(
+        ConfigurationError, match="would not detect that the control loop has stopped"
+    ):
         prepared(host)
 
 

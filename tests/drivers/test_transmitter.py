@@ -91,14 +91,16 @@ def test_a_frame_may_be_lost_but_not_two() -> None:
 
 def test_another_unit_is_refused() -> None:
     _, _, transmitter = fitted(unit_Pa=1000.0)
-    with pytest.raises(ConfigurationError, match="make 100 Pa a unit, the bench file 1000 Pa"):
+    with pytest.raises(
+        ConfigurationError, match="make 100 Pa per unit, the bench file states 1000 Pa"
+    ):
         transmitter.prepare(0.001)
 
 
 def test_a_unit_that_is_no_pressure_is_refused() -> None:
     bench, _, transmitter = fitted()
     bench.transmitter.objects.values[0x613101] = 0x002D0000  # degrees Celsius
-    with pytest.raises(ConfigurationError, match="002D0000h, which is no unit of pressure"):
+    with pytest.raises(ConfigurationError, match="002D0000h, which is no known unit of pressure"):
         transmitter.prepare(0.001)
 
 

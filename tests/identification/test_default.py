@@ -150,7 +150,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     result = identify(Dataset((recording,)))
     (warning,) = result.warnings
     assert "values are those of the equation error at" in warning
-    assert "ask for a torque noise of" in warning
+    assert "imply a torque noise of" in warning
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
 
@@ -232,7 +232,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert wrong.noise.torque > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
     assert refusal(right, 1.0, 1.0) == ""
-    assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
+    assert "imply a torque noise" in refusal(wrong, 1.0, 1.0)
     assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
     assert "at a lower likelihood than its start (deviance +20)" in refusal(
         replace(right, likelihood_drop=20.0), 1.0, 1.0
@@ -362,7 +362,7 @@ def test_a_drive_without_torque_is_refused(method: Callable[..., Identification]
     idle = sine()
     idle = replace(idle, channels={**idle.channels, "torque": np.zeros(len(idle.time))})
     with pytest.raises(
-        RecordingError, match="sine: the drive's torque is zero wherever the joint moves"
+        RecordingError, match="sine: the drive's torque is zero in all samples with motion"
     ):
         method(Dataset((idle,)), rng=np.random.default_rng(0))
 

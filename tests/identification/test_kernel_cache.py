@@ -121,7 +121,7 @@ def test_a_full_disk_costs_a_compilation(
         assert package(2.0).shifted(3.0) == 7.0
         assert package(2.0).shifted(3.0) == 7.0
     assert [record.getMessage() for record in caplog.records] == [
-        "compiled kernels cannot be kept, so that each start compiles them again "
+        "compiled kernels cannot be stored, so each start of the program compiles them again "
         f"({tmp_path / '__pycache__'}: No space left on device)"
     ]
 

@@ -22,7 +22,7 @@ from .fault_cases import (
     fault,
 )
 
-_MUTE = Must(4, "sent no good", 0.0)
+_MUTE = Must(4, "sent no valid", 0.0)
 _LOST = replace(_MUTE, within_s=WATCH_S, verified=False)
 _NO_ENABLE = Must(4, "still in state", 0.0)
 _WATCHDOG = Must(4, "0011h", WATCH_S)
@@ -113,7 +113,7 @@ DBC: Mapping[str, Case] = {
         (fault("drive", "restart"),),
         NOT_RUNNING,
         at("prompt prepare disable", RIDES)
-        | at("enable", Must(4, "no longer holds the limits", SILENCE_S)),
+        | at("enable", Must(4, "no longer reports the limits", SILENCE_S)),
     ),
     "order to run refused": Case(
         (fault("drive", "mode_refused"),), RIDES, at(NO_POWER, _NO_ENABLE)
@@ -121,7 +121,7 @@ DBC: Mapping[str, Case] = {
     "limits refused": Case(
         (fault("drive", "limits_refused"),),
         RIDES,
-        at("prompt prepare", Must(4, "does not take these limits", 0.0)),
+        at("prompt prepare", Must(4, "does not accept these limits", 0.0)),
     ),
     **{
         name: case

@@ -152,5 +152,5 @@ def test_a_campaign_may_have_the_encoders_stamps(tmp_path: Path) -> None:
 
 def test_stamps_without_an_angle_are_refused(tmp_path: Path) -> None:
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN.replace("angle: q", "motor_angle: q"))
-    with pytest.raises(InputError, match="stamps of an encoder whose `angle` is not there"):
+    with pytest.raises(InputError, match="time stamps of an encoder without its `angle`"):
         load_source(tmp_path / "campaign.yaml")

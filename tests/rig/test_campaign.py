@@ -172,7 +172,11 @@ def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> No
             "{current: 1, angle: 2}",
             "no `time` channel and no `rate`",
         ),
-        ("file: a.csv", "file: a.csv\n    rate: 100", "`rate` is only for files without time"),
+        (
+            "file: a.csv",
+            "file: a.csv\n    rate: 100",
+            "`rate` is allowed only for files without time",
+        ),
         ("angle: 2", "command: 2", "no `angle`, `velocity` or `motor_angle`"),
         ("current: 1", "command: 1", "no `torque`, `current` or `voltage`"),
         ("current: 1", "voltage: 1", "needs bench resistance and back_emf_constant (got 1)"),
@@ -187,14 +191,14 @@ def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> No
         ("file: a.csv", "file: []", "file"),
         ("campaign: 1", "campaign: 2", "campaign: input should be 1 (got 2)"),
         ("angle: 2", "angle: -2", "angle"),
-        ("angle: 2", "angle: {column: 2, scale: 0}", "a scale of zero erases the channel"),
+        ("angle: 2", "angle: {column: 2, scale: 0}", "a scale of zero makes the channel zero"),
         ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
         ("angle: 2", "angle: true", "angle"),
         ("0.095,", "0.095, gear_ratio: 0,", "bench.gear_ratio: input should be greater than 0"),
         (
             "0.095,",
             "0.095, gear_ratio: 1e300,",
-            "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so",
+            "bench.gear_ratio: not in the plausible range 1e-9 to 1e9; check exponent",
         ),
         (
             "file: a.csv",
@@ -256,7 +260,7 @@ def test_torque_and_amperes_do_not_mix(tmp_path: Path) -> None:
         "  - {file: b.csv, channels: {time: 0, torque: 1, angle: 2}}\n"
     )
     (line,) = problems(tmp_path, text)
-    assert "some recordings give torque and others only amperes" in line
+    assert "some recordings contain torque and others only current" in line
     assert problems(tmp_path, text.replace("{}", "{gravty: 9.81}")) == [
         "2:9: bench.gravty: unknown key; did you mean 'gravity'?"
     ]
@@ -267,4 +271,6 @@ def test_a_turning_weight_on_a_linear_bench(tmp_path: Path) -> None:
         "file: a.csv", "file: a.csv\n    gravity: {mass: 1, length: 1}"
     )
     (line,) = problems(tmp_path, text)
-    assert line.startswith("5:14: recordings[0].gravity: a turning weight on a linear bench")
+    assert line.startswith(
+        "5:14: recordings[0].gravity: a weight that turns with the joint on a linear bench"
+    )

@@ -137,7 +137,10 @@ def test_an_order_puts_files_one_after_another(tmp_path: Path) -> None:
         ("  - {file: a.csv, start: 2026-05-04}\n", "not an ISO time with date and time of day"),
         ("  - {file: [a.csv, b.csv], start: 0}\n", "one `start` for 2 files"),
         ("  - {file: a.csv, start: 0}\n  - {file: b.csv, start: 10}\n", "before a ends at 29.99 s"),
-        ("  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n", "give each its own"),
+        (
+            "  - {file: a.csv, order: 1}\n  - {file: b.csv, order: 1}\n",
+            "give each recording its own",
+        ),
     ],
 )
 def test_clocks_that_cannot_be_are_refused(tmp_path: Path, recordings: str, words: str) -> None:
@@ -244,7 +247,7 @@ def test_a_current_without_sign_is_refused_and_one_that_looks_so_is_noted(tmp_pa
         tmp_path, "  - {file: a.csv, channels: {current: {column: m, unsigned: true}}}\n"
     )
     assert "channels.current.unsigned: a magnitude of the current has no sign" in text
-    assert "map `voltage` with bench.resistance" in text
+    assert "add `voltage` with bench.resistance" in text
     a, b = load(tmp_path, "  - {file: a.csv}\n  - {file: b.csv}\n")
     assert any("keeps one sign while the joint moves both ways" in note for note in a.notes)
     assert b.notes == ()
@@ -299,7 +302,7 @@ def test_a_recording_may_have_its_own_moment_arm(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        ("{value: 2, std: 2}", "reaches to nothing from 2"),
+        ("{value: 2, std: 2}", "is not below the value 2"),
         ("{value: 2}", "std: missing"),
         ("{value: 2, uncertainty: 0.1}", "unknown key; known are"),
         ("{value: 0, std: 0.1}", "input should be greater than 0"),

@@ -80,11 +80,11 @@ def test_yaml_and_csv_say_the_same() -> None:
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
         (
             "phase: hold, target: encoder, fault: bit, value: 1.5",
-            "takes a whole number (bit), found 1.5",
+            "needs a whole number (bit), found 1.5",
         ),
         (
             "phase: hold, target: drive, fault: fault, frames: {device: drive}",
-            "'frames' is for faults of a bus or line",
+            "'frames' is allowed for faults of a bus or line only",
         ),
         (
             "phase: hold, target: bus, fault: lost, frames: {function: motoin}",

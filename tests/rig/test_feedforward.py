@@ -95,7 +95,7 @@ def test_what_is_not_identified_is_named() -> None:
     with pytest.raises(InputError) as caught:
         load(result_file(Mc=None, J=None))
     assert [p.split(": ")[1] for p in caught.value.problems] == ["parameters.Mc", "parameters.J"]
-    assert all("not identified; feed-forward needs it" in p for p in caught.value.problems)
+    assert all("not identified, but feed-forward needs it" in p for p in caught.value.problems)
 
 
 def test_the_load_is_needed_only_for_loaded_stages() -> None:
@@ -123,7 +123,7 @@ def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[s
     path = result_file("open.json", Ms=None, omega_sL=None)
     assert status(["run", "ramps.yaml", "--feedforward", str(path), "--dry-run"]) == 0
     assert (
-        "open.json leaves Ms, omega_sL open: no rise of friction toward rest"
+        "open.json leaves Ms, omega_sL undetermined: the feed-forward torque contains no rise"
         in capsys.readouterr().err
     )
     assert load(result_file()).remark is None
@@ -207,7 +207,7 @@ def test_more_than_the_limit_is_not_sent() -> None:
         ),
         (
             "practical_serial",
-            "bus.interface: feed-forward needs the torque offset in the instant of the target",
+            "bus.interface: feed-forward needs the torque offset at the time of the target",
         ),
     ],
 )

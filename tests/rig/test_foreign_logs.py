@@ -70,12 +70,12 @@ HEAD = "t,i,m,q\n"
 @pytest.mark.parametrize(
     ("text", "note"),
     [
-        (HEAD + "s,A,rad,rad\n" + "\n".join(lines_of()), "taken as units: s, A, rad, rad"),
+        (HEAD + "s,A,rad,rad\n" + "\n".join(lines_of()), "read as units: s, A, rad, rad"),
         ((HEAD + "\n".join(lines_of())).encode("utf-16"), "text in UTF-16"),
         ((HEAD + "\n".join(lines_of())).encode("utf-16-le"), "text in UTF-16-LE"),
         ("\ufeff" + HEAD + "\n".join(lines_of()), None),
-        (HEAD + "\n".join(lines_of()) + "\nEOF\n", "(EOF) taken as the end"),
-        (HEAD + "\n".join(lines_of()) + "\nEOF,,,\n", "(EOF) taken as the end"),
+        (HEAD + "\n".join(lines_of()) + "\nEOF\n", "(EOF) read as the end"),
+        (HEAD + "\n".join(lines_of()) + "\nEOF,,,\n", "(EOF) read as the end"),
         (HEAD + "\n".join(lines_of()) + "\n,,,\n", "1 rows without values at the end dropped"),
         ("t i m q\n" + "\n".join(lines_of("   ")), "columns separated by blanks"),
         ("t,i,m,q,\n" + "\n".join(lines_of()), "fewer cells than the first line"),
@@ -111,7 +111,7 @@ def test_times_of_day_go_on_after_midnight(tmp_path: Path) -> None:
     lines = [f"{cell},{row.split(',', 1)[1]}" for cell, row in zip(cells, lines_of(), strict=True)]
     recording = load(tmp_path, HEAD + "\n".join(lines))
     np.testing.assert_allclose(recording.time, 86399.9 + TIME, atol=1e-9)
-    assert any("begins anew after one day" in note for note in recording.notes)
+    assert any("starts again after one day" in note for note in recording.notes)
 
 
 def test_a_windows_nan_is_missing_and_does_not_end_its_row(tmp_path: Path) -> None:
@@ -137,7 +137,9 @@ def test_rows_of_another_topic_are_dropped_and_counted(tmp_path: Path) -> None:
         lines += [",".join([*row, ""]), f"{float(row[0]) + 4e-4!r},,,,1.0"]
     recording = load(tmp_path, "t,i,m,q,other\n" + "\n".join(lines))
     is_truth(recording)
-    assert recording.notes == ("300 rows with a time only, as of another topic, dropped",)
+    assert recording.notes == (
+        "300 rows that contain only a time, as rows of another topic do, dropped",
+    )
 
 
 def test_channels_of_two_topics_are_named(tmp_path: Path) -> None:
@@ -145,7 +147,7 @@ def test_channels_of_two_topics_are_named(tmp_path: Path) -> None:
     for t, i, m, q in rows_of():
         lines += [f"{t},{i},,", f"{float(t) + 4e-4!r},,{m},{q}"]
     with pytest.raises(
-        InputError, match=r"`current`: 300 of 600 .*shares no row with `motor_angle`"
+        InputError, match=r"`current`: 300 of 600 .*has no row in common with `motor_angle`"
     ):
         load(tmp_path, HEAD + "\n".join(lines))
 
@@ -166,7 +168,7 @@ def test_a_first_line_that_counts_is_a_header(tmp_path: Path) -> None:
     channels = "{time: 0, current: 1, motor_angle: 2, angle: 3}"
     recording = load(tmp_path, "0,1,2,3\n" + "\n".join(lines_of()), channels)
     is_truth(recording)
-    assert "counts the columns from 0 to 3" in recording.notes[0]
+    assert "numbers the columns from 0 to 3" in recording.notes[0]
     table = tmp_path / "two.csv"
     table.write_text("0,1\n1,2\n2,3\n")
     np.testing.assert_array_equal(DelimitedTable(table, PLAIN).read([0])[0], [0, 1, 2])
@@ -199,7 +201,7 @@ def test_a_clock_through_its_end(tmp_path: Path, bits: int, scale: float) -> Non
     channels = CHANNELS.replace("time: t", f"time: {{column: t, scale: {scale}}}")
     recording = load(tmp_path, HEAD + "\n".join(lines_of(",", values)), channels)
     np.testing.assert_allclose(np.diff(recording.time), 1e-3, atol=1e-9)
-    assert any(f"begins anew after 2^{bits}" in note for note in recording.notes)
+    assert any(f"starts again after 2^{bits}" in note for note in recording.notes)
 
 
 def test_signed_numbers_stored_as_unsigned(tmp_path: Path) -> None:
@@ -242,7 +244,7 @@ def test_a_unit_beside_si_without_a_scale_is_doubted(tmp_path: Path) -> None:
     values = TRUTH * np.array([1, 1000, 1, 1])
     text = HEAD + "s,mA,rad,rad\n" + "\n".join(lines_of(",", values))
     notes = load(tmp_path, text).notes
-    assert any("`current` is in mA" in note and "set it to 0.001" in note for note in notes)
+    assert any("`current` is in mA" in note and "set the scale to 0.001" in note for note in notes)
     told = CHANNELS.replace("current: i", "current: {column: i, scale: 0.001}")
     assert not any("is in mA" in note for note in load(tmp_path, text, told).notes)
 
@@ -441,7 +443,7 @@ def test_json_lines(tmp_path: Path) -> None:
     channels = "{time: t, current: d.i, motor_angle: 'd.p[0]', angle: 'd.p[1]'}"
     recording = load_file(tmp_path, "log.jsonl", channels)
     is_truth(recording)
-    assert recording.notes == (f"line {N + 1} is cut off: dropped",)
+    assert recording.notes == (f"line {N + 1} is incomplete: dropped",)
     path.write_text('{"t": 1}\n\n[3]\n')
     with pytest.raises(InputError, match=r"log\.jsonl:3: not a JSON object"):
         load_file(tmp_path, "log.jsonl", channels)
@@ -449,7 +451,7 @@ def test_json_lines(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"log\.jsonl:2: not JSON"):
         load_file(tmp_path, "log.jsonl", channels)
     path.write_text('{"name": "a"}\n')
-    with pytest.raises(InputError, match="no JSON object holds a number"):
+    with pytest.raises(InputError, match="no JSON object contains a number"):
         load_file(tmp_path, "log.jsonl", channels)
 
 

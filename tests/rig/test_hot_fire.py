@@ -182,15 +182,15 @@ def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
         (
             "stage: hot_fire, tones",
             "role: validate, stage: hot_fire, tones",
-            "sine, flow is loaded and set aside",
+            "sine, flow is loaded and has role validate",
         ),
         (
             "stage: hot_fire, tones",
             "stage: hot_fire, weight_kg: 3, tones",
-            "the gas generator loads a hot firing",
+            "a hot firing is loaded by the gas generator",
         ),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
-        ("at_s: 1.5", "at_s: 0.1", "begins before the one at 0 s is over"),
+        ("at_s: 1.5", "at_s: 0.1", "begins before the step at 0 s ends"),
         (
             "ramp_s: 0.2}",
             "ramp_s: 0.2, controller: {angle_min_deg: 31}}",
@@ -254,7 +254,9 @@ def test_too_much_pressure_ends_the_run_and_takes_the_power_off(
 def test_a_transmitter_in_another_unit_stops_before_power() -> None:
     bench = bench_with(**{"unit_Pa: 100": "unit_Pa: 1000"})
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
-    assert "make 100 Pa a unit, the bench file 1000 Pa" in read_record(Path("unit")).message
+    assert (
+        "make 100 Pa per unit, the bench file states 1000 Pa" in read_record(Path("unit")).message
+    )
 
 
 def test_check_names_the_transmitter(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,7 +1,11 @@
 """``rig identify`` as a user runs it."""
 
+import contextlib
+import io
 import json
 import os
+import shutil
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -38,22 +42,57 @@ def write_csv(path: Path, moment: float, frequency: float) -> None:
     np.savetxt(path, rows, delimiter=",", header="t,q,w,tau", comments="", fmt="%.9g")
 
 
-@pytest.fixture
-def campaign(tmp_path: Path) -> Path:
-    write_csv(tmp_path / "free.csv", 0.0, 0.2)
-    write_csv(tmp_path / "heavy.csv", 10.0 * 30.6 * 9.80665 * 0.095, 0.2)
-    write_csv(tmp_path / "later.csv", 0.0, 0.17)
-    path = tmp_path / "bench.yaml"
+def write_campaign(folder: Path) -> Path:
+    write_csv(folder / "free.csv", 0.0, 0.2)
+    write_csv(folder / "heavy.csv", 10.0 * 30.6 * 9.80665 * 0.095, 0.2)
+    write_csv(folder / "later.csv", 0.0, 0.17)
+    path = folder / "bench.yaml"
     path.write_text(CAMPAIGN)
     return path
 
 
 @pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    return write_campaign(tmp_path)
+
+
+SHORT = partial(identify_paper, generations=30)
+"""The paper's method in a few generations, for tests that do not depend on its values."""
+
+
+@pytest.fixture
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The paper's method in a few generations, for what does not hang on how good its values
-    are.
+    monkeypatch.setitem(METHODS, "paper", SHORT)
+
+
+@dataclass(frozen=True)
+class Identified:
+    """A campaign, what its identification printed, and the folder of the results."""
+
+    campaign: Path
+    shown: str
+    folder: Path
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
+    """One identification with seed 4 into the default folder; two recordings have a missing sample.
+    Tests do not change it.
     """
-    monkeypatch.setitem(METHODS, "paper", partial(identify_paper, generations=30))
+    folder = tmp_path_factory.mktemp("identified")
+    campaign = write_campaign(folder)
+    for name in ("free.csv", "heavy.csv"):
+        lines = (folder / name).read_text().splitlines()
+        lines[100] = lines[100].rsplit(",", 1)[0] + ","
+        (folder / name).write_text("\n".join(lines))
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        contextlib.chdir(folder),
+        contextlib.redirect_stdout(io.StringIO()) as shown,
+    ):
+        patch.setitem(METHODS, "paper", SHORT)
+        assert status(["identify", str(campaign), "--method", "paper", "--seed", "4"]) == 0
+    return Identified(campaign, shown.getvalue(), folder / "bench-identified")
 
 
 def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -128,34 +167,21 @@ def test_compare_refuses_what_not_every_search_has(
     assert "remove model.fixed and model.terms (J)" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("short_search")
-def test_same_seed_same_record(campaign: Path, tmp_path: Path) -> None:
-    records = []
-    for name in ("one", "two"):
-        arguments = [
-            "identify",
-            str(campaign),
-            "--method",
-            "paper",
-            "--seed",
-            "4",
-            "--out",
-            str(tmp_path / name),
-        ]
-        assert status(arguments) == 0
-        record = json.loads((tmp_path / name / "identify.json").read_text())
-        records.append({k: v for k, v in record.items() if k not in ("created", "seconds")})
-    assert records[0] == records[1]
-    assert records[0]["seed"] == 4
+def record_of(folder: Path) -> dict[str, object]:
+    record = json.loads((folder / "identify.json").read_text())
+    return {k: v for k, v in record.items() if k not in ("created", "seconds")}
 
 
 @pytest.mark.usefixtures("short_search")
-def test_the_default_folder_is_named_after_the_campaign(
-    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert status(["identify", str(campaign), "--method", "paper"]) == 0
-    assert (tmp_path / "bench-identified" / "report.html").is_file()
+def test_same_seed_same_record(identified: Identified, tmp_path: Path) -> None:
+    arguments = ["identify", str(identified.campaign), "--method", "paper", "--seed", "4"]
+    assert status([*arguments, "--out", str(tmp_path / "two")]) == 0
+    assert record_of(identified.folder) == record_of(tmp_path / "two")
+    assert record_of(tmp_path / "two")["seed"] == 4
+
+
+def test_the_default_folder_is_named_after_the_campaign(identified: Identified) -> None:
+    assert (identified.campaign.parent / "bench-identified" / "report.html").is_file()
 
 
 def test_no_such_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -208,44 +234,33 @@ def test_places_are_judged_before_the_work(
 
 @pytest.mark.usefixtures("short_search")
 def test_ctrl_c_while_writing_keeps_what_was_whole(
-    campaign: Path,
+    identified: Identified,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    arguments = ["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]
-    assert status(arguments) == 0
-    page = (tmp_path / "out" / "report.html").read_text()
+    out = tmp_path / "out"
+    shutil.copytree(identified.folder, out)
+    page = (out / "report.html").read_text()
 
     def stop(source: int, target: int) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(os, "replace", stop)
+    arguments = ["identify", str(identified.campaign), "--method", "paper", "--out", str(out)]
     assert status([*arguments, "--seed", "1"]) == 3
     assert capsys.readouterr().err.endswith("stopped by the operator\n")
-    assert (tmp_path / "out" / "report.html").read_text() == page
-    assert json.loads((tmp_path / "out" / "identify.json").read_text())["seed"] == 0
-    assert not list((tmp_path / "out").glob(".*"))
+    assert (out / "report.html").read_text() == page
+    assert json.loads((out / "identify.json").read_text())["seed"] == 4
+    assert not list(out.glob(".*"))
 
 
-@pytest.mark.usefixtures("short_search")
-def test_corrections_are_told(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    for name in ("free.csv", "heavy.csv"):
-        lines = (tmp_path / name).read_text().splitlines()
-        lines[100] = lines[100].rsplit(",", 1)[0] + ","
-        (tmp_path / name).write_text("\n".join(lines))
-    assert (
-        status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")])
-        == 0
-    )
+def test_corrections_are_told(identified: Identified) -> None:
     told = (
         "reading: free: `torque`: 1 missing samples interpolated (1 more like this: see the report)"
     )
-    assert told in capsys.readouterr().out.splitlines()
-    record = json.loads((tmp_path / "out" / "identify.json").read_text())
-    assert record["corrections"] == {
+    assert told in identified.shown.splitlines()
+    assert record_of(identified.folder)["corrections"] == {
         name: ["`torque`: 1 missing samples interpolated"] for name in ("free", "heavy")
     }
 

@@ -140,7 +140,7 @@ def test_a_run_whose_writer_died_is_taken_as_it_is(runner: Any, fake_bench: Any)
 def test_a_campaign_has_nothing_partial(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "c.yaml").write_text("campaign: 1\n")
     assert status(["export", str(tmp_path / "c.yaml"), "--partial"]) == 2
-    assert "--partial is for a run folder" in capsys.readouterr().err
+    assert "--partial is allowed for a run folder only" in capsys.readouterr().err
 
 
 def test_an_export_names_what_is_partial(

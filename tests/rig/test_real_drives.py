@@ -56,13 +56,13 @@ def test_a_drive_of_this_make_runs_and_what_is_not_watched_is_told(
     assert status(["check", name]) == 0
     shown = capsys.readouterr().out
     assert "verdict: good: a run would start" in shown
-    assert "not watched: supply voltage (6079h); servo.supply_object names it" in shown
-    assert "not watched: temperature (2101h)" in shown
-    assert ("not held by the drive: motor current (6073h)" in shown) is (0x6073 in LACKS[make])
+    assert "not monitored: supply voltage (6079h); servo.supply_object names it" in shown
+    assert "not monitored: temperature (2101h)" in shown
+    assert ("no such limit in the drive: motor current (6073h)" in shown) is (0x6073 in LACKS[make])
     assert ("has none" in shown) is bool({0x6072, 0x6073, 0x607F} & LACKS[make])
     assert status(["run", "short.yaml", "--bench", name, "--yes", "--out", "o"]) == 0
     shown = capsys.readouterr()
-    assert "not watched: supply voltage" in shown.out + shown.err
+    assert "not monitored: supply voltage" in shown.out + shown.err
     record = json.loads(Path("o/run.json").read_text())
     assert (record["state"], record["de_energised"]) == ("done", True)
     samples = read_run(here / "o/recording.mcap").samples
@@ -159,7 +159,7 @@ def test_a_needed_object_is_named_with_what_it_is_for(
     assert status(["check", name]) == 2
     told = capsys.readouterr().err
     assert "bench.yaml:" in told
-    assert "object 607Ah:00h is not in the device's EDS; every run needs it: it is" in told
+    assert "object 607Ah:00h is not in the device's EDS; every run needs it: it carries" in told
 
 
 def test_the_page_of_a_run_shows_the_limits_that_were_in_force(here: Path) -> None:

@@ -318,7 +318,7 @@ WORDS = {
     ),
     Check.STAGE_TIME: (
         "time under power in this stage",
-        "look for what held the cycle up, or raise time_limit_s of the stage",
+        "find the cause of the delay, or raise time_limit_s of the stage",
     ),
 }
 
@@ -332,7 +332,7 @@ def test_what_every_trip_says(kind: Check) -> None:
     if kind is Check.DRIVE_STATE:
         found = "statusword 0007h is not OPERATION ENABLED"
     elif kind is Check.NOT_RESET:
-        found = "the safety latch is open: nobody has asked for its reset"
+        found = "the safety latch is open: its reset was not requested"
     assert Trip(kind, 7.0, 5.0, "V", 1.0).message == f"{found} at 1.000 s; {remedy}"
 
 
@@ -363,7 +363,7 @@ def test_the_latch_starts_open_and_good_samples_do_not_close_it() -> None:
     assert latch.trip is not None
     assert latch.trip.check is Check.NOT_RESET
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
-    assert "nobody has asked for its reset" in latch.trip.message
+    assert "its reset was not requested" in latch.trip.message
     assert latch.trip == Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
 
 

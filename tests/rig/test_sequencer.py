@@ -268,7 +268,7 @@ def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench
     assert isinstance(outcome.error, ZeroDivisionError)
     assert outcome.safe.verified
     assert (
-        "the program broke down (ZeroDivisionError: a defect); the drive is de-energised"
+        "the program failed (ZeroDivisionError: a defect); the drive is de-energised"
         in outcome.message
     )
     assert bench.drive_state is ServoState.SWITCH_ON_DISABLED

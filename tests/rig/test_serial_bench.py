@@ -58,7 +58,7 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog(tmp_path: Path) -> None:
     [
         (
             [("cycle_Hz: 500", "cycle_Hz: 1000")],
-            r":13:49: bus.baud: too slow: 5 objects a cycle take up to 1580 bits and 1.58 ms, "
+            r":13:49: bus.baud: too slow: 5 objects per cycle take up to 1580 bits and 1.58 ms, "
             r"158% of a cycle of 1 "
             r"ms, limit 80%; .* cycle_Hz to 500 \(got 1000000\)",
         ),

@@ -73,7 +73,7 @@ def test_the_words_name_a_gain_that_is_stable() -> None:
         "with 0.0001 H and 0.6 ohm at 20000 Hz the current loop of the simulated drive is unstable"
         in words
     )
-    advised = float(words.split("lower it to ")[1].split(" or less")[0])
+    advised = float(words.split("lower the gain to ")[1].split(" or less")[0])
     assert unstable_current_loop(machine(SMALL, advised)) is None
     assert swing(machine(SMALL, advised)) < 1e-3
 

@@ -42,7 +42,8 @@ def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) ->
     path = tmp_path / "bench.yaml"
     path.write_text(text.replace("interface: mock", "interface: virtual"))
     with pytest.raises(
-        InputError, match="bus: this runs unattended, so the bench must be simulated"
+        InputError,
+        match="bus: this command runs without an operator, so that the bench must be simulated",
     ):
         run_simulated(load_bench(path), load_sequence(sequence), 0, tmp_path / "run")
 

@@ -268,7 +268,7 @@ def test_voltage_is_missing_by_right_while_the_power_is_off(tmp_path: Path) -> N
     )
     (line,) = problems(tmp_path, off, "{file: a.csv, channels: {voltage: u}}")
     assert line.startswith(f"{tmp_path}/a.csv:502: `voltage`: 401 of 2000 samples are missing")
-    assert "say so with an `enabled` channel" in line
+    assert "state this with an `enabled` channel" in line
     (line,) = problems(tmp_path, lambda c: (off(c), put("on", [3], np.nan)(c)), item)
     assert line.startswith(f"{tmp_path}/a.csv:5: `enabled` is missing in 1 rows")
 
@@ -322,7 +322,7 @@ def test_motor_angle_against_angle(tmp_path: Path) -> None:
 
     assert load(tmp_path, geared(1.04), item)[0].notes == ()
     assert load(tmp_path, geared(1.06), item)[0].notes == (
-        "motor_angle / angle is 1.06, bench.gear_ratio says 1",
+        "motor_angle / angle is 1.06, bench.gear_ratio is 1",
     )
     assert "`motor_angle` runs against `angle`" in problems(tmp_path, geared(-1), item)[0]
 
@@ -372,7 +372,7 @@ def test_a_run_folder_goes_to_its_own_reader(
 
 
 def test_sources_that_are_none(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a folder without run\.json"):
+    with pytest.raises(InputError, match=r"the folder has no run\.json"):
         load_source(tmp_path)
     (tmp_path / "a.csv").write_text("1,2\n")
     with pytest.raises(InputError, match="describe recordings made elsewhere in a campaign file"):

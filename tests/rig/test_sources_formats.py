@@ -80,7 +80,7 @@ def test_without_header_only_indices(tmp_path: Path) -> None:
     assert table.notes == ()
     assert table.read([0])[0][1] == 51.2
     (note,) = delimited(tmp_path, VENDOR, ReadSection(skip_rows=5)).notes
-    assert "the last skipped line already holds numbers" in note
+    assert "the last skipped line contains numbers" in note
 
 
 @pytest.mark.parametrize(
@@ -124,7 +124,7 @@ def test_a_units_line_below_the_header_is_told_from_a_broken_row(tmp_path: Path)
     table = delimited(tmp_path, "t,x\ns,m\n0,1\n2,3\n")
     np.testing.assert_array_equal(table.read([1])[0], [1, 3])
     assert table.units == ("s", "m")
-    assert table.notes == ("line 2 below the names taken as units: s, m",)
+    assert table.notes == ("line 2 below the names read as units: s, m",)
     with pytest.raises(InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\)"):
         delimited(tmp_path, "t,x\ns,1\n0,1\n").read([0])
 
@@ -375,7 +375,9 @@ def test_decimal_commas_when_not_told_suggest_it(tmp_path: Path) -> None:
 
 
 def test_a_file_that_is_no_text(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="line 1 holds zero bytes, so it is not text"):
+    with pytest.raises(
+        InputError, match="line 1 contains zero bytes, so that the file is not text"
+    ):
         delimited(tmp_path, b"\x00\x01\x02,\x00\n1,2\n")
 
 

@@ -177,7 +177,7 @@ def test_a_transmission_that_gives_needs_inertia_on_both_sides(tmp_path: Path) -
     text = resolve("practical", "benches").read_text()
     text = text.replace("rotor_inertia_kg_m2: 0.00001", "rotor_inertia_kg_m2: 0.00003")
     path.write_text(text.replace("effects: {}", "effects: {backlash: {gap_rad: 0.007}}"))
-    with pytest.raises(InputError, match="needs some on both sides"):
+    with pytest.raises(InputError, match="needs inertia on both sides"):
         load_bench(path)
 
 

@@ -1,1 +1,1 @@
-"""Simulated drives with frames of their own that are shaped as those of known kinds of drives."""
+"""Simulated drives with the CAN frames of drives without CANopen: ODrive and MIT-style motors."""

@@ -1,6 +1,6 @@
-"""Base of simulated drives with frames of their own: power stage, target, sampling, watchdog.
+"""Base class of simulated drives with their own CAN frames: power stage, target, watchdog.
 
-Frames are packed by hand in the subclasses, not by the codec under test.
+The subclasses pack frames with their own code, not with the codec under test.
 """
 
 from __future__ import annotations
@@ -17,22 +17,23 @@ from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer
 
 WATCHDOG_NS: Final = 100_000_000
-"""Time without a target after which a drive under power goes into fault."""
+"""Time without a target after which a drive with power on goes into fault."""
 _MS: Final = 1_000_000
 _IDLE_NS: Final = 20_000_000
 _LONGEST_STEP_NS: Final = 20_000_000
 
 
 class CanDrive(ABC):
-    """A drive that is either off or follows a target; it coasts when its power is taken away.
+    """A drive that is either off or follows a target; when the power is switched off, the motor
+    coasts.
 
     Attributes:
         powered: Whether the power stage is on.
-        fault_code: Cause of the fault; 0 without fault. Power is off then.
+        fault_code: Cause of the fault; 0 without a fault. In a fault the power is off.
     """
 
     lost_code: ClassVar[int]
-    """Fault code when the watchdog ran out."""
+    """Fault code after a time-out of the watchdog."""
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler) -> None:
         self.powered = False
@@ -54,12 +55,12 @@ class CanDrive(ABC):
         """Start receiving and sending, as after power-on."""
 
     def fail(self, code: int) -> None:
-        """Go into fault for an internal reason."""
+        """Go into fault with the code of an internal cause."""
         self.fault_code = code
         self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        """Switch the power stage; it holds the present position at first."""
+        """Switch the power stage; at first the drive holds the present position."""
         now = self._clock.now_ns()
         self._sampler.advance(now)
         if on == self.powered:
@@ -72,12 +73,12 @@ class CanDrive(ABC):
             self._watchdog.start(now + WATCHDOG_NS)
 
     def _sample(self) -> None:
-        """Latch the sensors, as at each command."""
+        """Sample the sensors, as the drive does at each command."""
         self._latched = self._sampler.latch(self._clock.now_ns())
 
     def _target(self, motor_rad: float, torque_N_m: float = 0.0) -> None:
-        """Follow a target, reached in the time since the last one, in whole milliseconds, and add a
-        torque at the motor.
+        """Follow a target, which is reached in the time since the last target, in whole
+        milliseconds, and add a torque at the motor.
         """
         now = self._clock.now_ns()
         step_ns = min(max(round((now - self._fed_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
@@ -92,7 +93,7 @@ class CanDrive(ABC):
         self._machine.feed(torque_N_m / self._machine.constants.motor.torque_constant_N_m_A)
 
     def _reading(self) -> Reading:
-        """Return the reading of the last command; of now, if none came lately."""
+        """Return the reading of the last command, or a new reading if no command came lately."""
         now = self._clock.now_ns()
         return self._latched if now - self._fed_ns < _IDLE_NS else self._sampler.peek(now)
 

@@ -1,4 +1,4 @@
-"""Simulated benches with a drive of this folder and a CANopen joint encoder on one bus."""
+"""Builds a simulated bench with an ODrive or MIT-style drive and a CANopen joint encoder."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.mock.wires.bus import SimulatedBus
 
 CanDriveKind = Literal["odrive", "mit"]
 CAN_DRIVE_FILES: Final[Mapping[CanDriveKind, Path]] = {"odrive": ODRIVE_DBC, "mit": MIT_DBC}
-"""The DBC file of each kind."""
+"""The DBC file of each kind of drive."""
 _KINDS: Final[
     Mapping[CanDriveKind, Callable[[SimulatedBus, SimulatedClock, Sampler], CanDrive]]
 ] = {"odrive": ODriveAxis, "mit": MitMotor}
@@ -41,17 +41,17 @@ class SimulatedCanBench:
 def simulated_can_bench(
     kind: CanDriveKind, machine: constants.Machine, seed: int, bitrate: int, encoder_node: int
 ) -> SimulatedCanBench:
-    """Build and boot a bench; the same seed gives the same bytes on the bus.
+    """Build a bench and boot its devices; the same seed gives the same bytes on the bus.
 
     Args:
-        kind: The drive.
+        kind: Kind of the drive.
         machine: Constants of the machine.
-        seed: Seed of its noise and of the encoder's clock offset.
+        seed: Seed of the machine's noise and of the encoder's clock offset.
         bitrate: Bit rate of the bus, bit/s.
         encoder_node: CANopen node identifier of the encoder.
 
     Returns:
-        The bench, at rest at angle 0, power off.
+        The bench, at rest at angle 0, with power off.
     """
     noise, offsets = np.random.default_rng(seed).spawn(2)
     clock = SimulatedClock()

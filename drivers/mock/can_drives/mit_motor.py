@@ -1,5 +1,7 @@
-"""Simulated motor with MIT-style packed frames (``mit_motor.dbc``): position, speed, two gains and
-torque in eight bytes, answered by one frame. Orders are special values of that same frame.
+"""Simulated motor with MIT-style packed CAN frames (``mit_motor.dbc``).
+
+One command frame of eight bytes contains position, speed, two gains and torque; the motor answers
+with one frame. Orders are special values of the same command frame.
 """
 
 from __future__ import annotations
@@ -26,7 +28,7 @@ _LEAST_GAIN: Final = 1
 
 
 class MitMotor(CanDrive):
-    """The motor. It is silent until it gets a frame."""
+    """The motor. It sends nothing until it receives a frame."""
 
     lost_code: ClassVar[int] = COMMUNICATION_LOST
 

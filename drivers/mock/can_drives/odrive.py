@@ -1,7 +1,7 @@
 """Simulated drive with the frames of ODrive's CAN Simple protocol (``odrive.dbc``), node 3.
 
-Its values are answers to remote frames; the heartbeat comes by itself. Some messages are orders by
-their arrival alone: Estop, Reboot and Clear_Errors.
+The drive sends its values in answer to remote frames, and the heartbeat without a request. The
+messages Estop, Reboot and Clear_Errors are orders without data.
 """
 
 from __future__ import annotations
@@ -39,10 +39,10 @@ _HEARTBEAT_NS: Final = 10_000_000
 
 
 class ODriveAxis(CanDrive):
-    """One axis. Errors take the power off and keep it in IDLE until Clear_Errors.
+    """One axis. An error switches the power off and keeps the axis in IDLE until Clear_Errors.
 
     Attributes:
-        received: Number of frames of each identifier that reached it.
+        received: Number of received frames of each identifier.
     """
 
     lost_code: ClassVar[int] = WATCHDOG_EXPIRED

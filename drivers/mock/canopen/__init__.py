@@ -1,1 +1,1 @@
-"""The CANopen side of a simulated device: object dictionary, SDO server, process data, node."""
+"""CANopen side of the simulated devices: object dictionary, SDO server, process data, node."""

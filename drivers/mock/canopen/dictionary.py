@@ -1,6 +1,4 @@
-"""Object dictionary inside a simulated device: values, types, access rights and ranges from an
-EDS.
-"""
+"""Object dictionary of a simulated CANopen device, with types, access and ranges of an EDS."""
 
 from __future__ import annotations
 
@@ -25,18 +23,18 @@ OUT_OF_RANGE: Final = 0x06090030
 DEVICE_STATE: Final = 0x08000022
 
 _CODES: Final = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
-"""CiA 301 data type -> struct code, for the integer types this device uses."""
+"""Struct code of each CiA 301 data type, for the integer types that the devices use."""
 _ENDS: Final = {
     code: (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1)
     if code.islower()
     else (0, (1 << 8 * size) - 1)
     for code, size in ((code, struct.calcsize(code)) for code in _CODES.values())
 }
-"""Struct code -> the smallest and the largest value it holds."""
+"""The smallest and the largest value of each struct code."""
 
 
 class SdoAbortError(Exception):
-    """An access the device refuses.
+    """An access that the device refuses.
 
     Args:
         code: Abort code of CiA 301.
@@ -49,7 +47,7 @@ class SdoAbortError(Exception):
 
 @dataclass(frozen=True)
 class Entry:
-    """One object: ``code`` is its struct code, or None for a visible string."""
+    """One object; ``code`` is its struct code, or None for a visible string."""
 
     code: str | None
     readable: bool
@@ -61,7 +59,7 @@ class Entry:
 
     @property
     def size(self) -> int:
-        """Bytes of the value; 0 for a string, whose length varies."""
+        """Number of bytes of the value; 0 for a string, whose length varies."""
         return struct.calcsize(self.code) if self.code else 0
 
 
@@ -84,16 +82,16 @@ def clamp_i16(value: int) -> int:
 
 
 class DeviceDictionary:
-    """Values of one device, checked as a real device checks them.
+    """Values of one device, with the checks of a real device.
 
     ``check`` hooks run before a value is stored and may raise :class:`SdoAbortError`; ``written``
     hooks run after.
 
     Attributes:
-        values: Key (``index << 8 | subindex``) to value, of the integer objects.
-        texts: Key to text, of the string objects.
-        checks: Index to a hook ``(subindex, value)``.
-        written: Index to a hook ``(subindex, value)``.
+        values: Values of the integer objects by key (``index << 8 | subindex``).
+        texts: Texts of the string objects by key.
+        checks: Hooks ``(subindex, value)`` by index.
+        written: Hooks ``(subindex, value)`` by index.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
@@ -105,8 +103,8 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
-        """Remove what a device does not show to its bus, all but these objects (index and
-        subindex); it goes on with their values.
+        """Remove all objects but these (index and subindex), as for a device that does not have
+        them on its bus; the device still uses their values internally.
         """
         self.entries = {
             number: entry
@@ -180,7 +178,7 @@ class DeviceDictionary:
 
 @lru_cache(maxsize=8)
 def _load(eds: Path, node_id: int) -> Mapping[int, Entry]:
-    # Reading an EDS takes some 20 ms, and a campaign of simulated benches reads the same two
+    # Reading an EDS takes some 20 ms, and a series of simulated benches reads the same two files
     # repeatedly.
     variables = _variables(canopen.import_od(str(eds), node_id))
     return {key(variable.index, variable.subindex): _entry(variable) for variable in variables}

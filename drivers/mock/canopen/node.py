@@ -1,4 +1,4 @@
-"""Base of all simulated CANopen devices: NMT, heartbeat, EMCY, SDO server, SYNC, process data."""
+"""Base class of simulated CANopen devices: NMT, heartbeat, EMCY, SDO server, SYNC, process data."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PROFILE: Final = 0x20
 
 
 class Nmt(IntEnum):
-    """NMT state as the heartbeat carries it."""
+    """NMT states with their codes in the heartbeat."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -38,10 +38,10 @@ class Nmt(IntEnum):
 
 
 class SimulatedNode:
-    """Base of the simulated devices; a subclass fills the hooks at the end.
+    """Base of the simulated devices; a subclass implements the hooks at the end of the class.
 
     Args:
-        bus: Bus to which it is attached.
+        bus: Bus of the device.
         clock: Simulated time.
         node_id: 1 to 127.
         eds: EDS file of its object dictionary.
@@ -87,7 +87,7 @@ class SimulatedNode:
         self._start_producer()
 
     def emergency(self, code: int, register: int, info: bytes = b"") -> None:
-        """Send an EMCY frame, set 1001h and extend the history 1003h."""
+        """Send an EMCY frame, set object 1001h and add the code to the history 1003h."""
         values = self._values
         bits = self.objects.integer(0x1001) | register | GENERIC
         values[key(0x1001)] = bits
@@ -99,7 +99,7 @@ class SimulatedNode:
         self._send_emergency(code, bits, info)
 
     def clear_errors(self) -> None:
-        """Report that every error is gone."""
+        """Report by EMCY frame that there is no error any more."""
         if self.objects.integer(0x1001):
             self._values[key(0x1001)] = 0
             self._send_emergency(0, 0, b"")
@@ -128,7 +128,7 @@ class SimulatedNode:
         self.announce()
 
     def announce(self) -> None:
-        """Send event-driven process data that changed outside a SYNC."""
+        """Send the event-driven process data that changed between two SYNCs."""
         self._process_data.send_changes()
 
     def stamp(self, time_ns: int) -> None:
@@ -193,7 +193,7 @@ class SimulatedNode:
             self._port.listen(0x700 + self._watched, self._on_heartbeat)
 
     def _on_heartbeat(self, _data: bytes) -> None:
-        # CiA 301: the heartbeat time-out starts with the first heartbeat, not with the
+        # By CiA 301 the heartbeat time-out starts with the first heartbeat, not with the
         # configuration.
         first = self._heard_ns < 0
         self._heard_ns = self._clock.now_ns()
@@ -222,20 +222,22 @@ class SimulatedNode:
             raise SdoAbortError(od.OUT_OF_RANGE)
 
     def refresh(self) -> None:
-        """Bring measured values in the dictionary up to date before an SDO upload."""
+        """Update measured values in the dictionary before an SDO upload."""
         self.stamp(self._clock.now_ns())
 
     def latch(self) -> None:
         """Sample all inputs at a SYNC."""
 
     def act(self) -> None:
-        """Let outputs take effect."""
+        """Apply the received outputs."""
 
     def connection_lost(self, code: int) -> None:
         """React to the loss of the master; ``code`` is the error code, 0 after an NMT stop."""
 
     def halt(self) -> None:
-        """Make safe at once, before a restart."""
+        """Bring the device into its safe state at once, before a restart."""
 
     def restore(self) -> None:
-        """Reset the device's own state to power-on; the dictionary holds its defaults."""
+        """Reset the internal state to that after power-on; the dictionary already contains its
+        defaults.
+        """

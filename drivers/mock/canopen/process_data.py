@@ -1,6 +1,4 @@
-"""Process data of a simulated device, from its PDO communication and mapping objects
-(1400h-1BFFh).
-"""
+"""Process data (PDOs) of a simulated device, as its objects 1400h to 1BFFh configure them."""
 
 from __future__ import annotations
 
@@ -36,7 +34,7 @@ class Receive:
 
 @dataclass
 class Transmit:
-    """One configured TPDO; ``every`` is its period in SYNCs, 0 where it is event driven."""
+    """One configured TPDO; ``every`` is its period in SYNCs, 0 for an event-driven TPDO."""
 
     identifier: int
     layout: struct.Struct
@@ -48,7 +46,7 @@ class Transmit:
     sent: bytes = field(default=b"")
 
     def content(self, values: dict[int, int]) -> bytes:
-        """Return the PDO's data; values are clamped to the range of their object."""
+        """Return the PDO's data; each value is limited to the range of its object."""
         picked = self.pick(values)
         try:
             return self.layout.pack(*picked)
@@ -66,8 +64,9 @@ class ProcessData:
         dictionary: Objects of the device; its PDO objects are checked and applied by this class.
         port: CAN controller of the device.
         clock: Clock for event timers.
-        outputs: Called when an event-driven RPDO has changed values.
-        too_short: Called with the length of an RPDO that is shorter than its mapping.
+        outputs: Function that is called when an event-driven RPDO has changed values.
+        too_short: Function that is called with the length of an RPDO that is shorter than its
+            mapping.
     """
 
     def __init__(
@@ -216,5 +215,5 @@ class ProcessData:
 
 
 def _pick_one(number: int, values: dict[int, int]) -> tuple[int]:
-    # An itemgetter of a single key returns the bare value instead of a tuple.
+    # An itemgetter of a single key returns the value itself instead of a tuple.
     return (values[number],)

@@ -1,6 +1,4 @@
-"""SDO server of a simulated device: expedited and segmented transfers of CiA 301, with its abort
-codes.
-"""
+"""SDO server of a simulated device: expedited and segmented transfers of CiA 301."""
 
 from __future__ import annotations
 
@@ -29,11 +27,12 @@ class _Transfer:
 
 
 class SdoServer:
-    """Answers requests out of a dictionary.
+    """Answers SDO requests from an object dictionary, with the abort codes of CiA 301.
 
     Args:
         dictionary: The device's objects.
-        refresh: Brings measured values in the dictionary up to date; called before every upload.
+        refresh: Function that updates measured values in the dictionary; it is called before every
+            upload.
     """
 
     def __init__(self, dictionary: DeviceDictionary, refresh: Callable[[], None]) -> None:
@@ -96,7 +95,7 @@ class SdoServer:
         self._transfer = None
         sized = command & 0x01
         if command & 0x02:
-            # Without a size the client means as many bytes as the object has.
+            # A request without a size means as many bytes as the object has.
             size = (
                 4 - (command >> 2 & 0x03) if sized else self._dictionary.entry(index, subindex).size
             )

@@ -1,1 +1,1 @@
-"""The true machine behind the simulated bus; independent of the model fitted to it."""
+"""The simulated machine (motor, gear, friction, load), independent of the fitted model."""

@@ -1,8 +1,8 @@
-"""Integrates the machine, with or without injected effects, loaded by a weight or a gas generator
-(Fig. 5, 11).
+"""Integrates the simulated machine over time, with the load of a weight or of a gas generator.
 
-While it burns, valve angle and pressure determine the contact force (eq. 10) and so the friction at
-the valve; the valve angle in turn determines the pressure.
+The machine may have injected effects. While the gas generator burns (Fig. 5, 11), valve angle and
+pressure determine the contact force (eq. 10) and thereby the friction at the valve; the valve angle
+in turn determines the pressure.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ from drivers.mock.plant.parts.friction import MOMENT
 from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
 
 REFERENCE_FORCE_N = 3000.0
-"""Contact force at which ``load_exponent`` has no effect."""
+"""Contact force at which the injected effect ``load_exponent`` has no effect."""
 
 
 @compiled
 def felt_force(force: float, e: Vector) -> float:
-    """Return the contact force that friction is proportional to, N.
+    """Return the effective contact force, to which friction is proportional, N.
 
-    With the injected effect ``load_exponent`` it is a power of the contact force ``force``, equal
-    to ``force`` at the reference force; without the effect it is ``force``.
+    With the injected effect ``load_exponent``, the effective force is a power of the contact force
+    ``force``, equal to ``force`` at the reference force. Without this effect it is equal to
+    ``force``.
     """
     if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
         return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
@@ -46,12 +47,12 @@ def advance_loaded(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the
-    gas generator.
+    """Advance ``loops`` drive-loop periods; the arguments are those of the two kernels, ``y`` and
+    ``g`` those of the gas generator.
 
     The force is taken at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100
-    microseconds. Steps are counted from ignition, so that the result does not depend on how time is
-    split into calls.
+    microseconds. Steps are counted from ignition, so that the result does not depend on how the
+    time is divided among calls.
     """
     burns = y[MASS] > 0.0
     done = 0

@@ -1,11 +1,12 @@
-"""Gas generator, eq. 2 to 8, stepped implicitly, with the mass of the stored gas as its state.
+"""Compiled time steps of the simulated gas generator (eq. 2 to 8), by an implicit method.
 
     dm/dt = rho_b A_b r - p A_t / C_r,    dV/dt = A_b r,    p = m R_g T_g / V,    r = a p^n
 
-is eq. 7, which includes the gas density. Eq. 8 neglects it, equivalent to a gas source of rho_g A_b
-r; the same step solves both. SDIRK of second order (Alexander), L-stable: with a small free volume
-or an open throat the pressure may settle within one step. Stages and sums are linear in m, V, burnt
-and outflow, so that the mass balance closes to rounding for any step.
+is eq. 7, with the mass m of the stored gas as the state. It includes the gas density. Eq. 8
+neglects the gas density, which is equivalent to a gas source of rho_g A_b r; the same step solves
+both. The method is SDIRK of second order (Alexander), which is L-stable, because the pressure may
+settle within one step if the free volume is small or the throat is open. Stages and sums are linear
+in m, V, burnt and outflow, so that the mass balance holds to rounding for any step.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from drivers.mock.plant.parts.valve import throat_area
 # State vector.
 (
     BURN_TIME,  # s since ignition
-    MASS,  # of the stored gas, kg
+    MASS,  # mass of the stored gas, kg
     VOLUME,  # free volume, m^3
-    BURNT,  # propellant since ignition, kg
+    BURNT,  # propellant burnt since ignition, kg
     OUTFLOW,  # gas through throat and leaks since ignition, kg
     PRESSURE,  # p_g, Pa
     THROAT,  # A_t of the valve, m^2
@@ -31,7 +32,7 @@ from drivers.mock.plant.parts.valve import throat_area
 ) = range(10)
 GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
 
-# Constants, and the factors on them: shares of 1 and no leak without effects.
+# Constants and the factors on them; without effects the factors are 1, and there is no leak.
 (
     DENSITY,  # rho_b, kg/m^3
     BURNING_AREA,  # A_b, m^2
@@ -47,10 +48,10 @@ GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
     OPENING,  # D/2, m
     HALF_WIDTH,  # b/2, m
     LOOPS_PER_STEP,
-    THROAT_SHARE,  # of A_t that is open
-    BURNING_SHARE,  # of A_b that burns
+    THROAT_SHARE,  # share of A_t that is open
+    BURNING_SHARE,  # share of A_b that burns
     RATE_SHARE,  # of r
-    HEAT_SHARE,  # of the gas temperature; C_r goes with its root
+    HEAT_SHARE,  # factor on the gas temperature; C_r is proportional to its square root
     LEAK_AREA,  # m^2, beside the throat
     HIDING,  # 1: an effect is injected
     HIDDEN,  # from here on: parameters of the effects
@@ -62,8 +63,8 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return the conditions of the coming step: shares of throat, burning area, burning rate and
-    heat, and leak, m^2.
+    """Return the conditions of the next step: factors on throat, burning area, burning rate and
+    heat, and the leak, m^2.
     """
     throat, burning, rate, heat, leak = (
         g[THROAT_SHARE],
@@ -77,8 +78,8 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
     web, at = y[MEMORY + hidden.WEB], HIDDEN
     heat *= 1.0 - y[MEMORY + hidden.COOLED]
     leak += g[at + hidden.LEAK]
-    # Gas leaves the burning surface at the speed at which the outflow empties the chamber's
-    # cross-section.
+    # The gas leaves the burning surface at the speed at which the outflow passes the cross-section
+    # of the chamber.
     speed = (
         (y[THROAT] * throat + leak) * g[ENERGY] * math.sqrt(heat) / (g[VELOCITY] * g[BURNING_AREA])
     )
@@ -90,7 +91,7 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
 
 @inlined
 def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
-    """Update the effect states after a step of ``h`` s that burnt ``grown`` m^3 over
+    """Update the states of the effects after a step of ``h`` s in which ``grown`` m^3 burnt over
     ``burning_area`` m^2.
     """
     web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
@@ -113,11 +114,11 @@ def solve_stage(
     guess: float,
     g: Vector,
 ) -> tuple[float, float]:
-    """Solve an implicit stage: from ``mass`` and ``volume``, ``h`` s at the rates of its own end.
+    """Solve an implicit stage: from ``mass`` and ``volume``, ``h`` s at the rates at its end.
 
-    (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no h q on the left.
-    The function is convex in p and negative at 0, so it has one positive root, and Newton's method
-    from above converges to it.
+    (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no term h q on the
+    left. The difference of both sides is convex in p and negative at 0, so that it has one positive
+    root, to which Newton's method converges from above.
 
     Args:
         mass: Mass, positive, kg.
@@ -149,14 +150,14 @@ def solve_stage(
         rate -= slope * change
         if (
             abs(change) <= 1e-8 * p
-        ):  # Newton converges quadratically: the remaining error is below rounding
+        ):  # Newton's method converges quadratically: the remaining error is below rounding.
             break
     return p, rate
 
 
 @inlined
 def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
-    """Advance the gas generator by ``h`` s while the throat changes to its area at ``angle``
+    """Advance the gas generator by ``h`` s while the throat area changes to that at ``angle``
     (rad).
     """
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
@@ -197,7 +198,7 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
 
 @inlined
 def contact_force(pressure: float, throat: float, g: Vector) -> float:
-    """Return F_P = (p_g - p_c0) A_s, eq. 10, N; zero if the gas would lift the valve."""
+    """Return F_P = (p_g - p_c0) A_s, eq. 10, N; zero if the difference is negative."""
     return float(
         max(pressure - g[BACK_PRESSURE], 0.0) * (math.pi * g[OPENING] * g[OPENING] - throat)
     )
@@ -207,8 +208,8 @@ def contact_force(pressure: float, throat: float, g: Vector) -> float:
 def steady_pressure(throat: float, g: Vector) -> float:
     """Return the pressure at which the generator burns steadily, Pa.
 
-    With eq. 8 it is (rho_b A_b a C_r / A_t)^(1/(1-n)); with eq. 7 it is the slightly lower root of
-    (rho_b - p/RT) A_b a p^n = p A_t / C_r.
+    With eq. 8 this pressure is (rho_b A_b a C_r / A_t)^(1/(1-n)); with eq. 7 it is the slightly
+    lower root of (rho_b - p/RT) A_b a p^n = p A_t / C_r.
     """
     n = g[EXPONENT]
     energy, velocity = g[ENERGY] * g[HEAT_SHARE], g[VELOCITY] * math.sqrt(g[HEAT_SHARE])
@@ -218,7 +219,7 @@ def steady_pressure(throat: float, g: Vector) -> float:
     if g[SIMPLIFIED] != 0.0:
         return p
     for _ in range(60):
-        # Over p^n: flow p^(1-n) + grown p / RT = rho_b grown.
+        # The equation divided by p^n is flow p^(1-n) + grown p / RT = rho_b grown.
         power = flow * p ** (1.0 - n)
         change = (power + grown * (p / energy - g[DENSITY])) / (
             (1.0 - n) * power / p + grown / energy

@@ -1,4 +1,4 @@
-"""Simulates the gas generator alone: pressure and masses from the valve angle."""
+"""Simulates the gas generator without the machine: pressure and masses from the valve angle."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 class Burn(NamedTuple):
     """A simulated firing, sampled at the times of its valve angles; arrays of shape (n,).
 
-    Burnt and outflow count from the first sample.
+    ``burnt`` and ``outflow`` are counted from the first sample.
     """
 
     pressure_Pa: Array
@@ -47,14 +47,15 @@ def burn(
     steps: int = 1,
     pressure_Pa: float | None = None,
 ) -> Burn:
-    """Simulate a firing while the valve follows given angles, linear between samples.
+    """Simulate a firing while the valve follows given angles, with linear interpolation between
+    samples.
 
     Args:
         machine: The machine with the gas generator.
         angle_rad: Valve angles, rad, shape (n,).
         period_s: Sampling period, s.
         steps: Integration steps per sample.
-        pressure_Pa: Pressure to start from; None for the steady one at the first angle.
+        pressure_Pa: Pressure at the start; None for the steady pressure at the first angle.
     """
     g = gas_vector(machine)
     y = lit(machine, g, float(angle_rad[0]), pressure_Pa)

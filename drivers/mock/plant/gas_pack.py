@@ -1,4 +1,4 @@
-"""A gas generator's constants and its state at ignition, packed for compiled code."""
+"""Packs the constants of a gas generator and its state at ignition for compiled code."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HEAT_RATIO = 1.25
 
 
 def gas_vector(machine: constants.Machine) -> Array:
-    """Pack a machine's gas generator and valve; L1 is the joint's moment arm."""
+    """Pack the gas generator and valve of a machine; L1 is the joint's moment arm."""
     generator, valve = machine.gas, machine.gas.valve
     g = np.zeros(gas.PARAMETER_SIZE)
     g[gas.DENSITY] = generator.propellant_density_kg_m3
@@ -47,7 +47,7 @@ def gas_vector(machine: constants.Machine) -> Array:
 
 
 def unlit(machine: constants.Machine) -> Array:
-    """Return the state without a gas generator: no gas, and the pressure behind the valve."""
+    """Return the state without combustion: no gas, and the pressure behind the valve."""
     y = np.zeros(gas.GAS_SIZE)
     y[gas.PRESSURE] = machine.gas.back_pressure_Pa
     return y
@@ -62,7 +62,7 @@ def lit(
         machine: The machine with the gas generator.
         g: Vector of the gas generator.
         angle_rad: Valve angle, rad.
-        pressure_Pa: Pressure to start from; None for the steady one at that angle.
+        pressure_Pa: Pressure at the start; None for the steady pressure at this angle.
     """
     y = np.zeros(gas.GAS_SIZE)
     y[gas.THROAT] = valve_throat(g, np.array([angle_rad]))[0]

@@ -1,4 +1,4 @@
-"""The simulated machine with its servo loops: advances in time and latches its sensors."""
+"""The simulated machine with its control loops: integrates its motion and samples its sensors."""
 
 from __future__ import annotations
 
@@ -57,8 +57,8 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """The machine's exact state, for tests and for benches with exact channels; never goes over a
-    bus.
+    """The exact state of the machine, for tests and for benches with exact channels; no bus
+    transmits it.
     """
 
     angle_rad: float
@@ -70,12 +70,12 @@ class Truth(NamedTuple):
 
 
 class SimulatedMachine:
-    """Motor, gear, friction, lever with weights and the drive's loops, integrated with a fixed
-    step.
+    """Motor, gear, friction, lever with weights and the control loops of the drive, integrated with
+    a constant step.
 
-    Starts at rest at angle 0 with the power off and nothing on the lever. With exact sensors (zero
-    counts) a motor count is 1 microradian of the joint for the interface's sake, and the loops see
-    the exact angle.
+    The machine starts at rest at angle 0, with the power off and no weight on the lever. With exact
+    sensors (zero counts) the loops use the exact angle, and the interface states it in counts of 1
+    microradian of the joint.
 
     Attributes:
         motor_count_rad: Joint angle of one count of the motor encoder, rad.
@@ -104,22 +104,22 @@ class SimulatedMachine:
         self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a total of ``mass_kg``, as its label says, on the lever: contact force (L3/L4) m_w g
-        (eq. 17).
+        """Hang a weight with the label ``mass_kg`` in total on the lever: contact force (L3/L4) m_w
+        g (eq. 17).
         """
         self._label_kg, self._force_N = mass_kg, None
         self._y = unlit(self.constants)
         self._load()
 
     def press(self, contact_force_N: float) -> None:
-        """Load the valve with this contact force F_P (eq. 13)."""
+        """Load the valve with the contact force F_P (eq. 13)."""
         self._force_N = contact_force_N
         self._y = unlit(self.constants)
         self._load()
 
     def ignite(self) -> None:
-        """Ignite the gas generator instead of a weight; it burns steadily at once, until another
-        load is set.
+        """Load the valve with the gas generator instead of a weight; it burns steadily at once,
+        until another load is set.
         """
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
@@ -135,7 +135,8 @@ class SimulatedMachine:
         if not self._e.size:
             self._e = bare_vector(self.constants)
             self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
-        # The weight and an injected imbalance, both sines of the angle, add to one sine.
+        # The torques of the weight and of an injected imbalance are both sines of the angle; their
+        # sum is one sine.
         hidden = self.constants.effects.get(
             "gravity_imbalance", {"torque_Nm": 0.0, "zero_rad": 0.0}
         )
@@ -148,7 +149,7 @@ class SimulatedMachine:
         self._load()
 
     def _load(self) -> None:
-        """Pack the friction vector for the load of the current or next recording."""
+        """Pack the friction vector for the load of the present or next recording."""
         joint, e = self.constants.joint, self._e
         per_kg = joint.lever_ratio * joint.gravity_m_s2
         force = (
@@ -177,13 +178,14 @@ class SimulatedMachine:
             self._x[extra.FALLING] = 0.0 if of_speed else at_rest
 
     def limit_current(self, current_A: float) -> None:
-        """Lower the current the drive may ask for; it never exceeds the limit of its own loops."""
+        """Lower the current limit of the drive; it never exceeds that of the control loops."""
         self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
 
     def power(self, on: bool) -> None:
         """Switch the power stage.
 
-        Off: the motor is open-circuit and coasts. On: it holds its position.
+        When the power is off, the motor is open-circuit and coasts. When it is switched on, the
+        motor holds its position.
         """
         s = self._s
         if on and s[loops.MODE] == loops.OFF:
@@ -199,17 +201,15 @@ class SimulatedMachine:
             s[loops.OFFSET] = 0.0
 
     def rest(self, seconds: float) -> None:
-        """Let time pass with the power off and the joint at rest; the motor cools, campaign time
-        goes on.
-        """
+        """Advance the time with the power off and the joint at rest, so that the motor cools."""
         self._x[extra.RUN] += seconds
         e = self._e
         if e.size and e[table.HEATING_RISE] > 0.0:
             self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
-        """Follow ``target_counts`` (motor encoder), reached by linear interpolation ``over_ns``
-        from now.
+        """Follow ``target_counts`` (motor encoder), which is reached by linear interpolation within
+        ``over_ns``.
         """
         s = self._s
         if s[loops.MODE] == loops.OFF:
@@ -220,13 +220,15 @@ class SimulatedMachine:
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def feed(self, current_A: float) -> None:
-        """Add this current to the loops' command from now on, while the machine tracks."""
+        """Add a current to the command of the control loops from now on, while the machine follows
+        targets.
+        """
         if self._s[loops.MODE] == loops.TRACK:
             self._s[loops.OFFSET] = current_A
 
     def brake(self, deceleration_rad_s2: float) -> None:
-        """Ramp the commanded joint speed to zero at this deceleration and hold there (quick
-        stop).
+        """Reduce the commanded joint speed to zero with this deceleration, then hold the position
+        (quick stop).
         """
         s = self._s
         if s[loops.MODE] == loops.OFF:
@@ -241,7 +243,7 @@ class SimulatedMachine:
         """Integrate for a whole number of loop periods.
 
         Raises:
-            ValueError: ``duration_ns`` is not one.
+            ValueError: ``duration_ns`` is not a whole number of loop periods.
         """
         self._advance(self._loops_in(duration_ns), _NO_PATH)
 
@@ -273,8 +275,8 @@ class SimulatedMachine:
             count -= n
 
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
-        """Advance one cycle, latch and obey one target (motor encoder counts), for each of
-        ``target_counts``.
+        """For each target of ``target_counts`` (motor encoder counts): advance one cycle, sample
+        the sensors and set the target.
 
         Raises:
             ValueError: The cycle is not a whole number of loop periods.
@@ -312,8 +314,8 @@ class SimulatedMachine:
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next ``count`` noise samples, the same as that many loop periods would
-        draw.
+        """Return the next ``count`` noise samples, equal to those that ``count`` single loop
+        periods draw.
         """
         left = self._noise[self._noise_at :]
         if count <= len(left):
@@ -326,10 +328,11 @@ class SimulatedMachine:
         return drawn[:count]
 
     def latch(self) -> Reading:
-        """Return the present sensor values and start new means of current and voltage.
+        """Return the present sensor values, and start new means of current and voltage.
 
         Raises:
-            ConfigurationError: The angles are NaN: the equations diverge with these constants.
+            ConfigurationError: The angles are NaN, because the equations diverge with these
+                constants.
         """
         s = self._s
         theta = float(s[loops.THETA])

@@ -1,4 +1,4 @@
-"""Packs the constants of joint and drive into vectors for compiled code."""
+"""Packs the constants of the simulated joint and drive into vectors for compiled code."""
 
 from __future__ import annotations
 

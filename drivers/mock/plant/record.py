@@ -1,6 +1,4 @@
-"""Simulates whole recordings in one call: machine, drive loops and cyclic sampling, without the
-bus.
-"""
+"""Simulates whole recordings of machine and drive in one call of compiled code, without the bus."""
 
 from __future__ import annotations
 
@@ -46,12 +44,12 @@ _NO_PATH = np.zeros(0)
 
 
 class Latches(NamedTuple):
-    """Values of drive and joint encoder at each SYNC, not yet in device units; arrays of shape
-    (n,).
+    """Values of drive and joint encoder at each SYNC before conversion to device units; arrays of
+    shape (n,).
 
-    ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the
-    machine's running time. ``pressure_Pa`` is exact; it is the pressure behind the valve while no
-    gas generator burns.
+    ``current_A`` and ``voltage_V`` are means over the cycle that ends at the SYNC; ``run_s`` is the
+    running time of the machine. ``pressure_Pa`` is exact; it is the pressure behind the valve while
+    no gas generator burns.
     """
 
     motor_counts: NDArray[np.float64]
@@ -81,7 +79,7 @@ def record_cycles(
     no_path: Vector,
     out: Histories,
 ) -> None:
-    """Run one cycle for each joint angle of ``targets``: advance, latch, obey.
+    """Run one cycle for each joint angle of ``targets``: advance, sample, set the target.
 
     As on the bus, the target sent with a SYNC is reached by interpolation one cycle later.
     """

@@ -1,5 +1,4 @@
-"""Simulate the true motion of machine and servo loop at a commanded angle, without bus or drive
-protocol.
+"""Simulates the exact motion of machine and control loops for a commanded angle, without a bus.
 
 The result contains the true state and the latched current and voltage. `rig paper` and tests use
 this simulation.
@@ -29,14 +28,14 @@ def simulate(
     """Follow ``command`` (joint angle in rad of time in s) from rest and sample the exact state.
 
     Args:
-        machine: The bench.
-        command: Vectorised joint angle command; should be 0 at time 0, where the machine starts.
-        duration_s: Length, s.
+        machine: The simulated machine.
+        command: Vectorised function of time that returns the joint angle; 0 at time 0.
+        duration_s: Length of the simulation, s.
         rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
         weight_kg: Mass on the lever.
-        contact_force_N: F_P itself, instead of a weight.
-        burning: A gas generator, steady at the first angle, instead of either.
-        rng: Only needed with current noise.
+        contact_force_N: Contact force F_P, instead of a weight.
+        burning: Whether a gas generator, steady at the first angle, loads the valve instead.
+        rng: Random generator; needed only if the machine has current noise.
 
     Returns:
         ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant),
@@ -44,7 +43,7 @@ def simulate(
         ``contact_force``; each of shape (n,), SI units.
 
     Raises:
-        ValueError: The rates do not divide.
+        ValueError: The loop rate is not a multiple of the sample rate.
     """
     plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
     _load(plant, weight_kg, contact_force_N, burning)
@@ -81,7 +80,7 @@ def simulate(
 def _load(
     plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
 ) -> None:
-    """Load the valve: with a burning gas generator, else a contact force, else a weight."""
+    """Load the valve with a burning gas generator, else a contact force, else a weight."""
     if burning:
         plant.ignite()
     elif contact_force_N is None:

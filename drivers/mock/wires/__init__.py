@@ -1,1 +1,1 @@
-"""Simulated wires: CAN bus and serial lines in simulated time, and the clock."""
+"""Simulated CAN bus and serial lines in simulated time, and their clocks."""

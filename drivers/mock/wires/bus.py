@@ -1,4 +1,4 @@
-"""A CAN bus in simulated time: exact frame times, arbitration, no threads and no wall clock."""
+"""A CAN bus in simulated time, with frame times and arbitration; no threads and no wall clock."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
 FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
-"""Called with (time in ns, identifier, data, sent by the host); returns the frame to deliver, or
-None to lose it.
+"""Function of (time in ns, identifier, data, whether the host sent the frame) that returns the
+frame to deliver, or None to lose the frame.
 """
 
 
@@ -26,7 +26,7 @@ _NEVER = 1 << 62
 
 @contextmanager
 def _of_python_can() -> Iterator[None]:
-    """Translate the bus's errors into those of python-can."""
+    """Convert the errors of the bus into those of python-can."""
     try:
         yield
     except OSError as error:
@@ -34,7 +34,9 @@ def _of_python_can() -> Iterator[None]:
 
 
 class Port:
-    """One controller on the bus: sends in order, and hears the identifiers it listens to."""
+    """One controller on the bus: sends its frames in order, and receives the identifiers for which
+    it has a handler.
+    """
 
     def __init__(self, bus: SimulatedBus, number: int) -> None:
         self._bus = bus
@@ -43,32 +45,34 @@ class Port:
         self.handlers: dict[int, Handler] = {}
 
     def send(self, identifier: int, data: bytes) -> None:
-        """Queue a frame; it goes out when it wins arbitration."""
+        """Queue a frame; the frame is sent when it wins the arbitration."""
         self.queue.append((identifier, data))
         if len(self.queue) == 1:
             self._bus.contend(identifier, self.number)
 
     def listen(self, identifier: int, handler: Handler) -> None:
-        """Hand every frame with this identifier, from any other controller, to ``handler``."""
+        """Pass every frame with this identifier from any other controller to ``handler``."""
         self.handlers[identifier] = handler
         self._bus.reroute()
 
     def ignore(self, identifier: int) -> None:
-        """Stop listening to an identifier; harmless if nobody did."""
+        """Remove the handler of an identifier; no error if there is none."""
         self.handlers.pop(identifier, None)
         self._bus.reroute()
 
 
 class SimulatedBus(can.BusABC):
-    """The simulated bus, as the host's controller sees it: a :class:`~drivers.can.port.FramePort`.
+    """The simulated bus with the interface of the host's controller: a
+    :class:`~drivers.can.port.FramePort`.
 
-    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time
-    at ``bitrate``. Among the controllers that wait when the wire falls idle, the lowest identifier
-    goes first; a controller sends its own frames in order. :meth:`collect` advances the clock.
+    The class is also an interface of python-can, for the tools of that library. Every frame takes
+    its worst-case time at ``bitrate``. When the bus becomes idle, the waiting frame with the lowest
+    identifier is sent first; each controller sends its frames in order. :meth:`collect` advances
+    the clock.
 
     Attributes:
         frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
-        down: True while the host's controller is bus-off; sending then fails, and it hears nothing.
+        down: Whether the host's controller is bus-off; sending then fails, and nothing is received.
     """
 
     def __init__(self, clock: SimulatedClock, bitrate: int = 1_000_000) -> None:
@@ -87,13 +91,13 @@ class SimulatedBus(can.BusABC):
         self._routes: dict[int, list[tuple[Port, Handler]]] = {}
 
     def attach(self) -> Port:
-        """Put another controller on the bus."""
+        """Connect another controller to the bus."""
         port = Port(self, len(self._ports))
         self._ports.append(port)
         return port
 
     def reroute(self) -> None:
-        """Rebuild the routes after a controller changed what it listens to."""
+        """Compute the routes anew after a controller changed its handlers."""
         routes: dict[int, list[tuple[Port, Handler]]] = {}
         for port in self._ports:
             for identifier, handler in port.handlers.items():
@@ -101,13 +105,13 @@ class SimulatedBus(can.BusABC):
         self._routes = routes
 
     def contend(self, identifier: int, number: int) -> None:
-        """Enter a controller's first queued frame for the next arbitration."""
+        """Enter the first queued frame of a controller into the next arbitration."""
         heapq.heappush(self._contenders, (identifier, number))
         if self._sender is None:
             self._clock.call_at(self._clock.now_ns() + self._arbitrate(), self._arrived)
 
     def _arbitrate(self) -> int:
-        """Send the contender with the lowest identifier; return the duration of its frame, ns."""
+        """Send the waiting frame with the lowest identifier; return its duration, ns."""
         _, number = heapq.heappop(self._contenders)
         self._sender = sender = self._ports[number]
         return self._times[len(sender.queue[0][1])]
@@ -132,7 +136,8 @@ class SimulatedBus(can.BusABC):
                         handler(data)
                 if sender is not self._host and not self.down:
                     self._received.append(raw_frame((now, identifier, data, False)))
-            # Receivers have queued their answers by now, so all take part in the next arbitration.
+            # The receivers have queued their answers by now, so that all answers take part in the
+            # next arbitration.
             if not contenders:
                 self._sender = None
                 return
@@ -151,27 +156,27 @@ class SimulatedBus(can.BusABC):
         return frame
 
     def disturb(self) -> None:
-        """Let the host's controller see an error frame."""
+        """Deliver an error frame to the host's controller."""
         self._received.append(raw_frame((self._clock.now_ns(), ERROR_FLAG, b"", False)))
 
     def transmit(self, identifier: int, data: bytes) -> None:
         """Queue a frame of the host.
 
         Raises:
-            OSError: The bus is down or shut.
+            OSError: The bus is down or closed.
         """
         if self.down or self._is_shutdown:
             raise OSError("bus-off" if self.down else "the bus is shut")
         self._host.send(identifier, data)
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames, advancing simulated time while there are none.
+        """Return the received frames; simulated time advances while there are none.
 
         Frames without a gap between them are returned together, as from a controller's buffer, each
         with its arrival time.
 
         Raises:
-            OSError: The bus is shut.
+            OSError: The bus is closed.
         """
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         if not self._wait(deadline):
@@ -184,7 +189,7 @@ class SimulatedBus(can.BusABC):
         """Queue a frame of the host.
 
         Raises:
-            can.CanOperationError: The bus is down or shut.
+            can.CanOperationError: The bus is down or closed.
         """
         with _of_python_can():
             self.transmit(msg.arbitration_id, bytes(msg.data))
@@ -195,7 +200,7 @@ class SimulatedBus(can.BusABC):
         ``timeout`` is in seconds of simulated time; None waits as long as any event is scheduled.
 
         Raises:
-            can.CanOperationError: The bus is shut.
+            can.CanOperationError: The bus is closed.
         """
         with _of_python_can():
             return self._next(timeout)
@@ -215,8 +220,8 @@ class SimulatedBus(can.BusABC):
         return None
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Advance simulated time until there is a frame for the host; False if none comes by the
-        deadline.
+        """Advance simulated time until there is a frame for the host; return False if there is none
+        before the deadline.
         """
         if self._is_shutdown:
             raise OSError("the bus is shut")

@@ -1,4 +1,4 @@
-"""Simulated devices on pseudo-terminals and sockets, which a host program opens like hardware."""
+"""Connects simulated devices to pseudo-terminals and sockets that programs open like hardware."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Ports:
     """Pseudo-terminals and sockets with a station behind each.
 
     Attributes:
-        traffic: Of each port, by the path or number that the host program opens.
+        traffic: Byte counts of each port, by the path or number that the host program opens.
     """
 
     def __init__(self) -> None:
@@ -43,14 +43,15 @@ class Ports:
         self._ends: dict[str | int, list[int]] = {}
 
     def open_pty(self, station: Station) -> str:
-        """Connect a station to a pseudo-terminal; returns the path that the host program opens.
+        """Connect a station to a pseudo-terminal; return the path that the host program opens.
 
-        Bytes are lost if the host does not read and the buffer is full, as in an adapter.
+        Bytes are lost if the host does not read and the buffer is full, as in a real adapter.
         """
         ours, theirs = pty.openpty()
         tty.setraw(theirs)
         os.set_blocking(ours, False)
-        # The far end stays open here as well, so that the host may close and open it again.
+        # The other end stays open in this process too, so that the host may close and open the port
+        # again.
         self._owned += [ours, theirs]
         path = os.ttyname(theirs)
         self._ends[path] = [ours, theirs]
@@ -58,7 +59,7 @@ class Ports:
         return path
 
     def open_socket(self, station: Station) -> int:
-        """Put a station behind a TCP port of 127.0.0.1 that serves one connection; returns its
+        """Connect a station to a TCP port of 127.0.0.1 that serves one connection; return the port
         number.
         """
         listener = socket.create_server(("127.0.0.1", 0))
@@ -68,10 +69,10 @@ class Ports:
         return port
 
     def open_server(self, connected: Callable[[], Station]) -> int:
-        """Serve any number of connections to a TCP port of 127.0.0.1; returns its number.
+        """Serve any number of connections to a TCP port of 127.0.0.1; return the port number.
 
         Args:
-            connected: Called at each connection; returns the station behind it.
+            connected: Function that is called at each connection and returns the station for it.
         """
         listener = socket.create_server(("127.0.0.1", 0))
         port: int = listener.getsockname()[1]
@@ -80,7 +81,7 @@ class Ports:
         return port
 
     def unplug(self, name: str | int) -> None:
-        """Remove a pseudo-terminal or server: the host program's open ports fail from now on."""
+        """Remove a pseudo-terminal or server; open ports of the host program fail from now on."""
         for number, (listener, _) in list(self._listeners.items()):
             if listener.getsockname()[1] == name:
                 del self._listeners[number]
@@ -92,13 +93,13 @@ class Ports:
                 os.close(descriptor)
 
     def babble(self, name: str | int, data: bytes) -> None:
-        """Send the host program bytes that come from no station."""
+        """Send bytes to the host program that do not come from a station."""
         for descriptor in self._ends[name]:
             if descriptor in self._stations:
                 _write(descriptor, data)
 
     def close(self) -> None:
-        """Close everything; safe to call twice."""
+        """Close all ports; the method may be called twice."""
         for listener, _ in self._listeners.values():
             listener.close()
         for descriptor in self._owned:
@@ -106,7 +107,7 @@ class Ports:
         self._owned, self._stations, self._listeners, self._ends = [], {}, {}, {}
 
     def wait(self, timeout_s: float, *others: int) -> list[int]:
-        """Return the ports, and the members of ``others``, that become readable within the time."""
+        """Return the ports and members of ``others`` that become readable within the time-out."""
         ready, _, _ = select.select([*others, *self._stations, *self._listeners], [], [], timeout_s)
         return ready
 
@@ -141,12 +142,12 @@ class Ports:
             traffic.given += len(answer)
             _write(descriptor, answer)
         except OSError:
-            # The host program is gone, but its devices live on.
+            # The host program has ended, but its devices continue to run.
             del self._stations[descriptor]
 
 
 def _write(descriptor: int, data: bytes) -> None:
-    """Write as many bytes as there is room for."""
+    """Write as many bytes as the buffer accepts."""
     try:
         while data:
             data = data[os.write(descriptor, data) :]
@@ -157,12 +158,12 @@ def _write(descriptor: int, data: bytes) -> None:
 class RealTimeBench(Ports):
     """Ports whose devices run in real time, in a separate thread.
 
-    They run on while the host program computes, hangs or (in another process) is dead. A context
-    manager; ports are opened before it is entered.
+    The devices continue to run while the host program computes, hangs or, in another process, has
+    ended. The class is a context manager; open the ports before entering it.
 
     Args:
-        clock: Clock of the simulated devices; kept in step with the real clock, and not to be
-            advanced by others meanwhile.
+        clock: Clock of the simulated devices; this class advances it with the real clock, and no
+            other code may advance it.
     """
 
     def __init__(self, clock: SimulatedClock) -> None:
@@ -175,13 +176,13 @@ class RealTimeBench(Ports):
         self._thread = threading.Thread(target=self._run, name="simulated devices")
 
     def __enter__(self) -> Self:
-        """Begin to serve."""
+        """Start to serve the ports."""
         self._ahead_ns = self._clock.now_ns() - self._real.now_ns()
         self._thread.start()
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Stop and close everything."""
+        """Stop and close all ports."""
         os.write(self._woken, b"x")
         self._thread.join()
         self.close()

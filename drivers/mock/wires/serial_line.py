@@ -1,4 +1,4 @@
-"""A serial line in simulated time: bytes take their time at the baud rate; no wall clock."""
+"""A serial line in simulated time: each byte takes its time at the baud rate; no wall clock."""
 
 from __future__ import annotations
 
@@ -8,38 +8,38 @@ from typing import Protocol
 from drivers.clock import NS, SimulatedClock
 
 ByteFilter = Callable[[int, bytes, bool], bytes]
-"""Called with (time in ns, bytes, sent by the host); returns the bytes to deliver."""
+"""Function of (time in ns, bytes, whether the host sent them) that returns the bytes to deliver."""
 
 _BITS_PER_BYTE = 10
 
 
 class Station(Protocol):
-    """The device at the far end of a line."""
+    """The device at the other end of a line."""
 
     def receive(self, data: bytes) -> bytes:
-        """Process received bytes, possibly none, and return the answer or unsolicited bytes that
-        are due.
+        """Process received bytes, which may be empty, and return the answer or unsolicited bytes
+        that are due.
         """
         ...
 
 
 class SimulatedLine:
-    """The line as the host sees it: a :class:`~drivers.serial_port.BytePort`.
+    """The line with the interface of the host: a :class:`~drivers.serial_port.BytePort`.
 
     Reading advances the clock.
 
-    A message arrives as a whole when its last byte does; the far end answers in that instant.
+    A message arrives as a whole at the time of its last byte; the station answers at the same time.
 
     Args:
         clock: Simulated time.
-        baud: Bit/s, 8N1.
+        baud: Bit rate, bit/s, with 8N1.
         station: The device at the far end.
         echo: Whether the host's adapter echoes its own bytes.
 
     Attributes:
         station: The device at the far end.
         filters: Hooks for fault injection, applied in order to every message.
-        cut: True while the line is unplugged: nothing arrives either way.
+        cut: Whether the line is unplugged, so that nothing arrives in either direction.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class SimulatedLine:
         self._closed = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes, after those still being sent.
+        """Send bytes after those that are being sent.
 
         Raises:
             OSError: The line is closed.
@@ -67,7 +67,7 @@ class SimulatedLine:
         self._clock.call_at(arrival, lambda: self._arrived(data))
 
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come in, advancing simulated time while there is nothing.
+        """Return the received bytes; simulated time advances while there are none.
 
         Raises:
             OSError: The line is closed.
@@ -85,7 +85,7 @@ class SimulatedLine:
         return data
 
     def discard(self) -> None:
-        """Drop what has come in."""
+        """Discard the received bytes."""
         self._require_open()
         self._received = b""
 
@@ -94,7 +94,7 @@ class SimulatedLine:
         self._closed = True
 
     def deliver(self, data: bytes, from_host: bool) -> None:
-        """Deliver a message to its receiver without the filters; its answer is sent as usual."""
+        """Deliver a message to its receiver without the filters; the answer passes the filters."""
         if self.cut:
             return
         if not from_host:

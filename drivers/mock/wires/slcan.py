@@ -1,6 +1,4 @@
-"""CAN adapters in front of the simulated bus: LAWICEL over a serial line ("slcan") and socketcand
-over TCP.
-"""
+"""Simulated CAN adapters for the simulated bus: LAWICEL serial protocol (slcan) and socketcand."""
 
 from __future__ import annotations
 
@@ -19,13 +17,14 @@ _MAX_LINE: Final = 64
 
 
 class LawicelAdapter:
-    """The serial side of the adapter; a :class:`~drivers.mock.wires.serial_line.Station`.
+    """Serial side of a LAWICEL adapter ("slcan"); a
+    :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Handles only data frames with 11-bit identifiers, as used by the simulated devices. Settings are
-    not answered, as hosts do not wait for that.
+    The adapter handles only data frames with 11-bit identifiers, which the simulated devices use.
+    It does not answer settings, because hosts do not wait for an answer.
 
     Args:
-        bus: The bus on its other side; the adapter is its host.
+        bus: The bus on the other side of the adapter; the adapter is the host of the bus.
     """
 
     def __init__(self, bus: SimulatedBus) -> None:
@@ -34,13 +33,13 @@ class LawicelAdapter:
         self._open = False
 
     def receive(self, data: bytes) -> bytes:
-        """Obey the commands that end in ``data``; return their answers and the frames that have
-        come in.
+        """Execute the commands that end in ``data``; return their answers and the received
+        frames.
         """
         self._buffer += data
         answers = bytearray()
         *lines, rest = self._buffer.split(_OK)
-        # A line without end is not of this protocol.
+        # A line without an end does not belong to this protocol.
         self._buffer = rest if len(rest) <= _MAX_LINE else bytearray()
         for line in lines:
             answers += self._obey(bytes(line))
@@ -90,7 +89,7 @@ class SocketcandServer:
     """One connection to a socketcand server; a :class:`~drivers.mock.wires.serial_line.Station`.
 
     Args:
-        bus: The bus that it serves; the server is its host.
+        bus: The bus; the server is the host of the bus.
     """
 
     def __init__(self, bus: SimulatedBus) -> None:
@@ -100,8 +99,8 @@ class SocketcandServer:
         self._raw = False
 
     def receive(self, data: bytes) -> bytes:
-        """Obey the commands that end in ``data``; return their answers and the frames that have
-        come in.
+        """Execute the commands that end in ``data``; return their answers and the received
+        frames.
         """
         answers = "" if self._greeted else "< hi >"
         self._greeted = True

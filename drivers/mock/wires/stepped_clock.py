@@ -1,4 +1,4 @@
-"""A host clock that can step, on top of simulated time that cannot."""
+"""A simulated host clock that can jump, while bus and devices keep their time."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from drivers.clock import NS, Clock
 class SteppedClock:
     """The clock of a host whose time can jump; bus and devices keep the time of ``base``.
 
-    A monotonic clock does not do this by itself; a suspended virtual machine or a defective driver
-    can.
+    A monotonic clock does not jump by itself, but a suspended virtual machine or a defective driver
+    can cause a jump.
     """
 
     def __init__(self, base: Clock) -> None:
@@ -17,7 +17,7 @@ class SteppedClock:
         self._ahead_ns = 0
 
     def step(self, by_s: float) -> None:
-        """Jump forward, or back where ``by_s`` is negative."""
+        """Jump forward, or back if ``by_s`` is negative."""
         self._ahead_ns += round(by_s * NS)
 
     def now_ns(self) -> int:
@@ -25,5 +25,5 @@ class SteppedClock:
         return self._base.now_ns() + self._ahead_ns
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Wait for the time that remained to the deadline at the call."""
+        """Wait for the time that remains to the deadline at the time of the call."""
         self._base.sleep_until_ns(deadline_ns - self._ahead_ns)

@@ -8,7 +8,7 @@ from drivers.clock import SimulatedClock
 
 
 class Timer:
-    """Runs ``action`` once, at the time last given to :meth:`start`."""
+    """Runs ``action`` once, at the time of the last :meth:`start`."""
 
     def __init__(self, clock: SimulatedClock, action: Callable[[], None]) -> None:
         self._clock = clock
@@ -16,7 +16,7 @@ class Timer:
         self._generation = 0
 
     def start(self, when_ns: int) -> None:
-        """Fire at ``when_ns``; forgets an earlier start."""
+        """Run the action at ``when_ns``; this replaces an earlier start."""
         self._generation += 1
         generation = self._generation
 
@@ -27,5 +27,5 @@ class Timer:
         self._clock.call_at(when_ns, fire)
 
     def stop(self) -> None:
-        """Do not fire."""
+        """Cancel the timer."""
         self._generation += 1

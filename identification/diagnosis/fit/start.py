@@ -12,8 +12,9 @@ from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
 from identification.estimate.default import free_names, solve_stages
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.model.ladder import LADDER, bears_load
-from identification.prepare import default_bandwidth, prepare, torque_unit
+from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
 FALLING, FALLS = (0.02, 0.3), 3
@@ -26,7 +27,9 @@ In simulated trials in which an injected effect masked the fall the ratio was 0.
 fall can gain a few per cent.
 """
 GREATEST_BANDWIDTH_HZ = 25.0
-"""Greatest bandwidth; above it effects add hardly any signal, but noise."""
+"""Greatest bandwidth, as far as enough samples are in motion; above it effects add hardly any
+signal, but noise.
+"""
 UNBURDENED: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
@@ -38,11 +41,9 @@ explained.
 """
 
 
-def common_bandwidth(recordings: Sequence[Recording]) -> float:
-    """Return the common bandwidth of all errors, Hz: the least of the recordings' default
-    bandwidths.
-    """
-    return min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in recordings))
+def bandwidth_of(recordings: Sequence[Recording]) -> float:
+    """Return the common bandwidth of all errors, Hz."""
+    return common_bandwidth(recordings, GREATEST_BANDWIDTH_HZ)
 
 
 def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:

@@ -233,9 +233,14 @@ def least_noise(equation: Equation) -> float:
     if equation.name != "transmission":
         return least
     # In slow motion rounding errors follow one another; no filter averages them out.
-    return max(
-        least, *(quantum(v.recording.channels["angle"]) / math.sqrt(12.0) for v in equation.views)
-    )
+    return max(least, *(_step(v) / math.sqrt(12.0) for v in equation.views))
+
+
+def _step(view: View) -> float:
+    """Return the quantisation step of the difference of both encoders, rad at the joint."""
+    channels = view.recording.channels
+    motor = quantum(channels["motor_angle"]) / view.recording.bench.gear_ratio
+    return math.hypot(quantum(channels["angle"]), motor)
 
 
 def _torque(

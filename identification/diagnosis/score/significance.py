@@ -11,10 +11,15 @@ from scipy import stats
 
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate, Stack, surprise
+from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
 from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
+NOISE = 1.0
+"""Ratio of the mean-square mismatch to the noise's, up to which an equation is not tested: a
+pattern within the noise is no mismatch that anybody could look for.
+"""
 EXCESS = 1.5
 """Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the
 cause.
@@ -141,6 +146,28 @@ def _over_two(score: Array, variance: Array) -> Array:
     for k in np.flatnonzero(flat):
         out[k] = score[k] @ np.linalg.pinv(variance[k], hermitian=True) @ score[k]
     return np.asarray(out)
+
+
+def beyond_noise(joint: Joint) -> set[str]:
+    """Return the names of the equations whose mismatch is beyond the noise: over all recordings, or
+    by :data:`EXCESS_OF_ONE` in one of them.
+    """
+    return {
+        e.name
+        for e in joint.equations
+        if float(np.mean(joint.residual[joint.stack.part(e.name)] ** 2)) > NOISE
+        or most_of_one(joint, e) > EXCESS_OF_ONE
+    }
+
+
+def most_of_one(joint: Joint, equation: Equation) -> float:
+    """Return the mean square that a fit leaves of an equation over the noise's, in the recording
+    with most of it.
+    """
+    rows = joint.residual[joint.stack.part(equation.name)]
+    return max(
+        float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
+    )
 
 
 def excess(joint: Joint, only: str = "") -> float:

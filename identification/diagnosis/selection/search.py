@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.noise import quieter
+from identification.diagnosis.fit.noise import QUICK, quieter
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first, with_assumed_fall
 from identification.diagnosis.fit.within_limits import infeasible
@@ -19,6 +19,7 @@ from identification.diagnosis.score.significance import (
     DRAWS,
     LEAST_SHARE,
     LEVEL,
+    beyond_noise,
     chance,
     excess,
     generic,
@@ -157,9 +158,16 @@ def search(
 
 
 def _tested(joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator) -> _Test:
-    """Test whether anything is missing, by size and by sign flips."""
-    trials = tuple(screened(joint.stack, Context(case.views, joint.nominal), left))
-    unnamed = tuple(generic(joint.stack))
+    """Test whether anything is missing, by size and by sign flips.
+
+    Only equations are tested whose mismatch is beyond the noise. Effects that may vary by their
+    full amplitude from row to row are tested in any case, because they count as noise.
+    """
+    beyond = beyond_noise(joint)
+    shown = [t for t in left if t.name in QUICK or beyond & {*judging(joint, t)}]
+    trials = tuple(screened(joint.stack, Context(case.views, joint.nominal), shown))
+    # The name of a generic family starts with its equation's.
+    unnamed = tuple(c for c in generic(joint.stack) if c.name.split(" ")[0] in beyond)
     every = (*trials, *unnamed)
     by_size = max(excess(joint), 1e-12)
     # Sign flips cannot give a smaller p-value than this.

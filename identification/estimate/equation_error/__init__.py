@@ -1,1 +1,1 @@
-"""Equation error (M7 to M10): start values, their covariance, and the torque noise floor."""
+"""Equation-error method (M7-M10): start values from torque equations, covariance, noise floor."""

@@ -12,19 +12,19 @@ from identification.numerics.spread import Spread, correlation_samples
 from identification.prepare import Prepared
 
 BLOCK_CORRELATION_TIMES = 10.0
-"""Block length over the residual's correlation time."""
+"""Ratio of the block length to the correlation time of the residual."""
 LEAST_BLOCKS = 8
 
 
 def block_sandwich(
     prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
 ) -> Spread:
-    """Return the sandwich covariance of ``names`` at ``values`` from all recordings jointly,
-    clustered by blocks of time (M10).
+    """Return the sandwich covariance of the parameters ``names`` at ``values`` from all recordings
+    jointly, clustered by blocks of time (M10).
 
-    Blocks are ten residual correlation times long and do not span recordings; there are at least
-    eight. Model errors that differ between blocks therefore widen the interval (Liang and Zeger,
-    Biometrika 73 (1986) 13).
+    A block is ten correlation times of the residual long and lies in one recording; there are at
+    least eight blocks. Model errors that differ between blocks therefore widen the interval (Liang
+    and Zeger, Biometrika 73 (1986) 13).
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)

@@ -1,4 +1,4 @@
-"""The noise floor of a fit: the part of the torque residual that does not repeat with the command.
+"""Torque noise floor of a fit: the part of the residual that does not repeat with the command.
 
 Unmodelled physics causes the same error whenever a motion is repeated; noise does not repeat. The
 residuals e1 and e2 of two passes with equal inputs give e1 - e2, which has twice the variance of
@@ -22,12 +22,12 @@ from identification.signals import resample
 
 INPUTS = ("command", "feedforward", "load_force")
 SAME = 2e-3
-"""Greatest difference of inputs that count as equal, over their range."""
+"""Greatest difference of two inputs that count as equal, relative to the range of the inputs."""
 LEAST_CORRELATION = 0.95
-"""Least autocorrelation of the command at its period."""
+"""Least autocorrelation of the command at a lag that counts as its period."""
 NEAR, ROWS = 0.05, 2000
-"""Range of lags tried around the first high autocorrelation, as a share of its lag; and samples
-compared at each lag.
+"""Range of the lags that are tried around the first lag of high autocorrelation, as a share of that
+lag, and number of samples that are compared at each lag.
 """
 NEIGHBOURS = 0.02
 """Inputs must be equal for this share of the period, or of a repeat, on either side of a sample."""
@@ -36,7 +36,7 @@ LEAST_SAMPLES = 100
 
 @dataclass(frozen=True)
 class Floor:
-    """Torque noise floor: the least torque error of any model of these recordings.
+    """Torque noise floor: the least torque error that any model of these recordings can have.
 
     Attributes:
         rms: Rms of the floor, in the unit of the fit.
@@ -59,7 +59,8 @@ def noise_floor(
 
     Args:
         prepared: Recordings at one bandwidth.
-        values: Parameters of a fit; the repeating part of its error cancels.
+        values: Parameters of a fit; the part of the fit's error that repeats cancels in the
+            differences.
         alpha: Stribeck exponent.
     """
     residuals = {id(p): p.torque - model_torque(p, values, alpha) for p in prepared}
@@ -107,14 +108,15 @@ def command_period(recording: Recording) -> float | None:
     peak = float(np.max(correlation[away[0] :]))
     if peak < LEAST_CORRELATION:
         return None
-    # Multiples of the period have the same peak; the first is the period.
+    # The autocorrelation has the same peak at multiples of the period; the first peak is the
+    # period.
     first = int(away[0] + np.argmax(correlation[away[0] :] > peak - 0.005))
     return _sharpened(series, first) * recording.period
 
 
 def _sharpened(series: Array, lag: int) -> int:
-    """Return the lag near ``lag`` at which most of the series repeats; fades at its ends bias the
-    correlation peak.
+    """Return the lag near ``lag`` at which the greatest part of the series repeats; the correlation
+    peak alone is biased if the series fades in and out.
     """
     reach = max(round(NEAR * lag), 1)
     lags = np.arange(max(lag - reach, 1), min(lag + reach, len(series) - 2) + 1)
@@ -140,8 +142,8 @@ def _same_rig(one: Recording, other: Recording) -> bool:
 def _difference(
     p: Prepared, q: Prepared, shift: float, residuals: Mapping[int, Array], span: float
 ) -> tuple[float, int]:
-    """Return the sum of (e_p(t) - e_q(t + shift))^2 over samples with equal inputs in motion, and
-    their number.
+    """Return the sum of (e_p(t) - e_q(t + shift))^2 over the moving samples with equal inputs, and
+    the number of these samples.
     """
     later = p.time + shift
     inside = (later >= q.time[0]) & (later <= q.time[-1])

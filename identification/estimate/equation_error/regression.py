@@ -1,4 +1,4 @@
-"""Unloaded and loaded fit by the equation error: eq. 16 (M7) and eq. 15 (M8)."""
+"""Linear regression of measured torque on the model's terms, unloaded (M7) and loaded (M8)."""
 
 from __future__ import annotations
 
@@ -9,24 +9,36 @@ import numpy as np
 
 from identification.model.friction import stribeck_shape
 from identification.model.ladder import LADDER, bears_load, rises
-from identification.numerics.arrays import Array
+from identification.numerics.arrays import Array, BoolArray
 from identification.numerics.bounded_least_squares import Design
 from identification.prepare import Prepared
 from identification.recording import Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
-"""Greatest Stribeck speed tried over the greatest speed recorded: above it the falling part cannot
-be distinguished from a line.
+"""Greatest Stribeck speed that is tried, relative to the greatest recorded speed; above this speed
+the falling part cannot be distinguished from a line.
 """
 LEAST_MOTION = 40
 """Least number of moving samples, over all recordings of a stage, for a fit."""
 LOWEST_SHARE = 1e-3
-"""Least Stribeck speed tried over the greatest speed recorded."""
+"""Least Stribeck speed that is tried, relative to the greatest recorded speed."""
 
 
 def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
-    """Stack the used samples of one array per recording, shape (n,)."""
+    """Return the used samples of all recordings in one array, shape (n,); ``values`` has one array
+    per recording.
+    """
     return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
+
+
+def samples_in_motion(prepared: Sequence[Prepared]) -> int:
+    """Return the number of samples in motion that a fit uses, over all recordings."""
+    return sum(int(np.sum(_moving(p))) for p in prepared)
+
+
+def _moving(p: Prepared) -> BoolArray:
+    """Return whether each sample is used and in motion, shape (n,)."""
+    return np.asarray(p.used & (p.velocity != 0.0))
 
 
 def require_motion(prepared: Sequence[Prepared]) -> None:
@@ -35,47 +47,47 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     Raises:
         RecordingError: Too few samples are in motion, or the drive's torque is zero in all of them.
     """
-    moving = [p.used & (p.velocity != 0.0) for p in prepared]
-    count = sum(int(np.sum(rows)) for rows in moving)
+    moving = [_moving(p) for p in prepared]
+    count = samples_in_motion(prepared)
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
         raise RecordingError(
             f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} "
-            f"Hz; at least "
-            f"{LEAST_MOTION} are needed: move it further, longer, or ask for another bandwidth"
+            f"Hz; at least {LEAST_MOTION} are needed: move the joint further or longer, or choose "
+            "another bandwidth"
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
         raise RecordingError(
-            f"{names}: the drive's torque is zero wherever the joint moves; check the "
-            f"column of the torque"
+            f"{names}: the drive's torque is zero in all samples with motion; check the column of "
+            "the torque"
         )
 
 
 def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return the falling Stribeck term through the recording's filter, shape (n,)."""
+    """Return the falling Stribeck term, passed through the recording's filter, shape (n,)."""
     return p.filter(stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
 def filtered_sign(p: Prepared) -> Array:
-    """Return sgn(omega) through the recording's filter, shape (n,)."""
+    """Return sgn(omega), passed through the recording's filter, shape (n,)."""
     return p.filter(np.sign(p.raw_velocity))
 
 
 def gear_sign(p: Prepared) -> Array:
-    """Return |pendulum torque| sgn(omega) through the recording's filter, N m, shape (n,)."""
+    """Return |pendulum torque| sgn(omega), passed through the recording's filter, N m, (n,)."""
     return p.filter(p.raw_load * np.sign(p.raw_velocity))
 
 
 def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return |pendulum torque| times the falling Stribeck term through the recording's filter, N m,
-    shape (n,).
+    """Return |pendulum torque| times the falling Stribeck term, passed through the recording's
+    filter, N m, shape (n,).
     """
     return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
 def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
-    """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape
-    (n,).
+    """Return the modelled friction plus offset (eq. 9 + 13), passed through the recording's filter,
+    N m, shape (n,).
 
     Parameters that are absent count as zero.
     """
@@ -103,8 +115,7 @@ def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of the equation error: names of its coefficients and Stribeck speed, and its linear
-    problem.
+    """One stage of the equation error: the names of its parameters, and its linear problem.
 
     The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be
     bounded by 0.
@@ -113,11 +124,11 @@ class Stage:
         name: ``unloaded`` or ``loaded``.
         coulomb: Mc or mu_c.
         static: Ms or mu_s; None where friction does not rise toward rest.
-        speed: omega_sf or omega_sL; None likewise.
+        speed: omega_sf or omega_sL; None where friction does not rise toward rest.
         others: Names of the remaining coefficients.
         prepared: Recordings of the stage.
         model: Declared terms, fixed values and alpha.
-        known: Parameters of the earlier stage, held.
+        known: Parameters of the earlier stage, which stay fixed.
     """
 
     name: str
@@ -131,10 +142,10 @@ class Stage:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the fitted coefficients in column order; ``rise`` stands for static less
-        Coulomb.
+        """Names of the fitted coefficients in column order; ``rise`` is the static less the Coulomb
+        level.
 
-        ``gear_rise`` likewise for mu_gs less mu_gc.
+        ``gear_rise`` is mu_gs less mu_gc.
         """
         fixed = self.model.fixed
         names = [] if self.coulomb in fixed else [self.coulomb]
@@ -144,9 +155,9 @@ class Stage:
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and greatest value of each coefficient in column order.
 
-        Only the offset may be negative. The rise is at most the greatest torque recorded, since a
-        joint that moved has overcome it; without samples on the falling branch the data do not
-        bound it.
+        Only the offset may be negative. The rise is at most the greatest recorded torque, because a
+        joint that moved has overcome its static friction. Without samples on the falling branch,
+        the data alone do not bound the rise.
         """
         low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
         high = np.full(len(self.free), np.inf)
@@ -166,8 +177,8 @@ class Stage:
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and greatest Stribeck speed to try, rad/s; (1, 1) if the model has
-        none.
+        """Return the least and the greatest Stribeck speed to try, rad/s; (1, 1) if the model has
+        no Stribeck speed.
         """
         if self.speed is None:
             return 1.0, 1.0
@@ -192,7 +203,8 @@ class Stage:
                 "J": p.acceleration,
                 "offset": np.ones(len(p.time)),
                 "rise": shape,
-                # With the static limit fixed, a higher Coulomb level reduces the rise equally.
+                # If the static limit is fixed, a higher Coulomb level makes the rise smaller by the
+                # same amount.
                 self.coulomb: sign - shape if self.static in fixed else sign,
             }
             if "mu_gc" in self.free:
@@ -218,7 +230,7 @@ class Stage:
         )
 
     def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
-        """Return the stage's parameters by name."""
+        """Return the parameters of the stage by name, for coefficients at one Stribeck speed."""
         found = dict(zip(self.free, (float(c) for c in coefficients), strict=True))
         rise, gear_rise = found.pop("rise", None), found.pop("gear_rise", None)
         values = {**{n: float(v) for n, v in self.model.fixed.items() if n in self.names}, **found}
@@ -239,8 +251,8 @@ class Stage:
 
 
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
-    """Eq. 16 on the declared rung: Mc, Ms, omega_sf, sigma_2, J; mu_gc, mu_gs and the offset where
-    declared.
+    """Return the unloaded stage (eq. 16) with the declared friction model: Mc, Ms, omega_sf,
+    sigma_2, J; mu_gc, mu_gs and the offset where declared.
 
     Raises:
         RecordingError: The friction model depends on load, and no recording has a pendulum.
@@ -249,8 +261,8 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
         raise RecordingError(
             f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded "
-            f"recording to fit has "
-            "one; declare its `gravity`, or another friction"
+            "recording to fit has a pendulum; declare the pendulum under `gravity`, or choose "
+            "another `friction`"
         )
     gear = [
         {"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")
@@ -261,7 +273,7 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
 
 
 def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:
-    """Eq. 15 with the five system parameters held: mu_c, mu_s, omega_sL, mu_2."""
+    """Return the loaded stage (eq. 15) with fixed system parameters: mu_c, mu_s, omega_sL, mu_2."""
     return Stage(
         "loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known)
     )

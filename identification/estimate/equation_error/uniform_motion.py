@@ -1,9 +1,8 @@
-"""The conventional method: friction is the motor torque in uniform motion (eq. 14), and a Stribeck
-curve is fitted to such points.
+"""The conventional method: fits a Stribeck curve to the motor torque in uniform motion (eq. 14).
 
-It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and
-slips, the mean torque is not the friction at the mean speed; stick-slip shows in the spread of the
-speed, not in its mean.
+The method needs no inertia and no derivatives, but motion at constant speed. Where the joint sticks
+and slips, the mean torque is not the friction at the mean speed. Stick-slip shows in the spread of
+the speed and not in the mean speed.
 """
 
 from __future__ import annotations
@@ -23,14 +22,16 @@ from identification.recording import Recording
 LEAST_S = 0.4
 """Shortest interval of constant commanded speed that is used."""
 SETTLING_SHARE = 0.4
-"""Share of each interval omitted at its start, while the joint accelerates."""
+"""Share of each interval that is omitted at the start, while the joint accelerates."""
 SMOOTHING_S = 0.02
-"""Averaging time of the speed whose spread is computed; it removes encoder steps but not slips."""
+"""Averaging time of the speed whose spread is computed; the average removes encoder steps, but no
+slips.
+"""
 UNIFORM = 0.2
-"""Greatest spread of the speed, rms over its mean, that still counts as uniform motion."""
-_SPEED_UNIT = 1e-9  # commanded speeds closer than this, in rad per sample, are the same
+"""Greatest spread of the speed, rms relative to the mean, that counts as uniform motion."""
+_SPEED_UNIT = 1e-9  # commanded speeds with a smaller difference, in rad per sample, are equal
 _LEAST_SPEEDS = 4  # number of parameters
-_DIGITS = 6  # of a speed in rad/s; speeds equal in these digits are the same
+_DIGITS = 6  # digits of a speed in rad/s; speeds that agree in these digits are equal
 
 
 @dataclass(frozen=True)
@@ -39,9 +40,9 @@ class UniformPoint:
 
     Attributes:
         recording: Name of the recording.
-        speed: Commanded speed, rad/s, with sign.
+        speed: Commanded speed with sign, rad/s.
         torque: Mean torque of the motor at the joint, N m.
-        spread: Rms deviation of the measured speed, over the commanded one.
+        spread: Rms deviation of the measured speed, relative to the commanded speed.
         moment: Contact moment F_P L1, N m.
     """
 
@@ -58,7 +59,7 @@ class UniformPoint:
 
     @property
     def friction(self) -> float:
-        """Friction at that speed by eq. 14, in the direction of motion, N m."""
+        """Friction at the commanded speed by eq. 14, in the direction of motion, N m."""
         return self.torque if self.speed > 0.0 else -self.torque
 
 
@@ -103,7 +104,8 @@ def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str,
     """Fit eq. 9 to the unloaded points, then the bracket of eq. 12 to the loaded points.
 
     Returns:
-        Parameter name to value; a stage with fewer speeds than parameters is omitted.
+        Parameter name to value; the parameters of a stage with fewer speeds than parameters are
+        omitted.
     """
     unloaded = [p for p in points if p.moment == 0.0]
     loaded = [p for p in points if p.moment > 0.0]
@@ -121,7 +123,7 @@ def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str,
 
 
 def errors_percent(found: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
-    """Return the error of each parameter found, percent of the true value."""
+    """Return the error of each estimated parameter in percent of the true value."""
     return {name: 100.0 * (value / truth[name] - 1.0) for name, value in found.items()}
 
 

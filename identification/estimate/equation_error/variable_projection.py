@@ -1,9 +1,10 @@
-"""Variable projection (M9): given the Stribeck speed, each stage of the equation error is linear.
+"""Variable projection (M9): search in the Stribeck speed, with linear least squares for all else.
 
-With Ms = Mc + dM and bounds on the coefficients (only the offset may be below 0, and the rise is at
-most the greatest torque recorded), the coefficients follow by bounded least squares for any trial
-omega_s. The only remaining unknown is log omega_s; a search in all parameters would have several
-basins. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+At a given Stribeck speed omega_s, each stage of the equation error is linear. With Ms = Mc + dM and
+bounds on the coefficients (only the offset may be below 0, and the rise is at most the greatest
+recorded torque), bounded least squares give the coefficients for any trial omega_s. The only
+remaining unknown is log omega_s; a search in all parameters would have several basins. Golub and
+Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 """
 
 from __future__ import annotations
@@ -18,21 +19,21 @@ from identification.numerics.arrays import Array
 from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 
 GRID = 40
-"""Trial Stribeck speeds before the bracketed search."""
+"""Number of trial Stribeck speeds before the bracketed search."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """A solved stage.
+    """Solution of one stage, with the history of its search.
 
     Attributes:
         omega_s: Stribeck speed of least cost.
-        coefficients: Linear coefficients at that speed, shape (p,).
+        coefficients: Linear coefficients at this Stribeck speed, shape (p,).
         cost: Sum of squared residuals.
         evaluations: Number of least-squares solutions.
         omega_history: Best omega_s after each evaluation, shape (e,).
-        coefficient_history: Coefficients at these speeds, shape (e, p).
-        cost_history: Costs at these speeds, shape (e,).
+        coefficient_history: Coefficients at these Stribeck speeds, shape (e, p).
+        cost_history: Costs at these Stribeck speeds, shape (e,).
     """
 
     omega_s: float
@@ -48,9 +49,9 @@ def solve(design: Callable[[float], Design], low: float, high: float) -> Solutio
     """Minimise the cost of ``design(omega_s)`` over its coefficients and over log omega_s.
 
     Args:
-        design: Function from omega_s to the remaining linear problem.
-        low: Least omega_s tried, rad/s.
-        high: Greatest omega_s tried, rad/s; equal to ``low`` to hold omega_s.
+        design: Function of omega_s that returns the remaining linear problem.
+        low: Least omega_s that is tried, rad/s.
+        high: Greatest omega_s that is tried, rad/s; equal to ``low`` to keep omega_s fixed.
     """
     tried: list[tuple[float, float, Array]] = []
 

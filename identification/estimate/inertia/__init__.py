@@ -1,1 +1,1 @@
-"""Estimating equation of the inertia (M27 to M32): half cycles, instruments, variance inflation."""
+"""Estimates the inertia by instrumental variables (M27-M32): instruments, variance inflation."""

@@ -1,10 +1,11 @@
-"""The estimating equations: prediction errors uncorrelated with the instruments (M27, M29).
+"""Estimating equations: prediction errors are uncorrelated with the instruments (M27, M29).
 
-Least squares and likelihood of the prediction errors are biased in the inertia. Noise of the
-current sensor reaches the true torque through the drive's current loop and returns through its
-velocity loop, so that neither is the measured torque the true torque plus independent noise, nor
-the true torque the measured one plus independent noise. With instruments free of a segment's own
-noise, the errors need only have zero mean.
+Least squares and maximum likelihood of the prediction errors give a biased inertia. The cause is
+the drive: its current loop carries noise of the current sensor to the true torque, and its velocity
+loop reacts to the resulting motion. The difference between measured and true torque is therefore
+independent of neither of them. The solution of the estimating equations is unbiased if the
+prediction errors have zero mean and the instruments of a segment do not contain the noise of that
+segment.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from identification.numerics.levenberg_marquardt import huber_weight
 SOLVED = 3.0
 """Chi-square below which the estimating equations count as solved (M29)."""
 ROUNDS = 6
-"""Greatest number of renewals of instruments, weights and derivatives."""
+"""Greatest number of times that instruments, weights and derivatives are computed anew."""
 _LEVEL_ROUNDS = (0, 2)
 _CHORDS = 8
 _HALVINGS = 5
@@ -38,8 +39,8 @@ _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
 _MOST = 3.0
-"""Information of a segment, over the median of its recording's segments, above which its variance
-is inflated (M13).
+"""Information of a segment, relative to the median of its recording's segments, above which the
+variance of the segment is inflated (M13).
 """
 _CHORD_SETTLED = 0.02
 
@@ -63,8 +64,8 @@ def solve(point: Point) -> Point:
 
 
 def _round(point: Point) -> tuple[Point, Array]:
-    """Solve for fixed instruments by chord steps; return the solution and the standard deviations
-    of the parameters.
+    """Solve the equations with fixed instruments by chord steps; return the solution and the
+    standard deviations of the parameters.
     """
     held = point.weighted()
     x = point.origin()
@@ -110,12 +111,12 @@ def equations_chi2(point: Point) -> float:
 
 
 def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Searched:
-    """Fit the inertia by its estimating equation and all else by likelihood, in turn.
+    """Fit the inertia by its estimating equation and all other parameters by likelihood, in turn.
 
-    The likelihood is strongly biased in the inertia only. For the other parameters it is more
-    precise than instruments that are means over a few segments, and its search stays in its basin.
-    In the step of the inertia all other unknowns are eliminated, so their errors enter in second
-    order only (M30, M31).
+    Maximum likelihood is strongly biased in the inertia only. For the other parameters, maximum
+    likelihood is more precise than instruments that are means over a few segments, and its search
+    stays in its basin. The step of the inertia eliminates all other unknowns, so that their errors
+    have an effect of second order only (M30, M31).
 
     Args:
         point: Point at the end of the unloaded and loaded fits.
@@ -148,19 +149,19 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
         point, iterations = replace(point, vector=vector), iterations + 1
         if abs(there - here) < _SETTLED * deviation:
             break
-    # Inflation depends on the values, so it is renewed at the end of the fit.
+    # Variance inflation depends on the values, so it is computed anew at the end of the fit.
     return Searched(_inflated(point, others).freeing(free), iterations)
 
 
 def _inflated(point: Point, others: tuple[int, ...]) -> Point:
-    """Return the point with these parameters free and their variance inflation."""
+    """Return the point with these parameters free, and with the variance inflation for them."""
     there = point.freeing(others)
     return replace(there, inflation=segment_inflation(there))
 
 
 def _inertia_step(point: Point) -> tuple[float, float]:
-    """Return the step in the logarithm of the inertia that solves its linearised equation, and its
-    standard deviation.
+    """Return the step in the logarithm of the inertia that solves the linearised equation, and the
+    standard deviation of the step.
     """
     held = point.weighted()
     x = point.origin()

@@ -1,7 +1,7 @@
-"""Sensitivities over single motion segments, in recordings and in their simulated replicates.
+"""Sensitivities over single motion segments, from recordings and from simulated replicates.
 
-Breakaway times differ slightly between noise realisations, so curves are aligned by the time since
-breakaway.
+Breakaway times differ slightly between noise realisations. The curves of sensitivities are
+therefore aligned by the time since breakaway.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class Replicate:
         sensitivities: Derivatives of the residuals at that point, for the free parameters of the
             real experiment.
         residuals: Prediction errors over their standard deviations, shape (r,).
-        noise: Number of its noise realisation; the realisation with reversed sign has the same
+        noise: Number of the noise realisation; the realisation with reversed sign has the same
             number.
     """
 
@@ -37,7 +37,9 @@ class Replicate:
     noise: int
 
     def inflated(self) -> tuple[BlockArrow, Array]:
-        """Return sensitivities and residuals with variance inflation (M13), as in the estimate."""
+        """Return sensitivities and residuals with variance inflation (M13), as the estimate uses
+        them.
+        """
         share = 1.0 / self.point.inflation[self.point.owners]
         return self.sensitivities.scaled(share), self.residuals * share
 
@@ -60,11 +62,11 @@ class Curve:
 
 @dataclass(frozen=True)
 class ReplicatedSegment:
-    """A segment of a recording with its counterparts in replicates.
+    """A segment of a recording with its counterparts in the replicates.
 
     Attributes:
         number: Number of the segment, over all recordings.
-        rows: Rows of its residuals.
+        rows: Rows of the segment's residuals.
         onset: Breakaway time, in samples after the segment's first sample.
         curves: Counterparts of the segment, from the replicates that have one.
     """
@@ -114,8 +116,8 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment with the same direction that shares most samples; None if
-    none shares half of them.
+    """Return the curve of the segment with the same direction that has most samples in common with
+    these bounds; None if no segment has half of the samples in common.
     """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:
@@ -139,7 +141,7 @@ def mean_curve(
 
     Args:
         curves: One or more curves, of any lengths.
-        onsets: Breakaway time of each, in samples after its first.
+        onsets: Breakaway time of each curve, in samples after its first sample.
         length: Length of the mean.
         onset: Breakaway time of the mean.
     """

@@ -1,7 +1,7 @@
-"""The estimating equation of the inertia, all other unknowns eliminated (M30 to M32).
+"""The estimating equation of the inertia alone, with all other unknowns eliminated (M30-M32).
 
-The instrument of the inertia is made orthogonal to those of all other unknowns, so that their
-errors enter in second order only.
+The instrument of the inertia is made orthogonal to the instruments of all other unknowns, so that
+errors of these unknowns have an effect of second order only.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from identification.numerics.levenberg_marquardt import huber_weight
 
 @dataclass(frozen=True)
 class Equation:
-    """The linearised equation of the inertia, by residual.
+    """The linearised equation of the inertia as contributions of the residuals.
 
     Attributes:
         influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
@@ -45,8 +45,8 @@ def influence_on_inertia(
 
 
 def _mixture(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the combination of instruments whose equation responds to the inertia only, with unit
-    slope in its logarithm, shape (p + m,).
+    """Return the combination of instruments whose equation depends on the inertia only, with unit
+    slope in the logarithm of the inertia, shape (p + m,).
     """
     j = point.free.index(INERTIA)
     power = z.product()
@@ -67,11 +67,11 @@ def equation(point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array)
 def equation_of_half_cycles(
     point: Point, z: BlockArrow, jacobian: BlockArrow, residual: Array
 ) -> Equation:
-    """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of
+    """Return the inertia's equation for instruments from matching half cycles, a sum over pairs of
     segments.
 
-    A segment contributes through its residuals, and through its sensitivities in the instruments of
-    other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    A segment contributes by its residuals, and by its sensitivities, which are part of the
+    instruments of other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
     """
     j = point.free.index(INERTIA)
     first = equation(point, z, jacobian, residual)
@@ -110,7 +110,7 @@ def combined_equation(
         z: Instruments from matching half cycles.
         jacobian: d residuals / d x at the point.
         residual: Residuals at the point.
-        replicates: Replicates; empty for half cycles alone.
+        replicates: Replicates; empty to use half cycles alone.
     """
     half_cycles = equation_of_half_cycles(point, z, jacobian, residual)
     if not replicates:

@@ -1,4 +1,4 @@
-"""Instruments of a motion segment: sensitivities without its own noise (M28).
+"""Instruments of motion segments: sensitivities without the segment's own noise (M28).
 
 A segment's own sensitivities contain the noise of its measured torque, and so do its prediction
 errors, because the drive follows that noise within its bandwidth. The mean over matching half
@@ -32,15 +32,16 @@ from identification.numerics.block_arrow import BlockArrow
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Standard deviation of the smoothing, in samples: a share of the time since breakaway, less a
-constant, at most 2^7.
+"""Width of the smoothing as a standard deviation in samples: a share of the time since breakaway,
+less a constant, at most 2^7.
 """
 _TRUNCATED = 4.0
 """Number of standard deviations at which a Gaussian is truncated."""
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero where no other matching segment lasts as long.
+    """Return the instruments of every residual; zero where no other matching segment has so many
+    samples.
 
     Args:
         point: Point at which the sensitivities are computed.
@@ -81,13 +82,13 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
 def replicate_instruments(
     point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
-    """Return the instruments of every residual from replicates; ``plain`` where no replicate has
-    its segment.
+    """Return the instruments of every residual from replicates; those of ``plain`` where no
+    replicate contains the segment of the residual.
 
     Matching half cycles are few and differ slightly; a replicate is the same motion with other
-    noise. The mean over replicates is not smoothed: the drive's response to steps of command and
-    encoder repeats exactly, and with a coarse encoder these samples carry most information on the
-    inertia.
+    noise. The mean over replicates is not smoothed, because the drive's response to steps of
+    command and encoder repeats exactly, and with a coarse encoder these samples contain most
+    information on the inertia.
 
     Args:
         point: Point at which the sensitivities are computed.
@@ -124,7 +125,8 @@ def _smoothed(curve: Array) -> Array:
     """Return the original curve and the curve smoothed by Gaussians of 2^0 to 2^7 samples, shape
     (9, n, p).
 
-    All share one Fourier transform, since the widest has a thousand taps.
+    All of them are computed with one Fourier transform, because the widest Gaussian has a thousand
+    taps.
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)

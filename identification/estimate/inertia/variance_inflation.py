@@ -1,12 +1,12 @@
-"""Variance inflation: down-weighting of segments that claim too much information (M13).
+"""Variance inflation: gives segments with implausibly much information a lower weight (M13).
 
 Where a joint almost stops, friction's falling branch amplifies noise, and the filter, linearised
 about its prediction, is overconfident. The segments of a recording are similar motions, so a
 segment with far more information than the others contains such a near stop (bounded influence:
 Hampel et al., Robust Statistics, 1986, ch. 6).
 
-The median is weighted by samples: where friction falls steeply, a recording may have more short
-slips than half cycles.
+The median is weighted by the number of samples, because a recording may have more short slips than
+half cycles where friction falls steeply with speed.
 """
 
 from __future__ import annotations
@@ -17,19 +17,22 @@ from numpy.typing import NDArray
 from identification.numerics.arrays import Array
 
 _ROUNDING = 1e-12
-"""Share of the information on a parameter below which a segment counts as having none."""
+"""Share of the information on a parameter below which a segment counts as having no information."""
 
 
 def inflation_factors(
     segments: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float
 ) -> Array:
-    """Return the factor on the standard deviations of each segment, shape (m,); 1 for most.
+    """Return the factor on the standard deviations of each segment, shape (m,); 1 for most
+    segments.
 
     Args:
-        segments: Information of each segment, breakaway times eliminated, shape (m, p, p).
+        segments: Information of each segment on the parameters, breakaway times eliminated, shape
+            (m, p, p).
         lengths: Number of samples of each segment, shape (m,).
         recordings: Number of each segment's recording, shape (m,).
-        most: Greatest information of a segment, over the median of its recording's segments.
+        most: Greatest information of a segment without inflation, relative to the median of its
+            recording's segments.
     """
     information = np.einsum("mkk->mk", segments)
     information = np.where(information > _ROUNDING * np.sum(information, axis=0), information, 0.0)
@@ -41,8 +44,8 @@ def inflation_factors(
 
 
 def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
-    """Return each segment's information over the median segment's, for the parameter where this
-    ratio is greatest, shape (m,).
+    """Return the ratio of each segment's information to that of the median segment, for the
+    parameter where this ratio is greatest, shape (m,).
 
     Args:
         information: Information of each segment on each parameter, shape (m, p).

@@ -1,3 +1,5 @@
-"""Maximum likelihood (M22 to M24, M33 to M36, M44, M45): searches, fits, acceptance, bias,
-profiles, bootstrap.
+"""Maximum-likelihood estimation of the parameters from one-step prediction errors (M22-M24).
+
+Parts: searches, fits, acceptance tests, bias correction (M33 to M36), long recordings (M44),
+profiles (M45) and bootstrap.
 """

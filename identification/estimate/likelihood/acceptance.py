@@ -1,5 +1,6 @@
-"""Acceptance tests of refined values, which reject fits whose parameters absorb unmodelled physics
-(docs/method.md, section 12).
+"""Acceptance tests of the likelihood's values: reject a fit that absorbs unmodelled physics.
+
+The tests are stated in docs/method.md, section 12.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ def try_refinements(
     values: Mapping[str, float],
     limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> tuple[Refined | None, str]:
-    """Refine with white torque noise, and with correlated noise if the innovations contradict white
-    noise.
+    """Refine the values with white torque noise, and with correlated noise if the innovations
+    contradict white noise.
 
     Args:
-        attempt: Function that refines, with or without a correlated part; it returns a text if
-            prediction errors do not apply.
-        error: Function from values to typical equation error.
+        attempt: Function that refines the values, with or without a correlated part of the noise;
+            the function returns a text if prediction errors do not apply.
+        error: Function of the values that returns the typical equation error.
         values: Start values.
         limits: Limits of the tests.
 
     Returns:
-        The refinement, or None, and the reason why it is refused; the reason is empty if it is
-        accepted.
+        The refinement, or None, and the reason for its rejection; the reason is empty if the
+        refinement is accepted.
     """
     refined = attempt(False)
     if isinstance(refined, str):
@@ -40,7 +41,7 @@ def try_refinements(
     if fault and refined.stopped:
         return refined, f"{fault}; the search stopped at its greatest number of passes"
     if fault and _coloured(refined, limits):
-        # The correlation may be sensor noise and not unmodelled physics.
+        # The correlation may be noise of the sensor instead of unmodelled physics.
         other = attempt(True)
         if not isinstance(other, str):
             also = refusal(other, before, error(other.values), limits)
@@ -68,7 +69,7 @@ def refusal(
     after: float,
     limits: AcceptanceLimits = DEFAULT.acceptance,
 ) -> str:
-    """Return the reason why the refined values are refused; empty if they are accepted.
+    """Return the reason why the refined values are rejected; empty if they are accepted.
 
     Args:
         refined: The refinement.
@@ -93,7 +94,7 @@ def refusal(
         )
     if refined.noise.torque > limits.noise_ratio * refined.torque_scatter:
         return (
-            f"prediction errors ask for a torque noise of {refined.noise.torque:.3g}, but the "
+            f"prediction errors imply a torque noise of {refined.noise.torque:.3g}, but the "
             f"torque scatter is {refined.torque_scatter:.3g} from sample to sample, so the "
             f"parameters would absorb physics that the model lacks"
         )

@@ -1,9 +1,9 @@
-"""Bootstrap: estimates from motion segments drawn with replacement.
+"""Bootstrap over motion segments: spread of the estimates from segments drawn with replacement.
 
-It assumes only that the errors of segments are independent, and so checks intervals that depend on
-a noise model (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw
-solves the estimating equations with every segment counted as often as it was drawn; weights, noise
-levels and the inertia's instrument are held at the estimate.
+The bootstrap assumes only that the errors of different segments are independent, so that it checks
+intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the Bootstrap,
+1993, ch. 8). Each draw solves the estimating equations with every segment counted as often as it
+was drawn; weights, noise levels and the inertia's instrument stay those of the estimate.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from identification.result import Resampled
 
 _ROUNDS = 6
 _SETTLED = 0.1
-"""Step, over the standard deviation, below which a draw counts as solved."""
+"""Step, in standard deviations, below which a draw counts as solved."""
 _LONGEST = 3.0
-"""Longest step of an iteration, over the standard deviation."""
+"""Longest step of an iteration, in standard deviations."""
 
 
 def bootstrap(
@@ -73,7 +73,7 @@ def bootstrap(
 
 
 def _counts(point: Point, rng: np.random.Generator) -> Array:
-    """Return how often each segment is drawn, within its recording, shape (m,)."""
+    """Return how often each segment is drawn among the segments of its recording, shape (m,)."""
     sizes = [len(m.table) for m in point.motions]
     return np.concatenate(
         [rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]
@@ -94,8 +94,8 @@ def _deviations(refined: Refined) -> Array:
 
 
 class _Equations:
-    """Estimating equations around the estimate: least squares for all parameters but the inertia,
-    and the inertia's own equation.
+    """Estimating equations around the estimate: those of least squares for all parameters but the
+    inertia, and the estimating equation of the inertia.
     """
 
     def __init__(self, point: Point, deviations: Array) -> None:
@@ -110,7 +110,8 @@ class _Equations:
         if self.inertia is not None:
             z = instruments(point, jacobian)
             self.influence = influence_on_inertia(point, z, jacobian, residual)
-        # The search may have ended slightly off the solution; draws are compared with the solution.
+        # The search may have ended at a small distance from the solution; draws are compared with
+        # the solution.
         self.rest = self.sums(residual, jacobian, np.ones(point.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 

@@ -1,9 +1,9 @@
-"""Maximum likelihood in bounded memory, by passes over any number of pieces (M44).
+"""Maximum likelihood of long recordings in bounded memory, by passes over their pieces (M44).
 
-The objective is a sum over motion segments that share only the parameters. For each piece the
-breakaway times are optimised with the parameters held, and the piece is reduced to its normal
-equations; after each pass the parameters take one Gauss-Newton step. The first piece of each
-recording, refined in memory, gives the start, the noise and the inertia.
+The objective is a sum over motion segments, which have only the parameters in common. For each
+piece the breakaway times are optimised with fixed parameters, and the piece is reduced to its
+normal equations. After each pass over all pieces the parameters take one Gauss-Newton step. The
+first piece of each recording, refined in memory, gives the start, the noise and the inertia.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from identification.recording import Model, Recording
 
 PASSES = 3
 SETTLED = 0.2
-"""Step size at which the passes end: rms over the parameters, in standard errors."""
+"""Size of a step at which the passes end: rms over the parameters, in standard errors."""
 
 
 def refine_pieces(
@@ -44,7 +44,7 @@ def refine_pieces(
     do not apply.
 
     Args:
-        heads: Pieces for the start values, one or more of each load condition.
+        heads: Pieces for the start values, one or more for each load condition.
         pieces: All pieces, including the heads.
         values: Equation-error values of all parameters.
         names: Parameters to fit.
@@ -55,8 +55,8 @@ def refine_pieces(
     start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
-    # Least squares are biased in the inertia (noise in the loop counts as motion); the value of the
-    # heads is kept.
+    # Least squares give a biased inertia, because noise in the loop counts as motion; the inertia
+    # of the heads is kept.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
@@ -101,7 +101,8 @@ def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
 def _over_all(
     start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> Refined:
-    """Return the estimate of the heads with the values, covariance and innovations of all pieces.
+    """Return the estimate of the heads, with values, covariance and innovations replaced by those
+    of all pieces.
 
     Args:
         start: The estimate of the heads.
@@ -155,8 +156,8 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters, the larger of inverse information and
-    sandwich, and its Cramer-Rao bound.
+    """Return the covariance of the named parameters, which is the larger of inverse information and
+    sandwich covariance, and its Cramer-Rao bound.
     """
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])

@@ -1,14 +1,14 @@
-"""Profile likelihood of every parameter: deviance with one parameter moved and the others
-optimised.
+"""Profile likelihood of each parameter: deviance over its value, with the others optimised.
 
-All other parameters and all breakaway times are optimised at each point. The estimate does not
-maximise a likelihood, because the inertia solves an estimating equation (M31). The profile
-therefore differs from a plain one in two ways:
+At each value of the one parameter, all other parameters and all breakaway times are optimised. The
+estimate does not maximise a likelihood, because the inertia solves an estimating equation (M31).
+The profile therefore differs from an ordinary profile likelihood in two ways:
 
 - The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared
   estimating equation over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
-- It is scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94
-  (2007) 167). A profile adds the shape: asymmetry, flat ends, a second minimum.
+- The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
+  Biometrika 94 (2007) 167). The profile shows what an interval does not: asymmetry, flat ends, a
+  second minimum.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from identification.numerics.spread import CONFIDENCE
 from identification.result import Profile
 
 REACH = (0.8, 1.6, 2.4, 3.2)
-"""Points on either side of the estimate, in standard deviations."""
+"""Distances of the points of a profile from the estimate, in standard deviations."""
 LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
@@ -82,10 +82,10 @@ class _Criterion:
         return matrix, gradient, cost
 
     def descend(self, x: Array, along: Array) -> tuple[Array, Array, float]:
-        """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and
-        its value.
+        """Minimise from ``x`` with ``along`` @ parameters fixed; return the point, its residuals
+        and its value.
 
-        Nothing is held if ``along`` is all zeros.
+        Nothing is fixed if ``along`` is zero.
         """
         residual = self.held.residuals(x)
         value = self.value(x, residual)
@@ -180,12 +180,12 @@ def _directions(point: Point, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, rising, and the deviance at each, outwards from the
-    estimate.
+    """Return values of ``along`` @ parameters, in rising order, and the deviance at each value; the
+    search goes outwards from the estimate.
 
     Args:
         criterion: Criterion around the estimate.
-        along: Weights of the parameters, whose weighted sum is held.
+        along: Weights of the parameters; the weighted sum of the parameters is fixed at each point.
         shape: Change of the parameters per unit of the weighted sum, shape (p,).
         sigma: Standard deviation of the weighted sum.
     """
@@ -208,8 +208,8 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
     """Return steps of log J and the deviance Q; store Q/2 less the least cost at each J in the
     criterion.
 
-    The equation is the error of log J with the other parameters at their least squares; its slope
-    is -1 if the model is linear.
+    The equation is the error of log J with the other parameters at the least-squares solution; its
+    slope is -1 if the model is linear.
     """
     held, x = criterion.held, criterion.x
     jacobian = held.jacobian(x, criterion.residual)
@@ -249,15 +249,15 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return the change of the parameters per unit of ``along`` @ parameters, the others
-    optimised.
+    """Return the change of the parameters per unit of ``along`` @ parameters, with the cost
+    minimised.
     """
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
 
 
 def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
-    """Return the Newton step that holds ``along`` @ parameters."""
+    """Return the Newton step that does not change ``along`` @ parameters."""
     inverse = _inverse(matrix)
     back = inverse @ along
     free = inverse @ gradient

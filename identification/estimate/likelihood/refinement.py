@@ -1,6 +1,4 @@
-"""The estimate from given recordings: refined by prediction errors if accepted, else the equation
-error's.
-"""
+"""The final estimate: by prediction errors if the acceptance tests pass, else by equation error."""
 
 from __future__ import annotations
 
@@ -44,11 +42,11 @@ class Found:
     Attributes:
         values: Name to value.
         spread: Covariance of the fitted parameters.
-        floors: Name to half width at the Cramer-Rao bound; empty without refinement.
+        floors: Half width at the Cramer-Rao bound, by name; empty without refinement.
         taken: The refinement, if it is accepted.
         starts: Search ends of the refinement, accepted or not.
         stages: Record of each search.
-        warnings: Reason why the refinement was refused.
+        warnings: Reason why the refinement was rejected.
     """
 
     values: dict[str, float]
@@ -116,8 +114,8 @@ def refine(
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); omit a correction that leaves the
-    parameter range.
+    """Subtract the bias (M36) and add its variance (M42); omit a correction that leads beyond the
+    range of the parameter.
     """
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(
@@ -138,13 +136,13 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     """Solve the inertia's equation with instruments from replicates too (M32); the other parameters
-    follow the inertia.
+    change with the inertia.
 
     Floors are computed from the replicates.
 
-    The equation is solved at the bias-corrected values, because replicates are simulated at their
-    true values: errors of the other parameters enter in second order, which matters at several
-    standard deviations.
+    The equation is solved at the bias-corrected values, because a replicate is simulated at known,
+    true values. Errors of the other parameters have an effect of second order, which is not
+    negligible if they are several standard deviations.
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))
@@ -198,7 +196,8 @@ def refine_recordings(
     if not unloaded:
         return "there is no unloaded recording to start from"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
-        # A rise may not show at the bandwidth of the equation error but in the breakaways.
+        # A rise toward rest that the bandwidth of the equation error hides may be visible in the
+        # breakaways.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
         refined = staged.refine_stages(unloaded, loaded, values, model, correlated, progress)
@@ -211,8 +210,8 @@ def refine_recordings(
 
 
 def partly_used(left_out: Sequence[str]) -> tuple[str, ...]:
-    """Return the warning that prediction errors do not use some recordings; empty if they use
-    all.
+    """Return the warning that prediction errors do not use some recordings; empty if they use all
+    recordings.
     """
     if not left_out:
         return ()
@@ -228,7 +227,7 @@ def _lack(names: Sequence[str]) -> str:
 
 
 def spread_of(refined: Refined) -> Spread:
-    """Return the covariance of refined values."""
+    """Return the covariance and the degrees of freedom of refined values."""
     return Spread(refined.names, refined.covariance, math.inf)
 
 
@@ -244,8 +243,8 @@ def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
 
 
 def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
-    """Return name to half width of the 90 % interval at the Cramer-Rao bound ``floor``, shape (p,
-    p).
+    """Return the half width of the 90 % interval of each parameter, by name, at the Cramer-Rao
+    bound ``floor``, shape (p, p).
     """
     exact = Spread(names, floor, math.inf)
     return {name: exact.half_width(name) for name in names}

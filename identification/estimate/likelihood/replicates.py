@@ -1,16 +1,16 @@
-"""Monte Carlo estimate of the bias of maximum likelihood, by simulating the experiment at the
-estimate (M33 to M36).
+"""Bias of maximum likelihood, from simulations of the experiment at the estimate (M33-M36).
 
-Just after a breakaway friction falls steeply, and the filter, linearised about its prediction,
-overestimates how much noise accelerates the onset; also, the torque is not linear within the period
-of a breakaway. The maximum of the likelihood is therefore biased, most where static friction is
-high. Replicates are simulated with the recorded commands and the drive loop estimated from the
-recordings; the mean of one scoring step from the simulated values is the bias (parametric
-bootstrap; indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85).
-Each noise realisation is used twice, the second time with reversed sign, so that odd terms cancel.
+Just after a breakaway friction falls steeply with speed. The filter is linearised about its
+prediction and overestimates how much noise accelerates the start of the motion. In addition, the
+torque is not linear within the period of a breakaway. The maximum of the likelihood is therefore
+biased, most of all where static friction is high. A replicate is a simulation with the recorded
+commands and with the drive loop that was estimated from the recordings. The bias is the mean, over
+replicates, of one scoring step from the simulated values (parametric bootstrap; indirect inference:
+Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise realisation is used
+twice, the second time with reversed sign, so that terms of odd order in the noise cancel.
 
-The sensitivities of replicates also serve as instruments, and products of the sensitivities of two
-replicates give the Cramer-Rao bound.
+The sensitivities of replicates are also used as instruments, and products of the sensitivities of
+two replicates give the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ class Bias:
     """Bias of the likelihood.
 
     Attributes:
-        shifts: Name to bias, SI.
-        variances: Name to the variance of the bias, due to the finite number of replicates.
+        shifts: Bias of each parameter by name, SI.
+        variances: Variance of each bias by name, due to the finite number of replicates.
         replicates: The replicates.
     """
 
@@ -68,7 +68,7 @@ def likelihood_bias(
     settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Bias | None:
-    """Return the bias of the likelihood at a point (M35), without the inertia's.
+    """Return the bias of the likelihood at a point (M35), without that of the inertia.
 
     None where the experiment cannot be simulated: the recordings do not show the drive loop, a load
     is not a weight, or the filter diverges on the replicates.
@@ -76,7 +76,7 @@ def likelihood_bias(
     Args:
         joint: The estimate.
         names: Names of the fitted parameters.
-        rng: The generator of the noises is spawned from it; its own stream does not advance.
+        rng: The generator of the noise is spawned from ``rng``, whose stream does not advance.
         settings: Number of noise series, and criteria for repeating or dropping them.
         progress: Called with every pair of replicates.
     """
@@ -129,18 +129,19 @@ def logged_share(
     rng: np.random.Generator,
     unseen: float = DEFAULT.replicates.unseen,
 ) -> float:
-    """Return the logged share: the share of the torque noise's variance that is in the logged
+    """Return the logged share: the share of the variance of the torque noise that is in the logged
     torque and not in the true torque (M34).
 
-    A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves
-    the joint and is not logged. Scatter of the logged torque beyond the drive's response to this
-    motion is measurement noise. Where the response exceeds the noise, ``unseen`` is returned.
+    The current loop of a drive follows the noise of its current sensor within the bandwidth of the
+    loop; this part of the noise moves the joint and is not in the log. Scatter of the logged torque
+    beyond the drive's response to this motion is measurement noise. Where the response is greater
+    than the noise, the function returns ``unseen``.
 
     Args:
         joint: The estimate.
         loop: The drive.
         rng: Random generator of the noise to which the simulated drive responds.
-        unseen: Share that is assumed where the recordings do not show it.
+        unseen: Share that is assumed where the recordings do not determine it.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
@@ -180,7 +181,7 @@ _Pair = tuple[_Scored, _Scored]
 def _pairs(
     there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
 ) -> Iterator[_Pair]:
-    """Yield pairs of replicates that both succeed, until the seeds are used up.
+    """Yield pairs of replicates of which both succeed, until the seeds are used up.
 
     Args:
         there: The experiment, at the simulated values.
@@ -214,14 +215,14 @@ def _uncertain(pairs: Sequence[_Pair], most: float) -> bool:
 
 
 def _away(joint: Point, step: Array) -> Array:
-    """Return the free vector of the point less a step of the parameters."""
+    """Return the free vector of the point with a step of the parameters subtracted."""
     there = joint.origin()
     there[: len(step)] -= step
     return there
 
 
 def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of named parameters, in their own units, for a step that ends at the point,
+    """Return the change of the named parameters, in SI units, for a step that ends at the point,
     shape (p,).
     """
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.vector))
@@ -229,8 +230,8 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop, if the recordings show it and their loads can be simulated; else
-    None.
+    """Return the drive loop; None if the recordings do not determine the loop or their loads cannot
+    be simulated.
     """
     recordings = [m.recording for m in motions]
     plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
@@ -264,8 +265,8 @@ def _step(
 
 
 def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
-    """Return the parameters' part of a scoring step (M23) over parameters and breakaway times, the
-    inertia held.
+    """Return the part of a scoring step (M23) that belongs to the parameters, with the inertia
+    fixed; the step is over parameters and breakaway times.
 
     Args:
         point: Point of the replicate.
@@ -298,8 +299,8 @@ def _scored(point: Point, noise: int, farthest: float) -> _Scored | None:
 
 
 def _drawn(joint: Point, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
-    """Return simulated torque noise, N m, shape (2, n): noise that moves the joint, and noise of
-    the log.
+    """Return simulated torque noise, N m, shape (2, n): the noise that moves the joint, and the
+    noise of the logged torque.
     """
     rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
     return rows * np.sqrt([[1.0 - share], [share]])

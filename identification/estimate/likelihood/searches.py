@@ -1,5 +1,7 @@
-"""Searches of the likelihood: grid of starts, least squares at raised noise, neighbours of the best
-end, basins.
+"""Searches for the maximum of the likelihood of the loaded fit, from several starts.
+
+Parts: a grid of start points, least squares at raised noise levels, further searches from the
+neighbours of the best end, and a list of the basins found.
 """
 
 from __future__ import annotations
@@ -17,31 +19,31 @@ from identification.numerics import levenberg_marquardt as levenberg
 from identification.numerics.levenberg_marquardt import huber
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
-"""Torque noise levels of the loaded fit's searches, over the estimated level; with fewer levels
-they miss the best end.
+"""Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
+fewer levels the searches miss the best end.
 """
 _START_SPEEDS = 6
 _START_STATICS = 7
 MOST_PASSES = 4000
-"""Passes of the filter over the recordings after which a fit starts no further search, and its best
-end counts. Where the model holds, the unloaded and the loaded fit take some hundred each, and 3000
-in the worst case known.
+"""Passes of the filter over the recordings after which a fit starts no further search and returns
+its best end. If the model is right, the unloaded and the loaded fit take some hundred passes each,
+and 3000 in the worst known case.
 """
 STARTS = 3
-"""Number of starts from which a search is run: the likeliest of the grid is not always in the right
-basin.
+"""Number of starts from which a search is run; more than one, because the likeliest point of the
+grid is not always in the right basin.
 """
 _MISSED = 0.8
-"""Mean Huber cost of a residual above which an end counts as outside any basin. It is 0.26 to 0.55
-at true values, and 1.4 and more where searches get stuck.
+"""Mean Huber cost of a residual above which the end of a search counts as outside any basin. The
+mean cost is 0.26 to 0.55 at true values, and 1.4 or more where a search fails to converge.
 """
 _WIDE_STEP = 0.3
-"""Relative step of a coordinate (a parameter, or its logarithm) for finite differences in searches
-that got stuck.
+"""Relative step of a coordinate (a parameter, or its logarithm) for finite differences, used after
+searches that failed to converge.
 """
 _START_CLIP = 10.0
 _SEEKS = 3
-"""Greatest number of fits in alternation with a grid search of the breakaway times."""
+"""Greatest number of alternations between a fit and a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
 """Gain of the negative log likelihood below which a fit ends."""
 _LEAST_RESOLVED = 0.05
@@ -49,20 +51,20 @@ _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
     ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
-"""Neighbours of the best end of the loaded fit, far ones and then near ones: index of the parameter
-and factor.
+"""Neighbours of the best end of the loaded fit, far neighbours and then near ones, each as index of
+the parameter and factor on the parameter.
 """
 _ROUNDS = 2
-"""Rounds of searches from far or near neighbours, each from the best end so far; the second only
-after a gain.
+"""Greatest number of rounds of searches from far or near neighbours, each round from the best end
+so far; the second round follows only after a gain.
 """
 _APART = 0.1
 """Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
 basins.
 """
 SAME_END = 1.0
-"""Difference in deviance up to which two search ends count as the same: half a standard error of
-one parameter.
+"""Difference in deviance up to which two search ends count as equal: half a standard error of one
+parameter.
 """
 _AS_LIKELY = 4.0
 """Difference in deviance within which recordings do not decide between two ends: two standard
@@ -76,7 +78,7 @@ class End:
     """End of a search of the loaded fit.
 
     Attributes:
-        unresolved: Whether its Stribeck speed is below the resolution of the samples.
+        unresolved: Whether the Stribeck speed at the end is below the resolution of the samples.
         deviance: Deviance (M24) at the end; infinite if it is not finite.
         point: End point of the search.
     """
@@ -97,7 +99,7 @@ class LoadedFit:
 
     Attributes:
         point: The likeliest end.
-        drop: Deviance of this end less the deviance of the likeliest start.
+        drop: Deviance of the likeliest end less the deviance of the likeliest start.
         ends: Ends of all searches, in order.
     """
 
@@ -117,8 +119,8 @@ def spent(point: Point) -> bool:
 
 
 def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
-    """Return start points from a grid of static limits and Stribeck speeds, as far as they are
-    free.
+    """Return start points from a grid of static limits and Stribeck speeds, as far as these
+    parameters are free.
 
     The static limit is at or below the peak torque before visible motion, because motion becomes
     visible with a delay.
@@ -161,10 +163,10 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
     """Search the loaded fit from the likeliest starts in turn, or from the point if there are no
     starts.
 
-    If a start is likelier than every end, because the raised noise led out of its basin, it is
-    searched once more at the estimated noise level. Ends with a Stribeck speed below the samples'
-    resolution count only if there are no others: with them the rise affects no prediction and fits
-    noise.
+    If a start is likelier than every end, because the raised noise level led out of its basin, one
+    more search runs from this start at the estimated noise level. Ends with a Stribeck speed below
+    the resolution of the samples count only if there are no others: at such a speed the rise
+    affects no prediction and fits noise.
     """
     starts = list(starts) or [point]
     followed = starts[:STARTS]
@@ -210,10 +212,10 @@ def _apart(one: Point, other: Point) -> bool:
 def likeliest_together(starts: Sequence[Point]) -> Searched:
     """Return the start of the joint fit whose search, with the inertia held, has the likeliest end.
 
-    The searches of the loaded fit hold the system parameters. Due to errors of these a wrong basin
-    may be likelier, which a search of all parameters corrects. Of equally likely ends, one with a
-    several times larger Stribeck speed is preferred, as below the samples' resolution the
-    likelihood is flat.
+    The searches of the loaded fit keep the system parameters fixed. Errors of the system parameters
+    can make a wrong basin likelier; a search of all parameters corrects this. Of equally likely
+    ends, an end with a several times larger Stribeck speed is preferred, because the likelihood is
+    flat where the Stribeck speed is below the resolution of the samples.
 
     Args:
         starts: Starts of the joint fit, each from an end of the loaded fit.
@@ -247,14 +249,14 @@ def _smoothed(starts: Sequence[Point], best: End, ends: list[End]) -> End:
     """Search from the starts with finite differences over wide steps, until an end explains the
     recordings; return the best end.
 
-    Away from the true values the filter's model may stick and slip in slow ramps, and the errors
-    then depend irregularly on the parameters: differences over small steps give slopes a hundred
-    times those over wide steps, and no useful direction.
+    Far from the true values the model in the filter may stick and slip in slow ramps. The
+    prediction errors then depend irregularly on the parameters: finite differences over small steps
+    give slopes a hundred times as large as those over wide steps, and no useful direction.
 
     Args:
         starts: Starts of the searches.
         best: The best end so far.
-        ends: Gains the ends of the searches.
+        ends: List to which the ends of the searches are appended.
     """
     before = best
     for start in starts:
@@ -271,12 +273,12 @@ def _neighbours(best: End, ends: list[End]) -> End:
     """Search again from neighbours of an end, with new breakaway times; return the likeliest end
     found.
 
-    Parameters and breakaway times are coupled, so a search may end where no change of one kind
-    alone is a gain.
+    Parameters and breakaway times are coupled, so that a search may end where neither a change of
+    parameters alone nor a change of breakaway times alone lowers the cost.
 
     Args:
         best: The end.
-        ends: Gains the ends of the searches.
+        ends: List to which the ends of the searches are appended.
     """
     for beside in _BESIDE:
         for _ in range(_ROUNDS):
@@ -312,8 +314,8 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the load Stribeck speed is resolved: above a share of the speed that the fall
-    of load friction adds within one period.
+    """Return whether the samples resolve the load Stribeck speed: whether it is above a share of
+    the speed that the joint gains within one period by the fall of load friction.
     """
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))
@@ -327,13 +329,13 @@ def refine(
     """Search by least squares at decreasing noise levels, then by likelihood at the estimated
     level.
 
-    Above the estimated level least squares lead into the basin. At that level the standard
-    deviations matter too: they depend on the parameters, and least squares with held weights miss
-    the maximum of the likelihood.
+    Least squares above the estimated noise level lead into the basin. At the estimated level the
+    likelihood is needed: the standard deviations depend on the parameters, and least squares with
+    constant weights miss the maximum of the likelihood.
 
     Args:
         point: Start of the search.
-        tempering: Torque noise of each search, over the estimated level.
+        tempering: Torque noise level of each search, relative to the estimated level.
         step: Relative step for finite differences at raised noise.
     """
     iterations = 0

@@ -1,12 +1,11 @@
-"""The unloaded, loaded and joint fit of the prediction errors, from the start values of the
-equation error.
+"""The unloaded, loaded and joint fit of the prediction errors, started from the equation error.
 
-The unknowns are the parameters and the breakaway time of each segment, which is tied to the static
-limit by the torque measured at that time (M22). Least squares with the inertia held lead into the
-right basin: the torque noise is first assumed large and then lowered, because the cost is smoother
-if the filter trusts the encoder more. At the estimated noise level the likelihood is maximised. The
-inertia follows from its estimating equation, because least squares and likelihood are biased in it
-(:mod:`identification.estimate.inertia.estimating_equations`).
+The unknowns are the parameters and the breakaway time of each segment. The torque that is measured
+at the breakaway time ties this time to the static limit (M22). Least squares with fixed inertia
+lead into the right basin: the assumed torque noise is large at first and then lowered, because the
+cost is smoother if the filter gives the encoder more weight. At the estimated noise level the
+likelihood is maximised. The inertia follows from its estimating equation, because least squares and
+likelihood give a biased inertia (:mod:`identification.estimate.inertia.estimating_equations`).
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Refined:
     """A refined estimate.
 
     Attributes:
-        values: Name to value.
+        values: Value of each parameter by name.
         covariance: Covariance of the fitted ``names``, shape (p, p), in the units of the values.
         floor: Cramer-Rao bound of the covariance
             (:mod:`identification.estimate.uncertainty.cramer_rao`), shape (p, p).
@@ -70,15 +69,15 @@ class Refined:
             model holds.
         whiteness: Correlation of neighbouring innovations, with variance inflation.
         noise: Noise of torque and angle.
-        repeating_share: Share of the correlated noise that repeats (M26); zero without correlated
-        noise.
+        repeating_share: Share of the correlated noise that repeats with the motion (M26); zero
+            without correlated noise.
         torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Number of segments.
-        likelihood_drop: Deviance at the end of the loaded fit above that at its likeliest start;
-            positive where the least squares at raised noise left the basin and the likelihood did
-            not return to it.
+        likelihood_drop: Deviance at the end of the loaded fit less the deviance at its likeliest
+            start; positive where least squares at a raised noise level left the basin and the
+            likelihood did not return to it.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The estimate in the joint experiment.
         starts: Search ends of each search.
@@ -127,11 +126,11 @@ def _first_point(
     model: Model,
     correlated: bool,
 ) -> Point:
-    """Return the point of the unloaded fit at the equation error's values, with the likeliest noise
-    there.
+    """Return the start point of the unloaded fit: the values of the equation error, with the
+    likeliest noise at these values.
     """
-    # Without load the equation error is a good start; under load, friction falls too steeply to be
-    # resolved after filtering.
+    # Without load the equation error gives good start values; under load, friction falls too
+    # steeply with speed to be resolved after filtering.
     first = Point.of(
         unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
     )
@@ -205,8 +204,8 @@ def refine_stages(
 def _loaded_fit(
     first: Point, loaded: Sequence[Motion], load: Sequence[int], model: Model
 ) -> tuple[LoadedFit, int]:
-    """Return the fit of the load parameters, with the others held at the end of the unloaded fit,
-    and the number of filter runs.
+    """Return the fit of the load parameters, with the other parameters fixed at the end of the
+    unloaded fit, and the number of filter runs.
     """
     begun = Point.of(loaded, first.vector, load, model, first.noise)
     found = refine_from(begun, breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL))
@@ -255,8 +254,8 @@ def _joint_fit(
 def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, float]:
     """Return the rms of the innovations and the correlation of neighbouring ones, outliers clipped.
 
-    Clipping bounds the effect of a few short segments on which the filter diverges; unmodelled
-    physics affects most segments.
+    Clipping limits the effect of a few short segments on which the filter diverges. Unmodelled
+    physics affects most segments, so that clipping does not hide it.
 
     Args:
         residual: Innovations over their standard deviations, then ties, shape (r,).

@@ -1,4 +1,4 @@
-"""The unloaded fit, started from several inertias until the estimating equations are solved."""
+"""The unloaded fit of the likelihood: tries start values of the inertia until one succeeds."""
 
 from __future__ import annotations
 
@@ -14,28 +14,30 @@ from identification.filter.likelihood import Point
 from identification.model.parameters import INERTIA, MC, OMEGA_SF, SYSTEM_RISE
 
 _Free = tuple[Sequence[int], Sequence[int]]
-"""Free parameters: those that least squares estimate first, then the inertia; empty if it is
-fixed.
+"""Free parameters: first those that least squares estimate, then the inertia; the second part is
+empty if the inertia is fixed.
 """
 _AGAIN = 2
-"""Greatest number of solutions started from the best end if no start is solved; they stop at the
-first without a gain.
+"""Greatest number of further solutions that start from the best end if no start leads to a
+solution; the first without a gain is the last.
 """
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
-"""Inertias tried, over the equation error's inertia, which is biased upward by noise."""
+"""Start values of the inertia, relative to the inertia of the equation error, which noise biases
+upward.
+"""
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Inertias tried if none of these is solved: in short, fast slips the equation error may give a
-fiftieth of the inertia.
+"""Start values of the inertia if none of the former leads to a solution: in short, fast slips the
+equation error may give a fiftieth of the inertia.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """End of a solution of the unloaded fit.
+    """End point of one attempt to solve the unloaded fit.
 
     Attributes:
         chi2: Chi-square of the estimating equations (M29).
-        point: Point at which it ended.
+        point: Point at which the attempt ended.
     """
 
     chi2: float
@@ -48,8 +50,8 @@ def solve_unloaded(
     """Solve the unloaded fit from one start after another, until the estimating equations are
     solved.
 
-    Least squares with the inertia held lead into the basin of that inertia; the equation error's
-    inertia may be wrong by half and more.
+    Least squares with fixed inertia lead into the basin of that inertia, and the inertia of the
+    equation error may be wrong by half or more.
 
     Args:
         begun: Point at the equation error's values.
@@ -89,15 +91,15 @@ def solve_unloaded(
 
 
 def _heavier(point: Point, share: float) -> Point:
-    """Return the point with its inertia multiplied by a factor."""
+    """Return the point with the inertia multiplied by the factor ``share``."""
     vector = point.vector.copy()
     vector[INERTIA] *= share
     return replace(point, vector=vector)
 
 
 def _far(point: Point) -> Iterator[Point]:
-    """Yield starts at inertias far from the equation error's, each with its likeliest breakaway
-    times.
+    """Yield start points at inertias far from that of the equation error, each with the likeliest
+    breakaway times.
     """
     for share in _FAR:
         yield from breakaway_starts(_heavier(point, share), MC, SYSTEM_RISE, OMEGA_SF)[:1]
@@ -106,14 +108,14 @@ def _far(point: Point) -> Iterator[Point]:
 def _best_of(
     starts: Iterable[Point], free: _Free, best: Solved | None, found: list[float]
 ) -> Solved | None:
-    """Solve from one start after another until the equations are solved; return the best end, which
-    may be ``best``.
+    """Try one start after another until the equations are solved; return the best end, which may be
+    ``best``.
 
     Args:
         starts: Starts, tried in turn.
         free: Free parameters.
         best: The best end so far.
-        found: Gains the chi-square of every solution.
+        found: List to which the chi-square of every attempt is appended.
     """
     for number, start in enumerate(starts):
         if (best is not None and best.chi2 < SOLVED) or (spent(start) and (best or number)):
@@ -127,7 +129,7 @@ def _best_of(
 
 
 def _solved_from(start: Point, free: _Free) -> Solved | None:
-    """Solve the unloaded fit from one start; None where that fails."""
+    """Return the solution of the unloaded fit from one start; None if the solution fails."""
     system, inertia = free
     point = start.freeing(system)
     try:
@@ -138,7 +140,7 @@ def _solved_from(start: Point, free: _Free) -> Solved | None:
             point = solve(point)
         chi2 = equations_chi2(point) if point.free else 0.0
     except np.linalg.LinAlgError:
-        # Without a rise, as the equation error may find in slips, the Stribeck speed is
-        # undetermined.
+        # Without a rise toward rest the Stribeck speed is undetermined; the equation error may find
+        # no rise in slips.
         return None
     return Solved(chi2, point) if math.isfinite(chi2) else None

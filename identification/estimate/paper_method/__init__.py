@@ -1,1 +1,1 @@
-"""The paper's genetic algorithm, and the comparison of optimisers on its equation error."""
+"""The identification method of the paper (genetic algorithm), and a comparison of optimisers."""

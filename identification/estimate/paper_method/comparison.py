@@ -1,9 +1,9 @@
-"""Comparison of estimators: several optimisers on one equation error, and the whole default method.
+"""Compares several optimisers on the paper's equation error with the default identification method.
 
-An optimiser fails if it ends more than 0.1 % above the least cost that any of them found: in a
-wrong basin, or unfinished. (Over the 2000 samples of a 20 s stage this is two standard errors of
-white noise.) The remaining difference between the parameters of least cost and the true ones is the
-error of the equation-error method itself, not of an optimiser.
+An optimiser fails if it ends more than 0.1 % above the least cost that any optimiser found: in a
+wrong basin, or before convergence. (Over the 2000 samples of a 20 s stage, 0.1 % is two standard
+errors of white noise.) The difference between the parameters of least cost and the true parameters
+is an error of the equation-error method, not of an optimiser.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from identification.recording import Dataset, RecordingError
 from identification.result import Identification
 
 COST_TOLERANCE = 1e-3
-"""Relative excess over the least cost found above which a search counts as failed."""
+"""Relative excess over the least cost above which a search counts as failed."""
 DEFAULT = "default method"
 
 
@@ -37,13 +37,14 @@ class Contender:
         failures: Number of runs that failed in either stage.
         evaluations: Evaluations in both stages, median over the runs.
         seconds: Time, median over the runs.
-        excess: Cost over the least cost found, less one, in the worse stage; median over the runs.
-            None for the default method, which continues with prediction errors.
+        excess: Relative excess over the least cost in the worse stage, median over the runs; None
+            for the default method, which continues with prediction errors.
         values: Parameters of the run with the median error.
-        error: Greatest relative difference from the default method over its identified parameters,
-            median over the runs.
+        error: Greatest relative difference from the default method among the parameters that the
+            default method identifies, median over the runs.
         worst: Parameter with this difference.
-        true_error: Greatest relative error against the true parameters, if known, likewise.
+        true_error: Greatest relative error against the true parameters, if these are known, median
+            over the runs.
         true_worst: Parameter with this error.
     """
 
@@ -79,9 +80,10 @@ def compare(
     """Run every optimiser on the recordings to which the default method was fitted.
 
     Args:
-        dataset: Recordings with role fit, unloaded ones among them, of the nominal nine parameters.
-        default: Result of the default method on the dataset; its bandwidth is used and its values
-        are the reference.
+        dataset: Recordings with role ``fit``, at least one of them unloaded; the declared model has
+            the nine nominal parameters.
+        default: Result of the default method on the dataset; the comparison uses its bandwidth, and
+            its values as the reference.
         seeds: Seeds; a stochastic optimiser is run once per seed.
         truth: True parameters of a simulated bench; used only for the tables, after all runs.
         progress: Called with the name of the optimiser and the share of its runs done.

@@ -17,12 +17,12 @@ from identification.numerics.optimisers import (
 )
 
 Optimiser = Callable[[StageProblem, np.random.Generator], Array]
-"""Function from problem and random generator to the best point found, in the unit cube."""
+"""Function of a problem and a random generator that returns the best point in the unit cube."""
 
 
 def variable_projection(problem: StageProblem, rng: np.random.Generator) -> Array:
-    """Search the Stribeck speed alone, as the default method does; the other coordinates are
-    linear.
+    """Search the Stribeck speed alone, as the default method does; linear least squares give the
+    other coordinates.
     """
     solution = projection.solve(problem.design, problem.low[2], problem.high[2])
     return problem.unlinear(solution.omega_s, solution.coefficients)
@@ -35,4 +35,4 @@ OPTIMISERS: Mapping[str, Optimiser] = {
     "CMA-ES": cma_es,
     "multi-start least squares": multi_start,
 }
-"""Name to optimiser; the default method uses the first."""
+"""The optimisers by name; the default method uses the first."""

@@ -1,13 +1,13 @@
-"""The paper's method (Sec. 4): the equation error of eq. 15/16, minimised in two stages by a
-genetic algorithm.
+"""The identification method of the paper (Sec. 4): a genetic algorithm on the equation error.
 
-Stage 1 uses the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 uses
-the loaded ones, holds these five parameters and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness
-sqrt(sum e(k)^2), targets 0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
+The equation error of eq. 15/16 is minimised in two stages. Stage 1 uses the unloaded recordings and
+searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 uses the loaded recordings, keeps these five
+parameters fixed and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum e(k)^2), targets
+0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
 
-The paper leaves open, and this module defines: friction opposes motion, so eq. 13 and 15 contain
-sgn(omega); samples at rest are omitted, since friction then balances the drive and gives an
-inequality, not an equation; the search box is computed from the size of the recorded signals
+This module defines three points that the paper does not state. Friction opposes motion, so eq. 13
+and 15 contain sgn(omega). Samples at rest are omitted, because friction then balances the drive and
+gives an inequality, not an equation. The search box follows from the size of the recorded signals
 (:func:`search_box`). The method gives no intervals.
 """
 
@@ -34,7 +34,7 @@ TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
 """Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""
 POPULATION = 40
 GENERATIONS = 1000
-_AT_BOUND = 1e-3  # distance from a bound, over the width of the box
+_AT_BOUND = 1e-3  # distance from a bound, relative to the width of the box
 
 STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
 """Parameters that each stage searches: Coulomb level, static level, Stribeck speed, viscous
@@ -46,7 +46,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class StageSamples:
-    """The equations of one stage, rest excluded; every array has shape (n,)."""
+    """The equations of one stage, without samples at rest; every array has shape (n,)."""
 
     torque: Array
     velocity: Array
@@ -115,14 +115,14 @@ def identify_paper(
 
 
 def _left_out(model: Model) -> tuple[str, ...]:
-    """Return a warning about declared terms that the paper's method does not have.
+    """Return a warning about declared terms that the paper's method does not contain.
 
     Raises:
         RecordingError: A friction model other than the paper's is declared.
     """
     if model.friction != NOMINAL:
         raise RecordingError(
-            f"the paper's method knows the {NOMINAL} friction only; use the default method for "
+            f"the paper's method supports {NOMINAL} friction only; use the default method for "
             f"{model.friction}"
         )
     if not model.terms:
@@ -145,14 +145,14 @@ class _Search:
     def solve(
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
-        """Return one stage's values, estimates, and the record of its search (none if all
-        parameters are held).
+        """Return the values and estimates of one stage, and the record of its search; no record if
+        all parameters are fixed.
         """
         names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)
         held = {name: fixed[name] for name in names if name in fixed}
         kept = {
-            n: Parameter(n, units[n], value, reason="held by the campaign")
+            n: Parameter(n, units[n], value, reason="fixed by the campaign")
             for n, value in held.items()
         }
         if len(held) == len(names):
@@ -213,12 +213,12 @@ class _Search:
 
 
 def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Return the search box, computed only from the size of the signals.
+    """Return the search box, which depends only on the size of the signals.
 
-    Upper bounds are twice the largest torque per load for dry friction (a breakaway may fall
-    between samples), and the values that would explain that torque at the largest speed and
-    acceleration for viscous friction and inertia. The Stribeck speed ranges from 1/500 of the
-    largest speed to the largest speed.
+    The upper bound of dry friction is twice the largest torque per load, because a breakaway may
+    lie between two samples. The upper bounds of viscous friction and inertia are the values that
+    explain this torque at the largest speed and acceleration. The Stribeck speed ranges from 1/500
+    of the largest speed to the largest speed.
     """
     torque = float(np.max(np.abs(samples.torque / samples.load)))
     speed = float(np.max(np.abs(samples.velocity)))
@@ -237,8 +237,8 @@ def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[f
 def collect(
     stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
 ) -> StageSamples:
-    """Return the equations of one stage; terms of parameters from the earlier stage are moved to
-    the left side.
+    """Return the equations of one stage; terms with the parameters of the earlier stage are
+    subtracted from the torque.
 
     Raises:
         RecordingError: Too little motion, or no load where there should be one.
@@ -260,7 +260,8 @@ def collect(
     if not np.all(samples.load > 0.0):
         names = ", ".join(p.recording.name for p in prepared)
         raise RecordingError(
-            f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass"
+            f"{names}: loaded, but the contact force is not above 0 N in all samples; state "
+            "weight_mass"
         )
     return samples
 
@@ -273,11 +274,14 @@ def _parameter(
     samples: StageSamples,
     cost: float,
 ) -> Parameter:
-    """Return one parameter; J is not identifiable if its torque is smaller than the misfit."""
+    """Return one parameter; J is not identifiable if the torque of the inertia is smaller than the
+    misfit.
+    """
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
-            f"its torque, {inertial:.3g} (norm over the samples), is below the misfit of "
+            f"the torque of the inertia, {inertial:.3g} (norm over the samples), is below the "
+            "misfit of "
             f"{cost:.3g}; "
             "excite with higher acceleration"
         )

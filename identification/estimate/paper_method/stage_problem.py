@@ -1,9 +1,9 @@
-"""One stage of the paper's equation error (eq. 15, 16) as a box-bounded search problem, for any
-optimiser.
+"""One stage of the paper's equation error (eq. 15, 16) as a bounded problem for any optimiser.
 
-All optimisers see the same samples, the same cost sqrt(sum e(k)^2) and the same box, in the paper's
-own coordinates: x = [Mc, Ms, omega_sf, sigma_2, J] without load, [mu_c, mu_s, omega_sL, mu_2] with
-it. Coordinates are scaled to the unit cube, so that a step is the same share of the box in each.
+All optimisers use the same samples, the same cost sqrt(sum e(k)^2), the same box and the
+coordinates of the paper: x = [Mc, Ms, omega_sf, sigma_2, J] without load, x = [mu_c, mu_s,
+omega_sL, mu_2] with load. The coordinates are scaled to the unit cube, so that a step is the same
+share of the box in each coordinate.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from identification.prepare import Prepared
 
 
 class StageProblem:
-    """Cost and residuals of one stage over the unit cube; it counts evaluations.
+    """Cost and residuals of one stage over the unit cube, with a counter of evaluations.
 
     Args:
         stage: ``unloaded`` or ``loaded``.
         prepared: Recordings of the stage.
-        known: The system parameters, held while the loaded stage is searched.
+        known: The system parameters, which stay fixed in the search of the loaded stage.
         alpha: Stribeck exponent.
     """
 

@@ -1,8 +1,9 @@
 """The norm of the torque error of eq. 15/16 for a whole population of candidates at once.
 
-Given the Stribeck speed, the model is linear in everything else, so the squared norm over all
-samples splits into fixed moments of the data and five sums over exp(-|omega/omega_s|^alpha). Only
-that exponential is evaluated per candidate and sample; the rest is a matrix product.
+At a given Stribeck speed the model is linear in all other parameters. The squared norm over all
+samples is therefore a combination of constant moments of the data and five sums over
+exp(-|omega/omega_s|^alpha). Only this exponential is evaluated for each candidate and sample; the
+rest is a matrix product.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ class TorqueMisfit:
 
     Args:
         torque: Drive torque less known torques, N m, shape (n,).
-        velocity: w, rad/s, shape (n,); samples at rest must be omitted, since friction has no
-            equation there.
+        velocity: w, rad/s, shape (n,); samples at rest must be omitted, because friction has no
+            equation at rest.
         acceleration: dw, rad/s^2, shape (n,).
         load: Factor of the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m for
             the working load (eq. 13).

@@ -1,1 +1,1 @@
-"""Friction fitted to the predicted angle: simulation over a horizon, up to the whole loop."""
+"""Fits friction models to the simulated angle, over a horizon or a whole recording."""

@@ -1,4 +1,4 @@
-"""Motor constants after a fit to the predicted angle: by how much they moved (M51)."""
+"""Compares the motor constants after a fit to the predicted angle with the declared ones (M51)."""
 
 from __future__ import annotations
 
@@ -16,21 +16,23 @@ from identification.numerics.spread import Spread
 
 KM, RESISTANCE = CONSTANTS
 PER_VOLT = "torque_per_volt"
-"""Km i / R, N m/V: the part of both constants that a voltage and an angle determine well."""
+"""Km i / R, N m/V: the combination of torque constant and resistance that a voltage and an angle
+determine well.
+"""
 
 
 @dataclass(frozen=True)
 class Constant:
-    """A motor constant, declared and found.
+    """A motor constant: its declared and its fitted value.
 
     Attributes:
         name: ``torque_constant``, ``resistance`` or ``torque_per_volt``.
         unit: SI.
         declared: Declared value.
-        prior: Relative standard deviation of the declared value; None for a derived one.
-        value: Value found.
-        low: Lower end of its 90 % interval.
-        high: Upper end.
+        prior: Relative standard deviation of the declared value; None for a derived constant.
+        value: Fitted value.
+        low: Lower end of the 90 % interval of the fitted value.
+        high: Upper end of this interval.
         moved: Whether the interval excludes the declared value.
     """
 
@@ -54,10 +56,10 @@ class Constant:
 
 
 def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[Constant, ...]:
-    """Return the constants of a fit in which they were free.
+    """Return the motor constants of a fit in which they were free.
 
-    The interval is the wider one of two: of the curvature of cost and priors at the minimum, and of
-    the fits to drawn recordings.
+    The interval is the wider of two: the one from the curvature of cost and priors at the minimum,
+    and the one from the fits to drawn recordings.
 
     Args:
         pieces: What was fitted.

@@ -1,7 +1,8 @@
-"""Coordinates of the search over friction, motor constants and the lateness of the command (M50).
+"""Search coordinates of the fit to the predicted angle: friction, motor constants, delay (M50).
 
-Rises instead of static levels, and logarithms of the Stribeck speed and of the ratios of motor
-constants; all within bounds.
+The coordinates contain rises instead of static levels, and the logarithms of the Stribeck speed and
+of the ratios of motor constants. The lateness is the time by which a logged command acts late. All
+coordinates have bounds.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from identification.recording import Model, Recording
 CONSTANTS = ("torque_constant", "resistance")
 LATENESS = "lateness"
 RELATIVE_STD = 0.3
-"""Relative standard deviation of a motor constant, unless the campaign states one: windings warm,
-magnets scatter, and gears lose torque.
+"""Relative standard deviation of a motor constant, unless the campaign states one. The causes are
+warm windings, the tolerance of magnets, and torque losses in gears.
 """
 _FASTEST_SHARE, _SLOWEST_SHARE = 1.0 / 3.0, 1e-3
 _LATEST = 5.0
@@ -33,12 +34,12 @@ _MOST_MU, _MOST_SHARE = 0.9, 5.0
 
 @dataclass(frozen=True)
 class Scales:
-    """Sizes from which bounds and difference steps follow, SI.
+    """Sizes of the signals, SI, from which bounds and steps of finite differences follow.
 
     Attributes:
         torque: Greatest drive torque.
         speed: Greatest speed.
-        inertia: Inertia of the start.
+        inertia: Inertia at the start of the search.
         period: Sample period.
     """
 
@@ -50,7 +51,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate: its bounds, and its step in difference quotients."""
+    """One coordinate: its bounds, and its step for finite differences."""
 
     low: float
     high: float
@@ -59,11 +60,11 @@ class Axis:
 
 @dataclass(frozen=True)
 class Point:
-    """What a simulation needs.
+    """The parameters of one simulation.
 
     Attributes:
         values: Friction and inertia by name, SI.
-        motor: Motor constants over the declared ones.
+        motor: Ratios of the motor constants to the declared ones.
         lateness: Time by which a logged command acts late, s.
     """
 
@@ -74,14 +75,14 @@ class Point:
 
 @dataclass(frozen=True)
 class Coordinates:
-    """The free coordinates of one rung.
+    """The free coordinates of one friction model (rung) of the ladder.
 
     Attributes:
         rung: Name of the rung, of :data:`identification.model.ladder.SIMULATED`.
         names: Free coordinates, in the order of x.
-        axes: Name to bounds and step.
-        model: Declared model; its fixed parameters are held.
-        prior: Coordinate to the standard deviation of its prior, centred at 0.
+        axes: Bounds and step of each coordinate, by name.
+        model: Declared model; its fixed parameters do not change.
+        prior: Standard deviation of the prior of a coordinate, by name; a prior is centred at 0.
     """
 
     rung: str
@@ -97,13 +98,16 @@ class Coordinates:
         return Box(np.array([a.low for a in axes]), np.array([a.high for a in axes]))
 
     def steps(self) -> Array:
-        """Return the steps of difference quotients, shape (p,)."""
+        """Return the steps of finite differences, shape (p,)."""
         return np.array([self.axes[n].step for n in self.names])
 
     def start(self, values: Mapping[str, float]) -> Array:
-        """Return the coordinates of named parameters, with declared constants, shape (p,)."""
+        """Return the coordinates of named parameters, with the declared motor constants, shape
+        (p,).
+        """
         share = drive_share(self.rung)
-        # At rest the motor balances the load, and the teeth carry |external - motor|, twice that.
+        # At rest the motor balances the external load, so that |external - motor|, which the teeth
+        # carry, is twice the external load.
         carried = 1.0 + share
         coulomb, gear = values.get("Mc", 0.0), values.get("mu_gc", 0.0)
         x = {
@@ -157,14 +161,14 @@ def priors(recording: Recording) -> dict[str, float]:
 def coordinates(
     rung: str, model: Model, pieces: Sequence[Piece], scales: Scales, *, free: bool
 ) -> Coordinates:
-    """Return the coordinates of a rung.
+    """Return the coordinates of one friction model (rung).
 
     Args:
         rung: Name of the rung.
         model: Declared model.
-        pieces: What is predicted.
+        pieces: Pieces of recordings that are predicted.
         scales: Sizes of the problem.
-        free: Whether the motor constants may move, within their priors.
+        free: Whether the motor constants are free, within their priors.
     """
     t, w = scales.torque, scales.speed
     small = 5e-4 * t

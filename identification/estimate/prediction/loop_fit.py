@@ -1,6 +1,4 @@
-"""Fit of one friction model to the predicted angle (M50, M51): Levenberg-Marquardt within bounds,
-from several Stribeck speeds.
-"""
+"""Fits one friction model to the predicted angle by bounded Levenberg-Marquardt (M50, M51)."""
 
 from __future__ import annotations
 
@@ -18,17 +16,22 @@ from identification.numerics.levenberg_marquardt import Minimum, huber_weight
 from identification.numerics.spread import correlation_samples
 
 QUADRATIC = 0.2
-"""Error up to which the cost is quadratic, over the median absolute error of the start: beyond it
-the cost is that of the mean absolute error, and a recording that no friction explains has a bounded
-pull.
+"""Error up to which the cost is quadratic, relative to the median absolute error of the start.
+Beyond this error the cost is linear, so that a recording that no friction model explains has a
+limited influence.
 """
 TOLERANCE, MOST_STEPS = 1e-3, 40
-"""Share of the cost below which a step's gain ends a search, and steps tried at most."""
+"""Gain of a step, as a share of the cost, below which a search ends, and greatest number of steps.
+"""
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
-"""The same for each of several starts; only the best end is searched further."""
+"""The same two limits for the search from each of several starts; only the best end is searched
+further.
+"""
 FOLDS = 3
 _RIDGE = 1e-3
-"""Damping of the step to a draw: along directions that hardly change the angle it goes nowhere."""
+"""Damping of the step to a draw; the damping suppresses the step along directions that hardly
+change the angle.
+"""
 
 
 @dataclass(frozen=True)
@@ -36,10 +39,10 @@ class LoopFit:
     """End of a search.
 
     Attributes:
-        coordinates: What was searched.
+        coordinates: Coordinates of the search.
         x: Coordinates, shape (p,).
-        cost: Cost of the data and the priors.
-        ends: Cost at the end of each start.
+        cost: Sum of the costs of data and priors.
+        ends: Cost at the end of the search from each start.
         threshold: Error up to which the cost is quadratic, rad.
         unit: Error that counts as one standard deviation of an independent observation, rad.
     """
@@ -58,7 +61,7 @@ class LoopFit:
 
 
 def errors(pieces: Sequence[Piece], point: Point, alpha: float) -> list[Array]:
-    """Return the predicted less the measured angle of each piece, rad."""
+    """Return the predicted angle less the measured angle of each piece, rad."""
     return [p.predict(point.values, point.motor, point.lateness, alpha) - p.angle for p in pieces]
 
 
@@ -68,12 +71,13 @@ def absolute_error(found: Sequence[Array]) -> float:
 
 
 def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence[Array]) -> LoopFit:
-    """Fit from several starts, and go on from the best end.
+    """Search from several starts, and continue the search from the best end.
 
     Args:
-        pieces: What is predicted.
-        coordinates: What is searched.
-        starts: Coordinates to start from, each of shape (p,); the first sets the first threshold.
+        pieces: Pieces of recordings that are predicted.
+        coordinates: Coordinates of the search.
+        starts: Start points, each of shape (p,); the errors of the first start determine the first
+            threshold.
     """
     alpha = coordinates.model.alpha
     at_start = errors(pieces, coordinates.point(starts[0]), alpha)
@@ -83,7 +87,8 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
     coarse = (COARSE_TOLERANCE, COARSE_STEPS)
     ends = [_searched(pieces, replace(begun, x=x), coarse) for x in starts]
     best = ends[int(np.argmin([e.cost for e in ends]))]
-    # The threshold and the weight of the priors follow the errors of the end, not of the start.
+    # The threshold and the weight of the priors are computed from the errors of the end, not of the
+    # start.
     left = errors(pieces, coordinates.point(best.x), alpha)
     threshold = QUADRATIC * float(np.median(np.abs(np.concatenate(left))))
     again = LoopFit(coordinates, best.x, math.inf, (), threshold, unit_of(left, threshold))
@@ -92,7 +97,7 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
 
 
 def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
-    """Fit other pieces from the end of a fit, with its threshold and unit."""
+    """Fit other pieces, started from the end of a fit, with the threshold and unit of that fit."""
     end = _searched(pieces, found, (TOLERANCE, MOST_STEPS))
     return replace(found, x=end.x, cost=end.cost)
 
@@ -101,17 +106,17 @@ def unit_of(found: Sequence[Array], threshold: float) -> float:
     """Return the error that counts as one standard deviation of an independent observation, rad
     (M51).
 
-    Huber's cost over threshold times mean absolute error is the negative log likelihood of errors
-    with Laplace's distribution; errors of one simulation persist, so it is divided by the number of
-    samples over which they do.
+    The Huber cost, divided by threshold times mean absolute error, is the negative log likelihood
+    of errors with a Laplace distribution. The errors of one simulation are correlated in time, so
+    that this cost is divided by the number of samples over which they are correlated.
     """
     scale = absolute_error(found)
     return math.sqrt(max(threshold * scale * persistence(found), 1e-300))
 
 
 def persistence(found: Sequence[Array]) -> float:
-    """Return the number of samples for one independent error: the mean correlation time of the
-    pieces, in samples.
+    """Return the number of samples that count as one independent error: the mean correlation time
+    of the errors over the pieces, in samples.
     """
     sizes = [len(error) for error in found]
     return float(np.average([correlation_samples(error) for error in found], weights=sizes))
@@ -139,15 +144,16 @@ def drawn(found: LoopFit, normals: Array, gradients: Array, counts: Array) -> Ar
     """Return the coordinates after one Gauss-Newton step on drawn recordings, shape (p,).
 
     Args:
-        found: The fit to all.
-        normals: Of each recording, shape (m, p, p).
-        gradients: Of each recording, shape (m, p).
-        counts: How often each was drawn, shape (m,).
+        found: The fit to all recordings.
+        normals: Normal matrix of each recording, shape (m, p, p).
+        gradients: Gradient of each recording, shape (m, p).
+        counts: How often each recording was drawn, shape (m,).
     """
     c = found.coordinates
     prior = np.array([1.0 / c.prior[n] ** 2 if n in c.prior else 0.0 for n in c.names])
     normal = np.tensordot(counts, normals, 1) + np.diag(prior)
-    # The whole gradient is zero at the minimum, but for the bounds and the search's tolerance.
+    # The sum of all gradients is zero at the minimum, except at bounds and within the tolerance of
+    # the search.
     gradient = (counts - 1.0) @ gradients
     return found.x + bounded_step(normal, gradient, _RIDGE, found.x, c.box)
 
@@ -184,7 +190,9 @@ def _errors(pieces: Sequence[Piece], c: Coordinates, x: Array) -> Array:
 
 
 def _slope(pieces: Sequence[Piece], c: Coordinates, x: Array, here: Array) -> Array:
-    """Return difference quotients, shape (n, p); the step turns inward at an upper bound."""
+    """Return the finite differences of the errors, shape (n, p); at an upper bound the step is
+    negative.
+    """
     slope = np.empty((len(here), len(x)))
     for k, (step, high) in enumerate(zip(c.steps(), c.box.high, strict=True)):
         other = x.copy()

@@ -1,8 +1,9 @@
-"""Pieces of recordings over which the angle is predicted from a measured state (M49).
+"""Divides recordings into pieces; the angle of each is predicted from a measured state (M49).
 
-In a position loop the simulated angle is drawn to the command, so one piece is the whole recording.
-Driven by a measured voltage or torque alone the prediction drifts; the pieces then end about where
-the motion reverses, and each starts from the measured angle and velocity.
+In a position loop the controller keeps the simulated angle near the command, so that the whole
+recording is one piece. With a measured voltage or torque as the only input, the prediction drifts.
+The pieces then have about the length between two reversals of the motion, and each piece starts
+from the measured angle and velocity.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from identification.recording import Bench, Recording, RecordingError
 from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, simulate
 
 STEP_S = 2e-3
-"""Greatest integration step in a search, s; recordings sampled faster take one step a sample."""
+"""Greatest integration step in a search, s; a recording with a shorter sample period has one step
+per sample.
+"""
 LEAST_SAMPLES = 20
-"""Least samples in a piece."""
+"""Least number of samples in a piece."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +34,7 @@ class Motor:
     """Ratios of motor constants to the declared ones.
 
     Attributes:
-        torque_constant: Ratio of Km, and of Ke, which is the same constant in SI units.
+        torque_constant: Ratio of Km and of Ke; both are the same constant in SI units.
         resistance: Ratio of R.
     """
 
@@ -39,7 +42,7 @@ class Motor:
     resistance: float = 1.0
 
     def bench(self, declared: Bench) -> Bench:
-        """Return the bench with these constants."""
+        """Return the constants of a bench with these motor constants."""
         km, ke, r = declared.torque_constant, declared.back_emf_constant, declared.resistance
         return replace(
             declared,
@@ -51,12 +54,12 @@ class Motor:
 
 @dataclass(frozen=True)
 class Piece:
-    """One prediction: inputs from a measured state on.
+    """One prediction of the angle, from a measured initial state.
 
     Attributes:
-        recording: The recording it is part of.
+        recording: The recording that contains the piece.
         inputs: Inputs of the simulation, shape (n,).
-        angle: Measured angle, rad, shape (n,); the first is the initial state.
+        angle: Measured angle, rad, shape (n,); the first value is the initial state.
         velocity: Initial velocity, rad/s.
         volts: Whether ``inputs.added`` is the motor voltage; only read without a controller.
     """
@@ -140,8 +143,8 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
 
 
 def open_horizon(prepared: Prepared) -> float:
-    """Return the mean time between reversals of the velocity, s: friction, which acts against it,
-    then changes its sign about once a piece.
+    """Return the mean time between reversals of the velocity, s. With pieces of this length,
+    friction changes its sign about once in a piece.
     """
     moving = prepared.velocity[prepared.used]
     turns = int(np.sum(np.sign(moving[1:]) * np.sign(moving[:-1]) < 0.0))
@@ -150,7 +153,7 @@ def open_horizon(prepared: Prepared) -> float:
 
 
 def _ends(time: Array, horizon: float) -> Sequence[int]:
-    """Return the first sample of each piece, and the number of samples at the end."""
+    """Return the first sample of each piece, and the total number of samples at the end."""
     whole = float(time[-1] - time[0])
     count = 1 if not math.isfinite(horizon) else max(round(whole / horizon), 1)
     count = max(min(count, len(time) // LEAST_SAMPLES), 1)
@@ -159,7 +162,8 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
 
 
 def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return the measured drive as inputs, and whether it is a voltage; NaN where it is off.
+    """Return the measured torque or voltage of the drive as inputs, and whether it is a voltage;
+    NaN where the drive is off.
 
     Raises:
         RecordingError: No torque, current or voltage channel.
@@ -175,8 +179,8 @@ def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
             added = np.where(channels["enabled"] < 0.5, np.nan, added)
     else:
         raise RecordingError(
-            f"{recording.name}: nothing drives a simulation; it needs a torque, current or voltage "
-            f"channel, or a `command` and its `controller`"
+            f"{recording.name}: a simulation has no input; it needs a torque, current or voltage "
+            "channel, or a `command` and its `controller`"
         )
     angle = joint_angle(recording)
     still, ones = np.zeros(len(time)), np.ones(len(time))

@@ -1,6 +1,4 @@
-"""The ladder of friction models fitted to the simulated angle, with declared and with free motor
-constants (M48 to M51).
-"""
+"""Fits the ladder of friction models to the simulated angle of recordings (M48-M51)."""
 
 from __future__ import annotations
 
@@ -11,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import by_load, solve_stages
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.estimate.ladder import REPLICATES, Interval
 from identification.estimate.prediction.constants import Constant, constants
 from identification.estimate.prediction.coordinates import (
@@ -34,14 +33,16 @@ from identification.model.parameters import DRIVE_SHARE
 from identification.numerics.arrays import Array
 from identification.numerics.progress import Progress, silent
 from identification.numerics.spread import CONFIDENCE
-from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare
+from identification.prepare import Prepared, joint_angle, prepare
 from identification.recording import Dataset, Recording
 
 ONE_SIDED = 1.645
-"""Standard errors by which a cross-validated error has to exceed the least to be distinguished."""
+"""Number of standard errors by which a cross-validated error must exceed the least error to count
+as greater.
+"""
 STARTS = (0.08, 0.2)
-"""Stribeck speeds from which a search starts beside that of the equation error, over the greatest
-speed: stick-slip makes the cost rough, and narrow falling parts have minima of their own.
+"""Further Stribeck speeds from which a search starts, relative to the greatest speed. Stick-slip
+makes the cost irregular, so that there are minima with narrow falling parts.
 """
 
 
@@ -54,15 +55,18 @@ class SimulatedRung:
         free: Whether the motor constants were free within their priors.
         alpha: Stribeck exponent.
         fitted: Parameters by name, SI; ``lateness`` of the command, s.
-        train: Mean absolute angle error on the recordings fitted, rad (m).
-        crossed: The same on each third of these, predicted from the other two; NaN for a single
-            recording, of which none is chosen.
-        scored: The same on the recordings set aside; None without any.
-        constants: Motor constants and their changes; empty where they were held.
+        train: Mean absolute angle error on the fitted recordings, rad (m).
+        crossed: Cross-validated error: the same error on each third of the fitted recordings,
+            predicted with a fit to the other two thirds. NaN for a single recording; then no rung
+            is chosen.
+        scored: The same error on the recordings for validation; None if there are none.
+        constants: Motor constants and their changes; empty if they were fixed.
         horizon_s: Longest prediction, s.
-        best: Share of the draws with the least error on the recordings scored.
-        chosen: Whether it has the least cross-validated error among those with the same ``free``.
-        tied: Whether its cross-validated error exceeds the least by no more than its uncertainty.
+        best: Share of the draws in which this fit has the least error on the scored recordings.
+        chosen: Whether the fit has the least cross-validated error among the fits with the same
+            ``free``.
+        tied: Whether the cross-validated error exceeds the least one by no more than the
+            uncertainty of the difference.
         ends: Cost at the end of each start.
     """
 
@@ -83,7 +87,7 @@ class SimulatedRung:
 
 @dataclass(frozen=True)
 class _Problem:
-    """What all rungs share: pieces of the recordings to fit and to score, and draws of both."""
+    """Data of all rungs: pieces of the recordings to fit and to score, and draws of both."""
 
     dataset: Dataset
     fitted: Sequence[Piece]
@@ -95,10 +99,11 @@ class _Problem:
 
 @dataclass(frozen=True)
 class _Case:
-    """One fit with its draws: coordinates of each, and its errors on fitted and scored.
+    """One fit with its draws: coordinates of each draw, and its errors on fitted and on scored
+    recordings.
 
-    ``crossed`` has the sum of absolute errors and the number of samples of each recording fitted,
-    predicted from others, shape (m, 2).
+    ``crossed`` contains the sum of absolute errors and the number of samples of each fitted
+    recording, predicted with a fit to others, shape (m, 2).
     """
 
     found: LoopFit
@@ -116,22 +121,23 @@ def climb_simulated(
     replicates: int = REPLICATES,
     progress: Progress | None = None,
 ) -> tuple[SimulatedRung, ...]:
-    """Fit every rung to the simulated angle, with motor constants held and free, and score it.
+    """Fit every rung to the simulated angle, with fixed and with free motor constants, and score
+    the fits.
 
     Args:
         dataset: Unloaded recordings with an angle, and a controller or a measured drive.
-        bandwidth_Hz: Bandwidth of the equation error, which starts the searches.
+        bandwidth_Hz: Bandwidth of the equation error, which gives the start values of the searches.
         rng: Random generator for the drawn recordings.
         replicates: Number of draws.
         progress: Called with the name of the step and the share done.
 
     Returns:
-        One record a fit; nothing unless each recording has an angle, and either a controller with
-        its command or a motor voltage alone: where the torque was measured, the equation error
-        needs no prediction.
+        One record for each fit. The list is empty unless each recording has an angle and, in
+        addition, either a controller with its command or a motor voltage without a measured torque;
+        with a measured torque, the equation error suffices.
 
     Raises:
-        RecordingError: A recording cannot be simulated, or not be fitted.
+        RecordingError: A recording cannot be simulated, or cannot be fitted.
     """
     tell = progress or silent
     if not all(map(predictable, dataset.recordings)):
@@ -154,8 +160,8 @@ def climb_simulated(
 
 
 def predictable(recording: Recording) -> bool:
-    """Whether the angle of a recording is worth a prediction: it was made in a known loop, or only
-    the motor voltage was measured.
+    """Return whether a fit to the predicted angle is useful for a recording: the control loop is
+    known, or the motor voltage alone was measured.
     """
     channels, bench = recording.channels, recording.bench
     if joint_angle(recording) is None or recording.stage == "loaded":
@@ -176,7 +182,7 @@ def _problem(
     to_fit = dataset.part("fit")
     to_score = dataset.part("validate") or to_fit
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+        bandwidth_Hz = common_bandwidth(to_fit)
     active = [prepare(r, bandwidth_Hz) for r in to_fit]
     aside = [prepare(r, bandwidth_Hz) for r in to_score]
     values = {
@@ -213,8 +219,8 @@ def _starts(
     free: bool,
     ends: Mapping[tuple[str, bool], LoopFit],
 ) -> list[Array]:
-    """Return where a search starts: the equation error at several Stribeck speeds, and the ends of
-    the models that this one contains.
+    """Return the start points of a search: the equation error at several Stribeck speeds, and the
+    ends of the simpler models that this model contains.
     """
     values = problem.values["stribeck_load_dependent" if bears_load(axes.rung) else "stribeck"]
     starts = [axes.start(values)]
@@ -234,7 +240,7 @@ def _starts(
 
 
 def _carried(end: LoopFit, axes: Coordinates) -> Array:
-    """Return the end of another fit in these coordinates, shape (p,)."""
+    """Return the end of another fit in the coordinates of this model, shape (p,)."""
     found = dict(zip(end.coordinates.names, end.x, strict=True))
     share = end.point.values.get(DRIVE_SHARE, 0.0)
     found.setdefault(DRIVE_SHARE, share)
@@ -262,7 +268,9 @@ def _case(problem: _Problem, axes: Coordinates, starts: Sequence[Array]) -> _Cas
 
 
 def _crossed(problem: _Problem, found: LoopFit) -> Array:
-    """Return the errors on each recording fitted, predicted from the other folds, shape (m, 2)."""
+    """Return the errors on each fitted recording, predicted with a fit to the other folds, shape
+    (m, 2).
+    """
     sums: list[Array] = []
     for names in _folds([p.recording for p in problem.fitted]):
         own = [p for p in problem.fitted if p.recording.name in names]
@@ -274,8 +282,8 @@ def _crossed(problem: _Problem, found: LoopFit) -> Array:
 
 
 def _folds(recordings: Sequence[Recording]) -> Iterator[set[str]]:
-    """Yield the names in each fold; recordings under one load stay together where there are
-    enough loads.
+    """Yield the names of the recordings in each fold; recordings under one load are in one fold if
+    there are enough loads.
     """
     loads = {
         r.name: (
@@ -343,8 +351,8 @@ def _crossed_error(sums: Array) -> float:
 
 
 def _tied(sums: Array, least: Array) -> bool:
-    """Whether the errors exceed the least ones by no more than 1.645 standard errors of the paired
-    differences over recordings.
+    """Return whether the errors exceed the least ones by no more than 1.645 standard errors of the
+    paired differences over recordings.
     """
     apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
     if not np.all(np.isfinite(apart)):

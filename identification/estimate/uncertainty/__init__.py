@@ -1,1 +1,1 @@
-"""Covariance, Cramer-Rao bound, parameter table with intervals, trade-offs (M37 to M43)."""
+"""Uncertainty of the estimates (M37-M43): covariance, Cramer-Rao bound, intervals, trade-offs."""

@@ -1,6 +1,4 @@
-"""Covariance of the refined estimate, its Cramer-Rao bound, and the final step of the inertia (M38
-to M41).
-"""
+"""Covariance of the likelihood estimate and its Cramer-Rao bound (M38-M41)."""
 
 from __future__ import annotations
 
@@ -27,22 +25,24 @@ from identification.numerics.least_squares import equilibrated
 from identification.numerics.levenberg_marquardt import huber_weight
 
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
-"""Weight of the prior scatter, in segments, without and with replicates (M41)."""
+"""Weight of the prior of the scatter, in segments, without and with replicates (M41)."""
 _FARTHEST = 1.0
-"""Change of a logarithm above which a parameter does not follow the inertia: it is not identifiable
-(such as a Stribeck speed below all sampled speeds), and the linearisation is invalid.
+"""Change of a logarithm above which a parameter is not changed together with the inertia. Such a
+parameter is not identifiable, for example a Stribeck speed below all sampled speeds, and the
+linearisation is invalid.
 """
 
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters and its bound, in the free vector's units, shape (p, p).
+    """Covariance of the free parameters and its Cramer-Rao bound, in the units of the free vector,
+    shape (p, p).
 
     Attributes:
-        achieved: Covariance with the inertia at the solution of its equation.
+        achieved: Covariance with the inertia at the solution of its estimating equation.
         floor: Cramer-Rao bound.
-        step: Step of the free parameters to that solution, with the other parameters following the
-            inertia, shape (p,).
+        step: Step of the free parameters to this solution, in which the other parameters change
+            with the inertia, shape (p,).
     """
 
     achieved: Array
@@ -53,9 +53,10 @@ class Covariances:
 def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at a point.
 
-    The inertia has the variance of its estimating equation, and the others follow it (M39). Each
-    parameter is scaled by the scatter of its scores from segment to segment (M40, M41; Liang and
-    Zeger, Biometrika 73 (1986) 13); the inertia's variance is never lowered.
+    The variance of the inertia is that of its estimating equation; the other parameters change with
+    the inertia (M39). The standard deviation of each parameter is scaled by the scatter of its
+    scores from segment to segment (M40, M41; Liang and Zeger, Biometrika 73 (1986) 13); the scaling
+    never lowers the variance of the inertia.
 
     Args:
         point: Point at the estimate.
@@ -99,10 +100,10 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 def _replicate_bounds(
     point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the bound with and without variance inflation, (p, p) each; None where the replicates
-    determine no bound.
+    """Return the bound with and without variance inflation, shape (p, p) each; None if the
+    replicates determine no bound.
 
-    Inflation is a choice of the estimator and not part of the floor (M38).
+    Variance inflation is a choice of the estimator and not part of the floor (M38).
     """
     if not replicates:
         return None
@@ -135,12 +136,12 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
 def _spread(
     jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]
 ) -> Array:
-    """Return the ratio of the scores' standard deviation between segments to the noise model's,
-    shape (p,) (M41).
+    """Return the ratio of the standard deviation of the scores between segments to the standard
+    deviation by the noise model, shape (p,) (M41).
 
-    A recording has few segments, so the ratio is shrunk toward its mean over replicates, or toward
-    one without replicates. It may be below one: the drive's loop compensates part of the current
-    noise within a segment.
+    A recording has few segments, so that the ratio is moved toward its mean over replicates, or
+    toward one without replicates. The ratio may be below one, because the drive's loop compensates
+    part of the current noise within a segment.
 
     Args:
         jacobian: Jacobian of the residuals.
@@ -163,7 +164,7 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
     """
     weight = huber_weight(residual, HUBER_THRESHOLD)
     normal, scale = equilibrated(jacobian.product(weight))
-    # A segment may have no information on its own breakaway time.
+    # A segment may contain no information on its breakaway time.
     inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
     plain, sums = np.zeros((2, jacobian.blocks, influence.shape[1]))
@@ -179,8 +180,8 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
 def named_covariances(
     found: Covariances, joint: Point, names: Sequence[str]
 ) -> tuple[Array, Array]:
-    """Return achieved covariance and floor in the order of ``names``, with static limits in place
-    of rises, (p, p).
+    """Return the achieved covariance and the floor in the order of ``names``, with static limits in
+    place of rises, shape (p, p).
     """
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
@@ -191,7 +192,9 @@ def named_covariances(
 
 
 def rise_to_static(names: Sequence[str]) -> Array:
-    """Return the map from (Coulomb level, rise) to (Coulomb level, static limit), shape (p, p)."""
+    """Return the matrix of the transformation from (Coulomb level, rise) to (Coulomb level, static
+    limit), shape (p, p).
+    """
     turn = np.eye(len(names))
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
         if coulomb in names and static in names:

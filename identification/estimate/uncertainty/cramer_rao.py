@@ -1,14 +1,15 @@
-"""The Cramer-Rao bound of an experiment (M37, M38).
+"""Cramer-Rao bound of an experiment: the least variance of any unbiased estimate (M37, M38).
 
-The measured current is a given input, because the drive loop is unknown; the encoder is quantised;
-breakaway times are unknown. The Fisher information is computed from the mean of the prediction
-errors: products of sensitivities over standard deviations, summed over samples (Ljung, System
-Identification, 2nd ed., 7.4), breakaway times eliminated.
+The bound holds for a measured current that is a given input, because the drive loop is unknown, for
+a quantised encoder, and for unknown breakaway times. The Fisher information is computed from the
+mean of the prediction errors: products of sensitivities over standard deviations, summed over
+samples (Ljung, System Identification, 2nd ed., 7.4), breakaway times eliminated.
 
-A segment's own sensitivities contain the current noise, whose square would count as excitation.
-With replicates, products of sensitivities under two different noise realisations are used. Without
-replicates, the mean over matching half cycles is used: the share of the noise falls with their
-number, but differences between them are lost, so that this bound is up to a quarter too high.
+The sensitivities of a segment contain the current noise, whose square would count as excitation.
+With replicates, products of sensitivities from two different noise realisations are used. Without
+replicates, the mean over matching half cycles is used. The share of the noise falls with the number
+of half cycles, but the mean loses differences between half cycles, so that this bound is up to a
+quarter too high.
 """
 
 from __future__ import annotations
@@ -28,14 +29,14 @@ from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.least_squares import equilibrated
 
 _SILENT = 1e-12
-"""Information on an unknown that affects no residual."""
+"""Information that is assumed for an unknown that affects no residual."""
 
 
 def matching_means(jacobian: BlockArrow, others: BlockArrow, counts: Array) -> BlockArrow:
     """Return the mean of sensitivities over matching half cycles.
 
     Args:
-        jacobian: Sensitivities of each segment itself, of r rows.
+        jacobian: Sensitivities of each segment, r rows.
         others: Mean over the other matching half cycles.
         counts: Number of matching half cycles of each row, including itself, shape (r,).
     """
@@ -52,7 +53,7 @@ def bound(matching: BlockArrow) -> Array:
         Shape (p, p).
 
     Raises:
-        numpy.linalg.LinAlgError: The unknowns are not all excited.
+        numpy.linalg.LinAlgError: The recordings do not excite all unknowns.
     """
     normal, scale = equilibrated(matching.product())
     silent = np.flatnonzero(np.diag(normal) == 0.0)

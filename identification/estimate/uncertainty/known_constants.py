@@ -1,9 +1,10 @@
-"""What the uncertainty of known constants does to the estimates.
+"""Adds the uncertainty of known constants, such as the torque constant, to that of the estimates.
 
-The fit takes torque constant, gear ratio, weights and their like as given. Each that is uncertain
-is raised and lowered by its standard deviation, the equation error is solved again, and half the
-difference d is what one standard deviation changes, to first order; d d' joins the covariance of
-the estimates. The constants' errors count as independent of each other and of the noise.
+The fit takes torque constant, gear ratio, weights and similar constants as exact. Here each
+uncertain constant is raised and lowered by its standard deviation, and the equation error is solved
+for both values. Half the difference of the two solutions, d, is the effect of one standard
+deviation to first order; d d' is added to the covariance of the estimates. The errors of the
+constants count as independent of each other and of the noise.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from identification.recording import Recording
 from identification.result import KnownConstant
 
 Solve = Callable[[Sequence[Prepared]], Mapping[str, float]]
-"""Solves the equation error of prepared recordings: name to value."""
+"""Function that solves the equation error of prepared recordings and returns values by name."""
 
 
 class Constant(NamedTuple):
@@ -32,10 +33,10 @@ class Constant(NamedTuple):
 
 
 def uncertain_constants(recordings: Sequence[Recording]) -> tuple[Constant, ...]:
-    """Return the uncertain constants of recordings, each once.
+    """Return the uncertain constants of the recordings, without duplicates.
 
-    Constants of several recordings that agree in place, value and uncertainty are one, such as a
-    weight that was hung several times.
+    Constants of several recordings with the same place, value and uncertainty are one constant,
+    such as a weight that was hung several times.
     """
     found: dict[Constant, None] = {}
     for recording in recordings:
@@ -45,11 +46,11 @@ def uncertain_constants(recordings: Sequence[Recording]) -> tuple[Constant, ...]
 
 
 def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[KnownConstant, ...]:
-    """Return what one standard deviation of each uncertain constant changes.
+    """Return the effect of one standard deviation of each uncertain constant on the estimates.
 
     Args:
         active: Recordings to fit, prepared.
-        solve: Solves their equation error.
+        solve: Function that solves the equation error of the recordings.
 
     Raises:
         RecordingError: The fit fails with a constant at the end of its uncertainty.
@@ -66,7 +67,7 @@ def shifts_of_constants(active: Sequence[Prepared], solve: Solve) -> tuple[Known
 
 
 def with_constants(spread: Spread, constants: Sequence[KnownConstant]) -> Spread:
-    """Return the covariance of the estimates with that of the constants."""
+    """Return the covariance of the estimates, with the covariance due to the constants added."""
     covariance = spread.covariance
     for constant in constants:
         d = np.array([constant.shifts.get(name, 0.0) for name in spread.names])
@@ -75,7 +76,9 @@ def with_constants(spread: Spread, constants: Sequence[KnownConstant]) -> Spread
 
 
 def _moved(recording: Recording, constant: Constant, side: float) -> Recording:
-    """Return the recording with a constant moved by its standard deviation, where it has it."""
+    """Return the recording with a constant changed by its standard deviation; unchanged if the
+    recording does not contain the constant.
+    """
     place, value, uncertainty = constant
     if recording.uncertainties.get(place) != uncertainty or _read(recording, place) != value:
         return recording

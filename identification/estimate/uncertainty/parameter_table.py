@@ -1,6 +1,4 @@
-"""The parameter table and the fit errors of a report: values, intervals, and the reason why a value
-is withheld (M43).
-"""
+"""Parameter table and fit errors: values, intervals, reasons for withheld values (M43)."""
 
 from __future__ import annotations
 
@@ -37,7 +35,9 @@ LEAST_RISE = 1e-3
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
-    """Return name to unit; torques are in A where no torque constant is known."""
+    """Return the unit of each parameter by name; torques are in A where no torque constant is
+    known.
+    """
     recording = prepared[0].recording
     amperes = torque_unit(recording) == "A"
     motion = recording.bench.motion
@@ -75,9 +75,9 @@ def fit_of(
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
     """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    Recordings have different unknown error levels: one that is too fast for the bandwidth has an
-    error many times that of the others. In the geometric mean each recording has the same weight,
-    whatever its length.
+    The error level of a recording is unknown and differs between recordings: a recording that is
+    too fast for the bandwidth has an error many times that of the others. In the geometric mean
+    each recording has the same weight, independent of its length.
     """
     errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
     return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
@@ -121,8 +121,8 @@ def parameter_table(
     model: Model,
     floors: Mapping[str, float],
 ) -> dict[str, Parameter]:
-    """Return every parameter with its interval and its floor if known, or with the reason why it
-    has none.
+    """Return every parameter with its interval and, if known, its floor, or with the reason why it
+    has no interval.
     """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
@@ -179,14 +179,14 @@ def _judge_rise(
     if not _rise_is_seen(names, values, spread):
         unit = "" if table[static].unit == "1" else f" {table[static].unit}"
         reason = (
-            f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not seen in "
-            f"these recordings"
+            f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not significant in "
+            "these recordings"
         )
         withheld = (static,) if keep_speed else (static, speed)
         for name in (n for n in withheld if n in spread.names and table[n].identifiable):
             table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
     elif table[speed].at_bound and table[static].identifiable:
-        reason = f"it is the end of the falling part of friction, and {table[speed].reason}"
+        reason = f"it is the friction at the end of the falling part, and {table[speed].reason}"
         table[static] = Parameter(
             static, table[static].unit, None, identifiable=False, reason=reason
         )
@@ -247,15 +247,15 @@ def _why(
     """Return the reason why a parameter is not identifiable."""
     if at_bound and name in ("omega_sf", "omega_sL"):
         return (
-            f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction "
-            f"is not seen"
+            f"the search ends at its bound of {value:.3g} {unit}: the recordings do not show the "
+            "falling part of friction"
         )
     if at_bound:
-        return "the data ask for a value below 0, its bound"
+        return "the best fit would be below 0, which is the bound of the value"
     suffix = "" if unit == "1" else f" {unit}"
     interval = (
-        f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide "
-        f"to call it known"
+        f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide for "
+        "the value to count as identified"
     )
     if name == "J":
         inertia = max(

@@ -1,9 +1,9 @@
-"""Priors on parameters: what was known of them before, joined with what the recordings say.
+"""Combines prior values of parameters with their estimates from the recordings.
 
 A prior p with standard deviation s is one more row (value - p)/s of the least squares. With the
-covariance C of the estimate x, to second order of the likelihood, the joint optimum is the update
-x + C H' (H C H' + S)^-1 (p - H x), its covariance C - C H' (H C H' + S)^-1 H C, where H picks the
-parameters with a prior and S holds their variances.
+covariance C of the estimate x, and the likelihood approximated to second order, the joint optimum
+is the update x + C H' (H C H' + S)^-1 (p - H x), its covariance C - C H' (H C H' + S)^-1 H C, where
+H picks the parameters with a prior and S holds their variances.
 """
 
 from __future__ import annotations
@@ -19,26 +19,28 @@ from identification.numerics.spread import Spread
 from identification.result import Prior
 
 CONTRADICTS = 2.6
-"""Standard deviations between prior and recordings above which a warning says that they disagree;
-one in a hundred is further by chance.
+"""Difference between prior and recordings, in standard deviations, above which a warning states
+that they disagree; by chance one difference in a hundred is greater.
 """
 _UNKNOWN = 1e8
-"""Standard deviation, over the prior's, of a parameter that the recordings do not determine."""
+"""Standard deviation that is assumed for a parameter that the recordings do not determine, relative
+to that of the prior.
+"""
 
 
 def with_priors(
     values: Mapping[str, float], spread: Spread, known: Mapping[str, tuple[float, float]]
 ) -> tuple[dict[str, float], Spread, tuple[Prior, ...], tuple[str, ...]]:
-    """Return values and covariance with the priors, what each prior did, and warnings.
+    """Return values and covariance with the priors, the effect of each prior, and warnings.
 
     Args:
         values: Estimates without priors, by name.
-        spread: Their covariance.
-        known: Parameter to prior value and standard deviation.
+        spread: Covariance of the estimates.
+        known: Prior value and standard deviation of each parameter with a prior, by name.
     """
     names = [n for n in known if n in spread.names]
     warnings = [
-        f"the prior of {name} has no effect: the recordings show no such part of friction to fit"
+        f"the prior of {name} has no effect: the recordings do not show this part of friction"
         for name in known
         if name not in names
     ]
@@ -51,7 +53,7 @@ def with_priors(
     sum_ = covariance[np.ix_(at, at)] + np.diag(deviations**2)
     gain = np.linalg.solve(sum_, covariance[at]).T
     after = before + gain @ (wanted - before[at])
-    # The same covariance in a form that keeps its digits where a prior is all that is known.
+    # This form of the covariance keeps its precision where a prior alone determines a parameter.
     rest = np.eye(len(before))
     rest[:, at] -= gain
     left = rest @ covariance @ rest.T + gain @ np.diag(deviations**2) @ gain.T
@@ -71,14 +73,16 @@ def with_priors(
                 f"of them is wrong, and the values lie between"
             )
         used.append(Prior(n, value, deviation, values[n], alone, found[n], math.sqrt(left[k, k])))
-    # Variances that are not finite stay so where there is no prior.
+    # A variance that is not finite stays so if the parameter has no prior.
     kept = np.where(np.isfinite(spread.covariance), left, spread.covariance)
     kept[np.ix_(at, at)] = left[np.ix_(at, at)]
     return found, replace(spread, covariance=kept), tuple(used), tuple(warnings)
 
 
 def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarray:
-    """Return the covariance with what is not determined as wide and unrelated to the rest."""
+    """Return the covariance in which undetermined parameters have a large variance and no
+    correlation with the others.
+    """
     made = np.array(covariance, dtype=np.float64)
     for k in np.flatnonzero(~np.isfinite(np.diag(covariance))):
         made[k, :] = made[:, k] = 0.0
@@ -87,11 +91,16 @@ def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarr
 
 
 def _within(values: dict[str, float], names: Sequence[str]) -> tuple[dict[str, float], list[str]]:
-    """Return values within their limits, and warnings where a prior led beyond them."""
+    """Return the values moved to their limits where a prior led beyond them, and warnings about
+    these.
+    """
     found = {n: max(v, 0.0) if n in names and n != "offset" else v for n, v in values.items()}
     for coulomb, static, _ in STRIBECK_TERMS:
         if static in names and found[static] < found.get(coulomb, 0.0):
             found[static] = found[coulomb]
     beyond = [n for n in names if found[n] != values[n]]
-    words = "the priors lead beyond the limits of {}, where it is held: they contradict the rest"
+    words = (
+        "the priors lead beyond the limits of {}, which is set to its limit: the priors contradict "
+        "the recordings"
+    )
     return found, [words.format(n) for n in beyond]

@@ -1,5 +1,7 @@
-"""Trade-offs of an estimate as text: strongly correlated pairs of parameters with the combination
-that is determined, and the least determined combination of all.
+"""Describes correlated parameters of an estimate as text, with their determined combinations.
+
+The text lists each strongly correlated pair with the combination of the two that the recordings
+determine, and the least determined combination of all parameters.
 """
 
 from __future__ import annotations
@@ -16,7 +18,9 @@ from identification.result import Tradeoff
 TRADE_OFF = 0.9
 """Correlation from which two parameters count as a trade-off."""
 _SHOWN = 0.3
-"""Least share in a combination that is listed, over the greatest share."""
+"""Least share of a parameter in a combination for the parameter to be listed, relative to the
+greatest share.
+"""
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
 """Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck
@@ -29,12 +33,13 @@ _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 def tradeoffs(
     spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
 ) -> tuple[Tradeoff, ...]:
-    """Return the pairs that correlate by :data:`TRADE_OFF` or more, the closest first.
+    """Return the pairs with a correlation of :data:`TRADE_OFF` or more, the highest correlation
+    first.
 
     Args:
         spread: Covariance of the fitted parameters.
-        values: Name to value.
-        units: Name to unit.
+        values: Value of each parameter by name.
+        units: Unit of each parameter by name.
     """
     names, correlation = _correlation(spread, values)
     found = []
@@ -53,7 +58,7 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     """Return a text with the least determined combination of relative changes; empty if nothing was
     fitted.
 
-    It is the eigenvector of the relative covariance with the greatest eigenvalue.
+    This combination is the eigenvector of the relative covariance with the greatest eigenvalue.
     """
     names, correlation = _correlation(spread, values)
     if not names:

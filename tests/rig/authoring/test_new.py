@@ -192,7 +192,7 @@ def test_a_refused_answer_is_asked_for_again(
     assert status(["new", "campaign", "c.yaml", "a.csv", *given]) == 0
     shown = "".join(capsys.readouterr())
     assert "a.csv has no column 'nowhere'; it has t, y, z" in shown
-    assert "no `torque`, `current` or `voltage`; map at least one" in shown
+    assert "no `torque`, `current` or `voltage`; add at least one" in shown
     assert "c.yaml:" not in shown
     channels = load_campaign(Path("c.yaml")).value.recordings[0].channels
     assert {name: (c.column, c.scale) for name, c in channels.items()} == {

@@ -1,1 +1,1 @@
-"""Effects that can be injected into the simulated machine: names, ranges, formulas and kernel."""
+"""Effects beyond the nominal model that can be injected into the simulated machine."""

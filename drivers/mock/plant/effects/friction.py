@@ -1,4 +1,4 @@
-"""Joint friction beyond the nominal law: asymmetry, drag, memory, rest, and bristles (LuGre)."""
+"""Injected friction effects at the joint: asymmetry, drag, memory, rest time, bristles (LuGre)."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from drivers.mock.plant.parts.friction import (
 SIDE, VISCOUS_SIDE, DRAG, LAGGED, WORK_SIZE = range(FRICTION_SIZE, FRICTION_SIZE + 5)
 
 _BRISTLE_DAMPING = 0.2
-"""Damping ratio of the joint on its bristles while it sticks; chosen."""
+"""Damping ratio of the joint on its bristles while it sticks; an assumption."""
 
 
 @inlined
 def static_limit(side: float, w: Vector) -> float:
-    """Return the static friction limit against a torque to ``side`` (1 or -1), N m."""
+    """Return the static friction limit against a torque in direction ``side`` (1 or -1), N m."""
     return float(
         max(w[MC] + w[DM] + w[MOMENT] * (w[MU_C] + w[DMU]) + side * w[SIDE] + w[LAGGED], 0.0)
     )
@@ -40,8 +40,8 @@ def static_limit(side: float, w: Vector) -> float:
 
 @inlined
 def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float]:
-    """Return friction while slipping to ``side`` at ``speed`` >= 0 rad/s, and its slope; N m and N
-    m s/rad.
+    """Return friction at a sliding ``speed`` >= 0 rad/s in the direction ``side``, and its slope; N
+    m and N m s/rad.
     """
     magnitude, slope = friction(speed, w)
     magnitude += side * (w[SIDE] + w[VISCOUS_SIDE] * speed) + w[DRAG] * speed * speed + w[LAGGED]
@@ -69,9 +69,9 @@ def bristle_level(speed: float, p: Vector, moment: float) -> float:
 def step_slipping(
     omega: float, before: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance J domega/dt = torque - friction by ``h``; friction may differ by side.
+    """Advance J domega/dt = torque - friction by ``h``; friction may depend on the direction.
 
-    With the same friction on both sides it is
+    With the same friction in both directions the result is that of
     :func:`drivers.mock.plant.parts.friction.step_velocity`.
 
     Returns:
@@ -110,11 +110,11 @@ def step_slipping(
 def step_bristles(
     omega: float, z: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance a joint whose friction is carried by bristles (LuGre; Canudas de Wit et al. 1995) by
-    ``h``.
+    """Advance a joint with bristle friction (LuGre model; Canudas de Wit et al. 1995) by ``h``.
 
     dz/dt = omega - sigma_0 |omega| z / g(omega); friction = sigma_0 z + sigma_1 dz/dt + viscous
-    part, with sigma_1 fading with speed. Linearly implicit: stable for any stiffness.
+    part, with sigma_1 fading with speed. The step is linearly implicit, and therefore stable for
+    any stiffness.
 
     Args:
         omega: Speed, rad/s.
@@ -125,7 +125,7 @@ def step_bristles(
         e: Effect vector.
 
     Returns:
-        Speed and deflection after the step, and the friction torque over it with its sign.
+        Speed and deflection after the step, and the friction torque over the step, with its sign.
     """
     stiffness = e[PRESLIDING_STIFFNESS]
     inertia = w[INERTIA]

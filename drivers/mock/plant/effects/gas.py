@@ -1,5 +1,6 @@
-"""Effects injected into the gas generator: deposits, tapered grain, erosion, heat loss to cold
-walls, leak; and decoys.
+"""Injected effects in the gas generator: deposits, tapered grain, erosion, heat loss, leak.
+
+The module also has effects that are in no catalogue (decoys).
 
 Slots are relative to the start of the injected part of the gas vector and of the gas state.
 """
@@ -31,11 +32,11 @@ from drivers.mock.plant.parts.compiled import Vector, inlined
     HIDDEN_SIZE,
 ) = range(15)
 
-# Behind the nominal state.
+# Indices of the state of the effects, after those of the nominal state.
 (
     WEB,  # m, burnt since ignition
-    COOLED,  # share of the flame's temperature that the gas has lost
-    WARMED,  # temperature of the walls over the flame's, above the cold ones
+    COOLED,  # share of the flame temperature that the gas has lost
+    WARMED,  # temperature rise of the walls, relative to the flame temperature
     MEMORY_SIZE,
 ) = range(4)
 
@@ -49,8 +50,8 @@ GAS_CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     },
     "leakage": {"area_m2": Parameter(LEAK, 0.0, 2e-4)},
 }
-"""Effect -> parameter -> slot and range; ``rate_m_s`` is how fast the layer on all rims of the
-throat grows thicker.
+"""Slot and range of each parameter of each effect; ``rate_m_s`` is the growth rate of the thickness
+of the layer on all rims of the throat.
 """
 
 GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
@@ -69,7 +70,7 @@ GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
         "length_s": Parameter(PUFF_LENGTH, 1e-3, 10.0),
     },
 }
-"""Effect -> parameter -> slot and range, for effects that are in no catalogue."""
+"""Slot and range of each parameter of each effect that is in no catalogue."""
 
 
 @inlined
@@ -80,7 +81,7 @@ def layer(burn_time: float, g: Vector, at: int) -> float:
 
 @inlined
 def open_share(burn_time: float, g: Vector, at: int) -> float:
-    """Return the share of the throat not closed by slag."""
+    """Return the share of the throat area that slag does not close."""
     if g[at + PUFF_SHARE] == 0.0:
         return 1.0
     slot = math.floor(burn_time / g[at + PUFF_PERIOD])
@@ -91,7 +92,7 @@ def open_share(burn_time: float, g: Vector, at: int) -> float:
 
 @inlined
 def burning_share(web: float, g: Vector, at: int) -> float:
-    """Return the burning area of a tapered grain, relative to ignition."""
+    """Return the burning area of a tapered grain, relative to that at ignition."""
     return float((1.0 + g[at + TAPER] * web) ** 2)
 
 
@@ -140,8 +141,8 @@ def cool(
     """Advance gas and wall temperatures by ``h`` s.
 
     Fresh gas at flame temperature mixes with the stored gas, which loses heat to the walls: stored
-    ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. Exact in the mixing, explicit in
-    the heat.
+    ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. The step is exact for the mixing
+    and explicit for the heat flow.
 
     Args:
         cooled: 1 - s.
@@ -151,7 +152,7 @@ def cool(
         enthalpy: Specific enthalpy at flame temperature, J/kg.
         h: Step, s.
         g: Parameters of the gas generator.
-        at: Start of its injected part.
+        at: Start of the injected part of ``g``.
     """
     heat = chill(cooled, warmed, g, at) / enthalpy
     settled = heat / burnt

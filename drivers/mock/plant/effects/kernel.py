@@ -1,4 +1,7 @@
-"""Compiled kernel of a machine with injected effects; without any it equals the nominal kernel."""
+"""Compiled integration of a machine with injected effects.
+
+Without effects the results equal those of the nominal kernel.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +111,8 @@ def integrate(
 ) -> float:
     """Integrate one loop period at constant voltage and return the charge, A s.
 
-    One mass: the nominal splitting. Two: angles half a step, speeds a step, angles half a step.
+    A machine with one mass uses the splitting of the nominal kernel. With two masses, the angles
+    advance half a step, then the speeds a step, then the angles half a step.
     """
     h = d[LOOP_S] / d[STEPS]
     at = CONSTANTS_AT
@@ -116,8 +120,8 @@ def integrate(
     outside = e[at + OUTSIDE_TORQUE] != 0.0
     gear, rotor_inertia, damping = e[at + GEAR], e[at + ROTOR_INERTIA], e[at + SHAFT_DAMPING]
     per_ampere, per_speed = d[TORQUE_PER_AMPERE], d[EMF_PER_SPEED]
-    # Everything that changes is local to the loop, so that the compiler may keep the effect vector
-    # in registers.
+    # All variables that change are local to the loop, so that the compiler may keep the effect
+    # vector in registers.
     omega, theta, current = s[OMEGA], x[JOINT], s[CURRENT]
     rotor, turning = s[THETA], x[ROTOR_SPEED]
     effective, bristles = x[TORQUE_CURRENT], x[BRISTLES]
@@ -138,8 +142,8 @@ def integrate(
             current = winding(
                 current, voltage, per_speed * flux * turning, resistance, dead, decay, e
             )
-        # The torque over the step is due to the mean of the lagging current; the current at the end
-        # is half a step later.
+        # The mean of the lagging current determines the torque over the step; the current at the
+        # end is half a step later.
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
@@ -152,7 +156,8 @@ def integrate(
             twist = rotor - theta - error
             before = deflection(play, e)
             given, play = give_way(twist, play, e)
-            # The coupling is in series with the shaft; the shaft's damping does not act on it.
+            # The coupling is in series with the shaft; the damping of the shaft does not act on the
+            # coupling.
             rate = turning - omega * (1.0 + steepness) - (given - before) / h
             carried = shaft_torque(twist, rate, given, damping, e)
             transmitted = carried * (1.0 + steepness)
@@ -187,8 +192,8 @@ def integrate(
 
 @inlined
 def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
-    """Set the supply voltage under the present load, and return the winding voltage for
-    ``voltage``, V.
+    """Set the supply voltage under the present load, and return the winding voltage for the
+    commanded ``voltage``, V.
     """
     nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]
     x[SUPPLY] = nominal
@@ -213,7 +218,7 @@ def advance_hiding(
     """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.parts.loops.advance` does,
     with effects.
 
-    ``x`` and ``histories`` are the extra state; ``e`` the effect vector.
+    ``x`` and ``histories`` are the state of the effects; ``e`` is the effect vector.
     """
     period = d[LOOP_S]
     step = period / d[STEPS]

@@ -1,6 +1,4 @@
-"""Injected effects on the load of the joint: torque of imbalance, spring and end stop, and a factor
-on the contact force.
-"""
+"""Injected load effects at the joint: imbalance, spring, end stop, and contact force factor."""
 
 from __future__ import annotations
 
@@ -22,15 +20,16 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 _STOP_DAMPING_S = 2e-3
-"""Damping of an end stop over its stiffness, s; chosen: a rubber pad."""
+"""Ratio of an end stop's damping to its stiffness, s; an assumption, for a rubber pad."""
 
 
 @inlined
 def device_torque(theta: float, omega: float, e: Vector) -> float:
     """Return the torque of imbalance, spring and end stop on the joint, N m.
 
-    A stop only pushes. It acts beyond ``angle_rad``, on the side of its sign; with a second stop
-    (``other_rad``, 0 for none) above the one and below the other.
+    A stop pushes only away from itself. One stop acts beyond ``angle_rad``, in the direction of the
+    sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first acts above
+    ``angle_rad`` and the second below ``other_rad``.
     """
     torque = 0.0
     if e[GRAVITY_TORQUE] != 0.0:

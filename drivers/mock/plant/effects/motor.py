@@ -1,4 +1,4 @@
-"""Effects in motor and power stage beyond eq. 1."""
+"""Injected effects in motor and power stage: heating, saturation, cogging, dead time, droop."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 COPPER_PER_K = 0.00393
-"""Temperature coefficient of a copper winding's resistance."""
+"""Temperature coefficient of the resistance of a copper winding, 1/K."""
 MAGNET_PER_K = -0.001
-"""Temperature coefficient (decrease) of magnet flux, torque constant and back-EMF."""
+"""Relative decrease of magnet flux, torque constant and back-EMF per kelvin."""
 
 
 @inlined
@@ -37,9 +37,9 @@ def winding(
 ) -> float:
     """Return the current after half a step at constant voltage and speed.
 
-    The dead time opposes the current with a fixed voltage ``dead``, the brushes with one that grows
-    with the current. A current brought to zero by the dead time stays zero until the voltage
-    exceeds ``dead``.
+    The dead time opposes the current with the constant voltage ``dead``; the brushes oppose the
+    current with a voltage that grows with the current. A current that the dead time brings to zero
+    stays zero until the voltage exceeds ``dead``.
     """
     push = voltage - emf
     if e[BRUSH_VOLTAGE] != 0.0:
@@ -60,14 +60,14 @@ def winding(
 
 @inlined
 def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
-    """Return the voltage loss by the dead time, V: a share of the supply voltage."""
+    """Return the voltage loss due to the dead time, V, which is a share of the supply voltage."""
     return float(e[DEAD_TIME_VOLTAGE] * supply / nominal)
 
 
 @inlined
 def flux_factor(shaft: float, e: Vector) -> float:
-    """Return the flux relative to its mean at a motor angle (rad); it scales torque and
-    back-EMF.
+    """Return the ratio of the flux at a motor angle (rad) to the mean flux; this ratio scales
+    torque and back-EMF.
     """
     if e[RIPPLE_FRACTION] == 0.0:
         return 1.0

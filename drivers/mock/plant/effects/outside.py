@@ -1,4 +1,4 @@
-"""Effects that are in no catalogue: decoys that a diagnosis must locate but not name."""
+"""Injected effects that are in no catalogue: a diagnosis must locate them without naming them."""
 
 from __future__ import annotations
 
@@ -80,11 +80,11 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
     },
     "x_loaded_drag": {"coefficient_s2_rad2": Parameter(LOADED_DRAG, 0.0, 2.0)},
 }
-"""Effect -> parameter -> slot and range."""
+"""Slot and range of each parameter of each effect."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed in rad/s below which drag proportional to the root of speed is made linear, so that its
-slope is finite.
+"""Speed, rad/s, below which a drag proportional to the square root of the speed is linear, so that
+its slope is finite.
 """
 
 
@@ -97,8 +97,8 @@ def scatter(number: float) -> float:
 
 @inlined
 def outside_torque(run: float, theta: float, travel: float, e: Vector) -> float:
-    """Return the torque on the joint that depends on running time, angle and the memory of travel,
-    N m.
+    """Return the torque on the joint that depends on running time, angle and the former travel, N
+    m.
     """
     torque = 0.0
     if e[TIMED_TORQUE] != 0.0:

@@ -1,4 +1,4 @@
-"""Checks the requested effects and packs them into the vector for compiled code."""
+"""Checks the requested injected effects and packs them into a vector for compiled code."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from drivers.mock.plant.parts import constants
 Effects = Mapping[str, Mapping[str, float]]
 KNOWN: Mapping[str, Mapping[str, Parameter]] = {**CATALOGUE, **OUTSIDE}
 GAS_KNOWN: Mapping[str, Mapping[str, Parameter]] = {**GAS_CATALOGUE, **GAS_OUTSIDE}
-"""Effects of the gas generator; their slots are in its own vector."""
+"""Effects of the gas generator; their parameters are in the vector of the gas generator."""
 _EVERY = {**KNOWN, **GAS_KNOWN}
 _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
 def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the requested effects, each as path of names and message."""
+    """Yield the problems of the requested effects, each as a path of names and a message."""
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
@@ -83,7 +83,7 @@ def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Return the vector without effects for the kernel with injected effects."""
+    """Return an effect vector without effects, for the kernel with injected effects."""
     e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
     e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
     e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
@@ -92,14 +92,14 @@ def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 def too_light(machine: constants.Machine) -> str | None:
-    """Return the problem if an elastic transmission has no inertia on one of its sides."""
+    """Return a text if an elastic transmission has no inertia on one of its sides."""
     rotor, total = _rotor(machine), machine.joint.inertia_kg_m2
     if not _TWO_MASS & machine.effects.keys() or 0.0 < rotor < total:
         return None
     return (
-        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in all, and a transmission "
-        f"that gives needs some "
-        f"on both sides; between 0 and {total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
+        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in total, and an elastic "
+        f"transmission needs inertia on both sides; set it between 0 and "
+        f"{total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
     )
 
 

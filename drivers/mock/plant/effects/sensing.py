@@ -1,4 +1,4 @@
-"""Injected effects of the joint encoder (slip, eccentricity, delay) and skew of the current."""
+"""Injected measurement effects: slip, eccentricity and delay of the joint encoder, current skew."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Histories = NDArray[np.float64]
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return the value ``delay_s`` ago, interpolated between loop periods; ``loop`` is the
-    newest index.
+    """Return the value of ``delay_s`` before the newest one, interpolated between loop periods;
+    ``loop`` is the index of the newest value.
     """
     back = delay_s / period_s
     whole = math.floor(back)
@@ -39,8 +39,8 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Sample the joint encoder, and return this period's charge (A s) in the logged mean
-    current.
+    """Sample the joint encoder, and return the charge (A s) of this period as the logged mean
+    current contains it.
     """
     x[LOOP] += 1.0
     at = int(x[LOOP]) & (HISTORY - 1)

@@ -1,4 +1,4 @@
-"""Elastic transmission: rotor and joint as two masses with backlash, spring and hysteresis between.
+"""Injected elastic transmission: two masses with backlash, spring and hysteresis.
 
 All quantities are at the joint: ``twist`` is phi/i - theta.
 """
@@ -19,9 +19,11 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 HARD_N_M_RAD = 1e6
-"""Default stiffness of teeth and shaft: 20 N m twist it by 20 microradian, one encoder count."""
+"""Default stiffness of teeth and shaft: 20 N m twist the shaft by 20 microradian, one encoder
+count.
+"""
 DAMPING_RATIO = 0.08
-"""Damping ratio of rotor against joint on the shaft's spring; chosen."""
+"""Damping ratio of rotor against joint on the spring of the shaft; an assumption."""
 
 
 @inlined
@@ -34,11 +36,11 @@ def stiffness_of(e: Vector) -> float:
 def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vector) -> float:
     """Return the torque that the shaft transmits from rotor to joint.
 
-    Teeth only push: damping cannot reverse the torque of a closed gap.
+    Teeth can only push, so that damping does not reverse the torque of a closed gap.
 
     Args:
         twist: Twist, rad.
-        rate: Its rate without the coupling's, rad/s.
+        rate: Rate of the twist without that of the coupling, rad/s.
         given: Deflection in the coupling's hysteresis, rad.
         damping: Damping, N m s/rad.
         e: Effect vector.
@@ -66,10 +68,10 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
     """Return the deflection (rad) and the play (N m) of a coupling with hysteresis in series with
     the shaft's spring.
 
-    Rate-independent and dissipative: a play of half width ``torque_Nm`` follows the torque, and the
-    deflection is ``deflection_rad`` for each ``torque_Nm`` of it, to no more than +-
-    ``deflection_rad``. Deflection and torque are solved together, in closed form, since the spring
-    is stiff.
+    The coupling is rate-independent and dissipative. A play operator of half width ``torque_Nm``
+    follows the torque. The deflection is proportional to the output of the operator,
+    ``deflection_rad`` for ``torque_Nm``, and at most +- ``deflection_rad``. Deflection and torque
+    are solved together in closed form, because the spring is stiff.
 
     Args:
         twist: Twist of spring and coupling, rad.
@@ -93,8 +95,8 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
 
 @inlined
 def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
-    """Return the mesh error phi/i - theta at a joint angle, rad, and its derivative by the
-    angle.
+    """Return the mesh error phi/i - theta at a joint angle, rad, and its derivative with respect to
+    the angle.
     """
     if e[MESH_AMPLITUDE] == 0.0:
         return 0.0, 0.0

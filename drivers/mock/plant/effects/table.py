@@ -1,7 +1,7 @@
-"""Catalogue effects that can be injected: parameters, ranges, slots in the kernel's vector.
+"""Table of the injectable effects of the catalogue: parameters, ranges, places in a vector.
 
-Sizes are at the joint, after the gear, unless the name says otherwise. Effects that are in no
-catalogue are in :mod:`drivers.mock.plant.effects.outside`.
+All sizes are at the joint, after the gear, unless the name of a parameter states otherwise. Effects
+that are in no catalogue are in :mod:`drivers.mock.plant.effects.outside`.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple
 
-# Layout of the effect vector handed to compiled code; 0 is off, whatever the effect.
+# Layout of the effect vector for compiled code; 0 switches any effect off.
 (
     COGGING_TORQUE,
     COGGING_ORDER,
@@ -81,8 +81,8 @@ from typing import NamedTuple
 
 
 class Parameter(NamedTuple):
-    """One parameter of an effect: its slot in the vector, its range, and its default value; None
-    where it must be given.
+    """One parameter of an effect: its slot in the vector, its range, and its default value; None if
+    the value must be given.
     """
 
     slot: int
@@ -94,7 +94,7 @@ class Parameter(NamedTuple):
 _PHASE = (-6.3, 6.3)
 _LONGEST_DELAY_S = 0.1
 STEADY_DRIFT_S = 1e6
-"""Time constant of a drift that does not level off, s."""
+"""Time constant of a drift without saturation, s."""
 
 CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "cogging": {
@@ -201,7 +201,8 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "recording": Parameter(SLIP_RECORDING, 1.0, 1e4),
     },
 }
-"""Effect -> parameter -> slot and range.
+"""Slot and range of each parameter of each effect.
 
-``recording`` counts power-ons from 1; ``at_s`` runs from there.
+``recording`` counts the times that the power is switched on, from 1; ``at_s`` is the time since
+then.
 """

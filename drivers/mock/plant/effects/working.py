@@ -1,4 +1,4 @@
-"""Present friction vector: the nominal one modified by angle, time, rest and load."""
+"""Friction constants of one loop period, modified by injected effects of angle, time and load."""
 
 from __future__ import annotations
 
@@ -22,12 +22,14 @@ from drivers.mock.plant.parts.compiled import Vector, inlined
 from drivers.mock.plant.parts.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT, OMEGA_SF, SIGMA_2
 
 _RENEWAL_RAD = 1e-3
-"""Sliding distance after which the static friction gained at rest is lost; chosen."""
+"""Sliding distance after which the increase of static friction by time at rest is lost; an
+assumption.
+"""
 
 
 @inlined
 def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
-    """Write the working friction vector ``w`` of one loop period, all but its inertia."""
+    """Write the friction vector ``w`` of one loop period, all elements but the inertia."""
     theta = x[JOINT]
     for k in range(FRICTION_SIZE - 1):
         w[k] = p[k]
@@ -69,7 +71,7 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
 def remember(
     w: Vector, p: Vector, e: Vector, x: Vector, before: float, omega: float, h: float
 ) -> None:
-    """Advance the memory states of friction by one loop period of ``h`` seconds."""
+    """Advance the states of friction with memory by one loop period of ``h`` seconds."""
     speed = abs(omega)
     if e[table.MEMORY_TIME] > 0.0:
         wanted = omega
@@ -77,7 +79,8 @@ def remember(
             wanted = bristle_level(speed, p, w[MOMENT])
         x[FALLING] = wanted + (x[FALLING] - wanted) * math.exp(-h / e[table.MEMORY_TIME])
     if e[table.DWELL_GROWTH] != 0.0:
-        # At rest, on bristles too: slower than a hundredth of the Stribeck speed.
+        # The joint counts as at rest, on bristles too, if it is slower than a hundredth of the
+        # Stribeck speed.
         if speed < 0.01 * p[OMEGA_SF]:
             wanted = e[table.DWELL_GROWTH]
             x[GROWN] = wanted + (x[GROWN] - wanted) * math.exp(-h / e[table.DWELL_TIME])

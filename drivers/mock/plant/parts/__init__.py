@@ -1,1 +1,1 @@
-"""Parts of the simulated machine that effects build on: constants, friction, loops, valve."""
+"""Parts of the nominal simulated machine: constants, friction, control loops, valve."""

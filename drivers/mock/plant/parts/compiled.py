@@ -1,6 +1,6 @@
-"""Compilation of all kernels with the same options.
+"""Compiles the numeric kernels of the simulation with numba, all with the same options.
 
-The machine code is kept on disk for the next process: :mod:`drivers.mock.plant.parts.kernel_cache`.
+:mod:`drivers.mock.plant.parts.kernel_cache` keeps the machine code on disk for the next process.
 """
 
 from __future__ import annotations
@@ -28,8 +28,7 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel that allocates nothing, for inner loops: it is inlined in its compiled
-    callers.
+    """Compile a kernel that allocates no memory, for inner loops, into its compiled callers.
 
     Without ``_nrt=False`` numba counts references to every array atomically at every call, which
     costs more than the formulas: the kernel with injected effects would be 2.7 times slower, and

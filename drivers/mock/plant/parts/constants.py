@@ -21,8 +21,8 @@ class Motor:
         torque_constant_N_m_A: Torque constant Km, at the motor.
         back_emf_constant_V_s_rad: Back-EMF constant Ke, at the motor.
         gear_ratio: Motor turns per turn of the joint.
-        rotor_inertia_kg_m2: Inertia of the rotor at the motor. Part of the joint's total; it shows
-            only where the transmission gives.
+        rotor_inertia_kg_m2: Inertia of the rotor at the motor. It is part of the joint's total
+            inertia; its value matters only with an elastic transmission.
     """
 
     resistance_ohm: float = 1.56
@@ -38,7 +38,7 @@ class Joint:
     """Inertia, system load (eq. 9), working load (eq. 12, 13) and lever (eq. 17), at the joint.
 
     Attributes:
-        inertia_kg_m2: Total inertia at the joint, the motor's rotor included.
+        inertia_kg_m2: Total inertia at the joint, including the rotor of the motor.
         Mc_N_m: Coulomb friction without load.
         Ms_N_m: Static friction without load.
         omega_sf_rad_s: Stribeck speed without load.
@@ -46,7 +46,7 @@ class Joint:
         mu_c: Coefficient of sliding friction under the contact force.
         mu_s: Coefficient of static friction under the contact force.
         omega_sL_rad_s: Stribeck speed under load.
-        mu_2_s_rad: Growth of the load's friction coefficient with speed.
+        mu_2_s_rad: Growth of the friction coefficient under load with speed.
         alpha: Exponent of the Stribeck curve.
         moment_arm_m: Radius L1 at which the contact force acts.
         lever_ratio: Contact force over the weight on the lever, L3/L4.
@@ -70,7 +70,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Loops:
-    """The drive's cascade: position P, velocity PI, current PI.
+    """The control loops of the drive in cascade: position P, velocity PI, current PI.
 
     Attributes:
         rate_Hz: Rate of all three loops.
@@ -101,14 +101,15 @@ class Loops:
 
 @dataclass(frozen=True)
 class Sensing:
-    """What the drive and the joint encoder can see; zero counts mean an exact sensor.
+    """Resolution and noise of the sensors of drive and joint; zero counts mean an exact sensor.
 
     Attributes:
         motor_counts_per_turn: Counts of the motor encoder per motor turn.
         joint_counts_per_turn: Counts of the joint encoder per joint turn.
-        current_noise_A: Noise (rms) of the logged mean current over one cycle. Each sample of the
-            current loop carries it times the square root of the samples per cycle.
-        cycle_s: Cycle over which current and voltage are averaged; the control cycle.
+        current_noise_A: Noise (rms) of the logged mean current over one cycle. The noise of each
+            sample of the current loop is this value times the square root of the number of samples
+            per cycle.
+        cycle_s: Time over which current and voltage are averaged, equal to the control cycle.
     """
 
     motor_counts_per_turn: int = 4096
@@ -135,7 +136,7 @@ class Valve:
 
 @dataclass(frozen=True)
 class Transmitter:
-    """The pressure transmitter on the chamber; both values are chosen.
+    """The pressure transmitter on the chamber; both default values are assumptions.
 
     Attributes:
         noise_Pa: Noise (rms) of one sample.
@@ -151,9 +152,9 @@ class GasGenerator:
     """Gas generator, eq. 2 to 8: end burning at r = a p^n, choked outflow p A_t / C_r, ideal gas at
     one temperature.
 
-    The paper gives the first five values; the others are chosen. With these the minimum throat
-    settles at 4.4 MPa, the
-    full one at 0.6 MPa, and the contact force of the closed valve is 3.0 kN, that of Case 2.
+    The paper gives the first five values; the other defaults are assumptions. With these values the
+    pressure is 4.4 MPa at the smallest throat and 0.6 MPa at the full throat, and the contact force
+    of the closed valve is 3.0 kN, as in Case 2 of the paper.
 
     Attributes:
         propellant_density_kg_m3: Density of the propellant.
@@ -166,7 +167,8 @@ class GasGenerator:
         free_volume_m3: Volume of the chamber without the grain, at ignition.
         back_pressure_Pa: Pressure behind the valve.
         transmitter: The pressure transmitter.
-        equation: 7 is exact and conserves mass; 8 neglects the gas density beside the propellant's.
+        equation: 7 is exact and conserves mass; 8 neglects the density of the gas against that of
+            the propellant.
         loops_per_step: Periods of the drive's loops between two updates of pressure and contact
             force.
     """
@@ -187,7 +189,7 @@ class GasGenerator:
 
 @dataclass(frozen=True)
 class Machine:
-    """Everything that defines one simulated bench.
+    """All constants that define one simulated bench.
 
     Attributes:
         motor: The DC motor.
@@ -198,10 +200,10 @@ class Machine:
         steps_per_loop: Integration steps in one period of the drive's loops.
         supply_V: Supply voltage.
         temperature_C: Temperature that the drive reports at the start.
-        warming_K: Rise of the reported temperature in the end.
-        warming_s: Time constant of that rise.
-        effects: Physics that the machine hides: effect to parameter to value.
-            [Catalogue](effects.md).
+        warming_K: Final rise of the reported temperature.
+        warming_s: Time constant of this rise.
+        effects: Injected effects, which the recorded bench file does not state: values of the
+            parameters of each effect. [Catalogue](effects.md).
     """
 
     motor: Motor = field(default_factory=Motor)

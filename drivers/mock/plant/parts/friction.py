@@ -1,7 +1,8 @@
-"""Set-valued Stribeck friction at the joint, and the velocity step that is implicit in it.
+"""Stribeck friction of the simulated joint with true rest, and the time step of its speed.
 
-Eq. 9 (system load) plus eq. 12 and 13 (working load), with the sgn(omega) that the paper leaves
-out: friction opposes motion, and at rest it balances the drive up to the static limit.
+Friction is eq. 9 (system load) plus eq. 12 and 13 (working load), with the factor sgn(omega), which
+the paper omits: friction opposes motion, and at rest it balances the drive torque up to the static
+limit. The time step is implicit in friction.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import math
 
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
-# Layout of the friction vector handed to compiled code.
+# Layout of the friction vector for compiled code.
 MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FRICTION_SIZE = range(
     12
 )
@@ -18,10 +19,11 @@ MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FR
 
 @inlined
 def friction(speed: float, p: Vector) -> tuple[float, float]:
-    """Return (|M_f| + |M_L|, its slope) while slipping at ``speed`` >= 0 rad/s, in N m and N m
-    s/rad.
+    """Return the magnitude |M_f| + |M_L| of friction at a sliding ``speed`` >= 0 rad/s, and its
+    slope, in N m and N m s/rad.
 
-    The magnitude at 0 is the static limit; the slope there is that of the viscous part alone.
+    The magnitude at speed 0 is the static limit; the slope at speed 0 is that of the viscous part
+    alone.
     """
     alpha = p[ALPHA]
     ratio = speed / p[OMEGA_SF]
@@ -49,14 +51,14 @@ def step_velocity(
 ) -> tuple[float, float, float]:
     """Advance J domega/dt = torque - friction by ``h``.
 
-    Trapezoidal and implicit in friction while it slips; a shaft that would pass through zero stops
-    there, and one at rest stays exactly there until the torque exceeds the static limit, so that it
-    neither creeps nor chatters. Needs h < 2 J / |steepest negative slope| for the step to have one
-    solution.
+    While the joint slides, the step is trapezoidal and implicit in friction. A joint whose speed
+    would pass through zero stops. A joint at rest stays exactly at rest until the torque exceeds
+    the static limit, so that it neither creeps nor chatters. The step has one solution if h < 2 J /
+    |steepest negative slope|.
 
     Args:
         omega: Speed, rad/s.
-        before: Friction magnitude at that speed, N m (the last step's third result).
+        before: Friction magnitude at this speed, N m (third result of the last step).
         torque: Drive torque over the step, N m.
         h: Step, s.
         p: Friction vector.
@@ -87,6 +89,6 @@ def step_velocity(
         after -= slope * change
         if (
             abs(change) <= 1e-7 * speed
-        ):  # Newton converges quadratically: the remaining error is below rounding
+        ):  # Newton's method converges quadratically: the remaining error is below rounding.
             break
     return side * speed, 0.5 * h * (before + after), after

@@ -1,4 +1,4 @@
-"""Compiled kernel of the simulated machine: drive cascade, eq. 1 and friction per loop period."""
+"""Compiled integration of the nominal simulated machine: control loops, motor (eq. 1), friction."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from drivers.mock.plant.parts.friction import friction, step_velocity
     VELOCITY_INTEGRAL,  # rad/s
     VOLTAGE_INTEGRAL,  # V
     VELOCITY_ESTIMATE,  # joint, rad/s
-    MEASURED,  # joint angle as the drive saw it last, rad
-    TARGET,  # joint angle asked for, rad
+    MEASURED,  # joint angle that the drive measured last, rad
+    TARGET,  # commanded joint angle, rad
     TARGET_STEP,  # rad per loop
     TARGET_LEFT,  # loops until the target is reached
     MODE,  # OFF, TRACK or BRAKE
@@ -26,7 +26,7 @@ from drivers.mock.plant.parts.friction import friction, step_velocity
     SUM_NOISE,  # A, sum of the sensor noise since the last latch
     SUM_LOOPS,  # loops since the last latch
     FRICTION_WORK,  # J, dissipated since the start
-    OFFSET,  # A, added to the current that the loops ask for
+    OFFSET,  # A, added to the current command of the loops
     STATE_SIZE,
 ) = range(19)
 OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
@@ -42,7 +42,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
     POSITION_GAIN,
     VELOCITY_GAIN,  # 0: position P only
     VELOCITY_INTEGRAL_GAIN,
-    VELOCITY_FILTER,  # share of the new difference taken each loop
+    VELOCITY_FILTER,  # share of the new difference that the speed filter takes in each loop period
     FEEDFORWARD,
     CURRENT_GAIN,
     CURRENT_INTEGRAL_GAIN,
@@ -56,7 +56,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Run position P and velocity PI once; return the limited current command with its offset,
+    """Compute position P and velocity PI once; return the limited current command with its offset,
     A.
     """
     measured = s[THETA]
@@ -86,14 +86,14 @@ def current_command(s: Vector, d: Vector) -> float:
     wanted = d[VELOCITY_GAIN] * (velocity_error + integral) / d[TORQUE_PER_AMPERE] + s[OFFSET]
     if (
         abs(wanted) <= limit or wanted * velocity_error < 0.0
-    ):  # anti-windup: integrate only out of the limit
+    ):  # anti-windup: integrate only if this leads away from the limit
         s[VELOCITY_INTEGRAL] = integral
     return float(min(max(wanted, -limit), limit))
 
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Run the current PI once; return the limited voltage for the coming loop period, V."""
+    """Compute the current PI once; return the limited voltage for the next loop period, V."""
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
@@ -140,8 +140,8 @@ def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, de
 def advance(loops: int, s: Vector, d: Vector, p: Vector, noise: Vector, path: Vector) -> None:
     """Advance ``loops`` drive-loop periods.
 
-    ``noise`` holds ``loops`` samples of unit rms; ``path`` holds ``loops`` commanded joint angles,
-    or none, in which case the drive interpolates to its target.
+    ``noise`` contains ``loops`` samples of unit rms; ``path`` contains ``loops`` commanded joint
+    angles; if it is empty, the drive interpolates to its target.
     """
     decay = math.exp(-0.5 * d[RESISTANCE] * d[LOOP_S] / d[STEPS] / d[INDUCTANCE])
     for k in range(loops):

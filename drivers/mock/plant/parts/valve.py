@@ -1,13 +1,13 @@
-"""Exact covered and free areas of the flow regulator's valve opening (Fig. 3).
+"""Covered and free area of the valve opening over the valve angle (Fig. 3), in closed form.
 
 The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the
 opening's centre; its centre line passes through the pivot, and the centre of its hole lies on it at
-L1 too. Turned by theta, the line passes the opening's centre at L1 sin(theta) and the hole's centre
-is 2 L1 sin(theta/2) away, so that
+L1 too. At the angle theta the distance of the opening's centre is L1 sin(theta) from this line and
+2 L1 sin(theta/2) from the centre of the hole, so that
 
     A_t = (opening beside the strip) + (opening and hole),    A_s = pi D^2/4 - A_t.
 
-The plate is clear where L1 sin(theta) = (b + D)/2, at 29.65 deg.
+The plate covers no part of the opening beyond L1 sin(theta) = (b + D)/2, which is 29.65 deg.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def throat_area(angle: float, arm: float, hole: float, opening: float, half_widt
     """Return A_t, m^2, at a valve angle.
 
     Args:
-        angle: Valve angle, rad; its sign does not matter.
+        angle: Valve angle, rad; the areas do not depend on its sign.
         arm: L1, m.
         hole: Radius d/2, m.
         opening: Radius D/2, m.

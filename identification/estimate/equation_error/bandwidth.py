@@ -1,0 +1,42 @@
+"""Common bandwidth of recordings that are fitted together: the least that each of them allows, and
+enough for their motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.prepare import default_bandwidth, prepare
+from identification.recording import Recording
+
+BANDWIDTH_STEP = 1.25
+"""Ratio of bandwidths that are tried one after another."""
+SHARE_OF_RATE = 1.0 / 6.0
+"""Greatest bandwidth that is tried, over the sampling rate."""
+
+
+def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf) -> float:
+    """Return the least of the recordings' default bandwidths, Hz, or the least greater one at which
+    each stage has enough samples in motion.
+
+    Motion that reverses faster than the filter's length leaves no sample in steady motion.
+
+    Args:
+        recordings: At least one.
+        most_Hz: Limit of the default bandwidths.
+    """
+    least = min(most_Hz, *(default_bandwidth(r) for r in recordings))
+    greatest = SHARE_OF_RATE / max(r.period for r in recordings)
+    tried = least
+    while tried <= greatest:
+        prepared = [prepare(r, tried) for r in recordings]
+        stages = [
+            [p for p in prepared if p.recording.stage == stage]
+            for stage in {r.stage for r in recordings}
+        ]
+        if all(samples_in_motion(stage) >= LEAST_MOTION for stage in stages):
+            return tried
+        tried *= BANDWIDTH_STEP
+    return least

@@ -1,0 +1,112 @@
+"""What is within the noise is not tested, and noise is never below the encoders' rounding; the
+bandwidth is as great as the motion needs.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.rows.equations import least_noise
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.score.significance import LEVEL, beyond_noise
+from identification.diagnosis.selection.search import _Case, _tested
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context
+from identification.estimate.equation_error.bandwidth import common_bandwidth
+from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.prepare import default_bandwidth, prepare
+from identification.signals import quantum
+from tests.identification.synthetic import sine
+
+from .benches import honest, nominal_fit
+
+TERM = {t.name: t for t in TERMS}
+COUNT_RAD = 2.0 * math.pi / 2048
+
+
+@pytest.fixture(scope="module")
+def joint() -> Joint:
+    return nominal_fit(honest())
+
+
+def with_torque(joint: Joint, rows: np.ndarray) -> Joint:
+    """Return the fit with other whitened torque rows, in its stack too."""
+    residual = joint.residual.copy()
+    residual[joint.stack.part("torque")] = rows
+    return replace(joint, residual=residual, stack=replace(joint.stack, residual=residual))
+
+
+def scaled(joint: Joint, power: float) -> np.ndarray:
+    """Return torque rows of a mean square of ``power`` times the noise's."""
+    rows = joint.residual[joint.stack.part("torque")]
+    return np.asarray(rows * math.sqrt(power / float(np.mean(rows**2))))
+
+
+@pytest.mark.parametrize(("power", "expected"), [(0.97, False), (1.03, True)])
+def test_an_equation_is_beyond_the_noise_by_its_mean_square(
+    joint: Joint, power: float, expected: bool
+) -> None:
+    assert ("torque" in beyond_noise(with_torque(joint, scaled(joint, power)))) is expected
+
+
+def test_one_recording_with_twice_the_noise_is_enough(joint: Joint) -> None:
+    rows = scaled(joint, 0.4)
+    torque = joint.equations[0]
+    mine = torque.owner == torque.views[0].index
+    rows[mine] *= math.sqrt(2.2 / float(np.mean(rows[mine] ** 2)))
+    assert float(np.mean(rows**2)) < 1.0
+    assert "torque" in beyond_noise(with_torque(joint, rows))
+
+
+@pytest.mark.parametrize(("power", "missing"), [(0.9, False), (1.3, True)])
+def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
+    joint: Joint, power: float, missing: bool
+) -> None:
+    """A weight out of balance, as large as the noise beside it."""
+    torque, term = joint.equations[0], TERM["gravity_imbalance"]
+    shape = term.shapes(Context(torque.views, joint.nominal))[0]
+    columns = np.zeros((len(joint.residual), 2))
+    columns[joint.stack.part("torque")] = joint.stack.columns(term, shape)["torque"]
+    pattern = joint.stack.projected(columns)[joint.stack.part("torque"), 0]
+    rows = scaled(joint, 0.5 * power)
+    rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
+    found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
+    case = _Case(torque.views, "N m", TERM, ())
+    assert (_tested(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL) is missing
+
+
+def test_the_transmissions_noise_has_the_rounding_of_both_encoders(joint: Joint) -> None:
+    def rounded(view: View) -> View:
+        channels = view.recording.channels
+        motor = np.floor(channels["motor_angle"] / COUNT_RAD) * COUNT_RAD
+        return replace(
+            view, recording=replace(view.recording, channels={**channels, "motor_angle": motor})
+        )
+
+    transmission = next(e for e in joint.equations if e.name == "transmission")
+    found = least_noise(replace(transmission, views=tuple(map(rounded, transmission.views))))
+    step = quantum(transmission.views[0].recording.channels["angle"])
+    assert found == pytest.approx(math.hypot(step, COUNT_RAD / 100.0) / math.sqrt(12.0), rel=0.01)
+    assert found > 1.3 * least_noise(transmission)
+
+
+@pytest.mark.parametrize("frequency_Hz", [2.0, 4.0, 6.0])
+def test_quick_reversals_raise_the_bandwidth(frequency_Hz: float) -> None:
+    moving = sine(frequency=frequency_Hz, amplitude=0.05, rate=500.0, duration=4.0)
+    angle = np.floor(moving.channels["angle"] / COUNT_RAD) * COUNT_RAD
+    channels = {k: v for k, v in moving.channels.items() if k != "velocity"}
+    recording = replace(moving, channels={**channels, "angle": angle})
+    usual = default_bandwidth(recording)
+    assert samples_in_motion([prepare(recording, usual)]) < LEAST_MOTION
+    found = common_bandwidth([recording])
+    assert usual < found < 500.0 / 6.0
+    assert samples_in_motion([prepare(recording, found)]) >= LEAST_MOTION
+    slow = sine(rate=500.0)
+    assert common_bandwidth([recording, slow]) == min(usual, default_bandwidth(slow))
+    assert common_bandwidth([recording, replace(slow, stage="loaded")]) == found
+    assert common_bandwidth([slow]) == default_bandwidth(slow)
