@@ -13,10 +13,11 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import begun, common_bandwidth
+from identification.diagnosis.fit.start import begun
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
+from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.prove.absorbed import residual_rms
