@@ -13,11 +13,10 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import begun
+from identification.diagnosis.fit.start import bandwidth_of, begun
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
-from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.prove.absorbed import residual_rms
@@ -87,7 +86,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
         InputError: The source cannot be read.
     """
     dataset = load_source(source)
-    bandwidth = common_bandwidth(dataset.part("fit"))
+    bandwidth = bandwidth_of(dataset.part("fit"))
     try:
         _, first = begun(dataset, bandwidth)
         return _oracle(dataset, first, bandwidth, names)
