@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds
 .DEFAULT_GOAL := help
 
 help:
@@ -26,6 +26,7 @@ help:
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
+	@echo "make prove-worlds  the blind proof on MuJoCo's machine and on the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
@@ -127,6 +128,11 @@ prove: $(VENV)/.runtime
 
 prove-gas: $(VENV)/.runtime
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
+
+prove-worlds: $(VENV)/.dev
+	$(BIN)/rig prove --plant mujoco --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-mujoco
+	$(BIN)/python -m tests.worlds.plant out/worlds-ode --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2
+	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done

@@ -22,6 +22,7 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME
 from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
 from rig.config.sequence import Sequence
+from rig.results.prove.truth import Truth
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "reference"
@@ -43,6 +44,12 @@ A campaign file describes recordings that were made elsewhere. `rig identify`, `
 
 Units are SI after `scale` and `offset`. On a linear bench read m for rad, N for N m and kg for kg
 m^2."""
+_TRUTH = """\
+The truth of one sealed rig: `sealed/NAME.yaml` or `sealed/NAME.json` beside `NAME/campaign.yaml`.
+`rig prove --seal` writes such folders and `rig prove --from` judges them, whatever simulator made
+them. The [guide](../guides/worlds.md) shows their use.
+
+`truth: 1` alone is a rig that hides nothing."""
 _FAULTS = """\
 A fault schedule lets things go wrong on a simulated bench: `rig run SEQUENCE --faults FILE`. How a
 run reacts to each fault is measured in [faults](../faults.md).
@@ -98,6 +105,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "campaign": lambda: keys.page("Campaign file", _CAMPAIGN, Campaign, _channels()),
     "formats": formats.page,
     "fault_schedule": lambda: keys.page("Fault schedule", _FAULTS, FaultSchedule, _faults()),
+    "truth": lambda: keys.page("Sealed truth", _TRUTH, Truth),
     "commands": commands.page,
     "results": results.page,
     "recording": recording.page,

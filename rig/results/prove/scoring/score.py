@@ -4,33 +4,25 @@ from __future__ import annotations
 
 import statistics
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
-from scipy.stats import beta
-
 from rig.common.result_files import Provenance
+from rig.results.prove.scoring.rates import Row, rate
+from rig.results.prove.scoring.reliability import by_axis, reliability, right, wrong_names
 
-PROVE_SCHEMA = "loadrig.prove/2"
+PROVE_SCHEMA = "loadrig.prove/3"
 RESULT_FILE = "prove.json"
-Row = Mapping[str, Any]
-LEVEL = 0.95
 STRONG = 3.0
 """Least strength (rms change over noise in the channel that shows it best) of an effect that must
 be identified.
 """
 TORQUE = "current"
 """Channel of an effect's share of the torque: the motor's current, in motion."""
+NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}
+"""What a baseline method says of a trial that could not be diagnosed."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
-
-
-def rate(hits: int, of: int) -> dict[str, Any]:
-    """Return a share with its Clopper-Pearson interval at 95 %."""
-    tail = (1.0 - LEVEL) / 2.0
-    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, of - hits + 1))
-    high = 1.0 if hits == of else float(beta.ppf(1.0 - tail, hits + 1, of - hits))
-    return {"n": hits, "of": of, "share": hits / of if of else None, "low": low, "high": high}
 
 
 def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
@@ -74,6 +66,12 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "both_named_beside": count([row for row in two if _beside(row) >= STRONG], "top1"),
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
+        "alarms": [row["rig"] for row in nothing if row["alarm"]],
+        "refused": count(rows, "refused"),
+        "right": rate(sum(map(right, rows)), len(rows)),
+        "reliability": reliability(rows),
+        "wrong_names": wrong_names(rows),
+        "by_axis": by_axis(rows),
         "outside": {
             **count(placed, "right"),
             "named_confidently": sum(bool(row["confident"]) for row in outside),
@@ -112,8 +110,8 @@ def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
             {
                 "kind": row["kind"],
                 "strength": row["strength"],
-                "named_any": bool(row["baselines"][method]["named"]),
-                **row["baselines"][method],
+                "named_any": bool(row["baselines"].get(method, NONE)["named"]),
+                **row["baselines"].get(method, NONE),
             }
             for row in rows
         ]

@@ -9,7 +9,7 @@ from identification.plots.proof import confusion_matrix, power_curve
 from rig.common.result_files import Provenance
 from rig.common.tables import number
 from rig.results.document import Document, Note, Picture, Section, Table
-from rig.results.prove.score import STRONG
+from rig.results.prove.scoring.score import STRONG
 from rig.results.sections import provenance_section
 
 _RATES = {
@@ -30,6 +30,7 @@ _RATES = {
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "no injected effect: false alarms",
     "outside": "outside the catalogue: reported as such",
+    "refused": "could not be diagnosed",
     "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
     "intervals": "parameters of effects within their interval",
 }
@@ -61,7 +62,14 @@ def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Documen
 
 
 def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
-    for cells in (_rates(result), _methods(result), _places(result)):
+    for cells in (
+        _rates(result),
+        _methods(result),
+        _places(result),
+        _reliability(result),
+        _wrong(result),
+        _refused(result),
+    ):
         if cells.rows:
             yield Section("", (cells,))
     yield Section("", tuple(map(Note, _remarks(result))))
@@ -73,6 +81,10 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
     yield Section("Against the baselines", (_methods(result),))
     yield Section("Where it was found", (_places(result),))
     yield Section("What was called what", (_confusion(result), *_confused(result)))
+    yield Section("Confidence against being right", (_reliability(result),))
+    yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
+    if result["by_axis"]:
+        yield Section("By the world's axes", (_axes(result),))
     yield Section("Rigs", (_rigs(result),))
     yield provenance_section(provenance)
 
@@ -120,6 +132,55 @@ def _places(result: Mapping[str, Any]) -> Table:
                 (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
             )
     return Table(("mismatch located", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
+def _share(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return a rate's hits, share and interval as cells."""
+    band = f"{100 * found['low']:.0f} to {100 * found['high']:.0f} %"
+    return f"{found['n']} of {found['of']}", f"{100 * found['share']:.0f} %", band
+
+
+def _reliability(result: Mapping[str, Any]) -> Table:
+    """Return how often names of each confidence are right."""
+    rows = tuple(
+        (f"{b['from']:.1f} to {b['to']:.1f}", f"{b['mean_confidence']:.2f}", *_share(b["right"]))
+        for b in result["reliability"]
+    )
+    return Table(
+        ("confidence of a name", "mean", "right", "share", "95 % interval"), rows, (1, 2, 3, 4)
+    )
+
+
+def _wrong(result: Mapping[str, Any]) -> Table:
+    """Return every wrong name."""
+    rows = tuple(
+        (
+            str(n["rig"]),
+            n["name"],
+            f"{n['confidence']:.2f}",
+            ", ".join(n["injected"]) or "nothing",
+            "yes" if n["right_group"] else "no",
+        )
+        for n in result["wrong_names"]
+    )
+    return Table(("trial", "wrong name", "confidence", "injected", "in alias group"), rows, (2,))
+
+
+def _refused(result: Mapping[str, Any]) -> Table:
+    """Return the trials that could not be diagnosed."""
+    rows = tuple((str(r["rig"]), r["refused"]) for r in result["rigs"] if r.get("refused"))
+    return Table(("trial", "not diagnosed, because"), rows, ())
+
+
+def _axes(result: Mapping[str, Any]) -> Table:
+    """Return how often the verdict is right by each axis of the world."""
+    rows = tuple(
+        (axis, part["value"], *_share(part["right"]), str(part["refused"]))
+        for axis, parts in result["by_axis"].items()
+        for part in parts
+    )
+    head = ("axis", "value", "verdict right", "share", "95 % interval", "not diagnosed")
+    return Table(head, rows, (2, 3, 4, 5))
 
 
 def _remarks(result: Mapping[str, Any]) -> list[str]:
