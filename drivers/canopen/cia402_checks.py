@@ -69,20 +69,23 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
         if address not in held
     }
     words = [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
-    supply, temperature = _name(scales.supply_object), _name(scales.temperature_object)
+    supply, temperature, voltage = (
+        f" ({_name(address)})" if address else ""
+        for address in (scales.supply_object, scales.temperature_object, scales.voltage_object)
+    )
     words += [
         text
         for there, text in (
-            (told.supply, f"not watched: supply voltage ({supply}); servo.supply_object names it"),
+            (told.supply, f"not watched: supply voltage{supply}; servo.supply_object names it"),
             (
                 told.temperature,
-                f"not watched: temperature ({temperature}); servo.temperature_object names it",
+                f"not watched: temperature{temperature}; servo.temperature_object names it",
             ),
-            (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
+            (told.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
             (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
             (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
             (
-                told.current if scales.current_object or told.current != objects.TORQUE else None,
+                told.current if told.current in (scales.current_object, objects.CURRENT) else None,
                 "no motor current (6078h): it is taken from the torque 6077h",
             ),
             *(
@@ -113,7 +116,7 @@ def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: f
     return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
 
 
-def _name(address: tuple[int, int]) -> str:
+def _name(address: ObjectAddress) -> str:
     index, subindex = address
     return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
 
@@ -138,6 +141,12 @@ def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield refusals that mapping the process data does not detect."""
+    if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
+        yield ConfigurationError(
+            f"vendor 1018h:01h: the drive says {channel.read(*VENDOR):X}h, its EDS file "
+            f"{scales.vendor_id:X}h, whose units are used here: name the drive's own EDS file, or "
+            f"set servo.device"
+        )
     yield from scales.mismatches(channel)
     yield from velocity_unit.refusals(channel, scales)
     milliseconds = round(cycle_s * 1e3)

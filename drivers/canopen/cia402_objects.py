@@ -74,15 +74,16 @@ class Cyclic:
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
     """Return what a drive tells in every cycle, according to its EDS. Sends nothing.
 
-    Objects that the bench file names are taken for there; the checks refuse those that are not.
+    Objects that are named for this drive are taken for there; the checks refuse those that are not.
     """
     named = scales.named_objects
 
-    def told(address: ObjectAddress) -> ObjectAddress | None:
-        there = address in named or channel.describes(*address, mappable=True)
-        return address if there else None
+    def told(address: ObjectAddress | None) -> ObjectAddress | None:
+        if address is None or address in named:
+            return address
+        return address if channel.describes(*address, mappable=True) else None
 
-    current, unit_A = scales.current_object, scales.named_current_unit_A
+    current, unit_A = told(scales.current_object), scales.named_current_unit_A
     if current is None:
         current, unit_A = told(CURRENT), scales.current_unit_A
     if current is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -17,6 +17,7 @@ from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts import constants
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.sampler import Sampler
+from drivers.mock.traits import OwnObjects, Traits
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer
 
@@ -87,13 +88,14 @@ class QuickStop(IntEnum):
 class SimulatedDrive(SimulatedNode):
     """A position servo in cyclic synchronous position mode.
 
-    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
-    6078h is the mean current since the last SYNC, per mille of 6075h. 60B2h (per mille of 6076h)
-    adds torque to the position loop's output while targets are followed, but not in ramps. The
-    power stage is on only in the states of :data:`POWERED`. ``shown`` are the addresses of the
-    objects that it shows to its bus, as drives of most makers lack some; None for all.
+    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h are counts per second
+    (squared), unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
+    mille of 6075h. 60B2h (per mille of 6076h) adds torque to the position loop's output while
+    targets are followed, but not in ramps. The power stage is on only in the states of
+    :data:`POWERED`.
 
     Attributes:
+        traits: What it differs in from other drives.
         power_state: State of the power drive system.
         entered: Called with each new state at the instant of the change.
     """
@@ -106,23 +108,26 @@ class SimulatedDrive(SimulatedNode):
         sampler: Sampler,
         clock_offset_us: int = 0,
         rating: Rating | None = None,
-        shown: Container[tuple[int, int]] | None = None,
+        traits: Traits | None = None,
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
-        if shown is not None:
-            self.objects.remove_except(shown)
+        self.traits = traits or Traits()
+        self._own = OwnObjects(self.traits)
+        self._own.add_to(self.objects)
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
         self._increments, self._revolutions = encoder_resolution(self._machine.constants)
-        self._counts_per_rad = self._increments / self._revolutions / (2.0 * math.pi)
+        counts_per_turn = self._increments / self._revolutions
+        self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
+        self._speed_unit = self.traits.speed_unit(counts_per_turn)
         rating = rating or Rating()
         torque_constant = self._motor.torque_constant_N_m_A
         self._rated_current_mA = round(rating.current_A * 1e3)
         torque = rating.torque_N_m or torque_constant * rating.current_A
-        self._rated_torque_mN_m = round(torque * 1e3)
+        self._rated_torque = round(torque / self.traits.rated_torque_unit_N_m)
         self._per_mille_A = 1e6 / self._rated_current_mA
         self._per_mille_torque_A = 1e3 * torque_constant / torque
         self._ramp = Timer(clock, self._ramp_done)
@@ -146,7 +151,10 @@ class SimulatedDrive(SimulatedNode):
         """Return to SWITCH ON DISABLED with the constants of this machine in the dictionary."""
         values = self._values
         values[key(0x6075)] = self._rated_current_mA
-        values[key(0x6076)] = self._rated_torque_mN_m
+        values[key(0x6076)] = self._rated_torque
+        self._own.restore(values, self._rated_current_mA * 1e-3)
+        for index in (0x6084, 0x6085):
+            values[key(index)] = round(values[key(index)] / self._speed_unit)
         values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
         values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
         values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
@@ -214,13 +222,15 @@ class SimulatedDrive(SimulatedNode):
         values = self._values
         self.stamp(self._sampler.time_ns)
         values[_POSITION] = reading.motor_counts
-        values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
+        speed = reading.motor_velocity_rad_s * self._counts_per_rad
+        values[_VELOCITY] = round(speed / self._speed_unit)
         values[_CURRENT] = clamp_i16(round(reading.current_A * self._per_mille_A))
         values[_TORQUE] = clamp_i16(round(reading.current_A * self._per_mille_torque_A))
         values[_DC_LINK] = round(reading.supply_V * 1e3)
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
         values[_FOLLOWING] = round(reading.following_error_counts)
+        self._own.measure(values, reading)
 
     def _obey(self, word: int) -> None:
         rising = word & ~self._last_word
@@ -269,7 +279,8 @@ class SimulatedDrive(SimulatedNode):
             case QuickStop.RAMP | QuickStop.RAMP_AND_STAY:
                 self._brake(self.objects.integer(0x6085))
 
-    def _brake(self, deceleration: int) -> None:
+    def _brake(self, units: int) -> None:
+        deceleration = units * self._speed_unit
         now = self._clock.now_ns()
         speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
         self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)
@@ -302,7 +313,7 @@ class SimulatedDrive(SimulatedNode):
             return
         wanted = values[_TARGET]
         target: float = min(max(wanted, values[_TARGET_MIN]), values[_TARGET_MAX])
-        reach = values[_MAX_SPEED] * self._period_ns * 1e-9
+        reach = values[_MAX_SPEED] * self._speed_unit * self._period_ns * 1e-9
         step = target - self._demand
         if step > reach or step < -reach:
             target = self._demand + math.copysign(reach, step)

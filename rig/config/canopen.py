@@ -4,15 +4,22 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+import math
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from drivers.canopen.device_data import SIMULATED, DeviceData, devices, match
+from drivers.canopen.eds_file import read_eds
 from drivers.canopen.velocity_unit import RPM
-from rig.config.configuration import Positive, Schema
+from drivers.errors import ConfigurationError
+from rig.config.configuration import Positive, Schema, nearest
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
+NO_DEVICE: Final = "none"
+"""Name in place of the device data's, for none."""
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 
@@ -35,9 +42,14 @@ class ServoSection(Schema):
     """A CiA 402 drive on CANopen, and the scales that turn its units into SI; checked against the
     device before a run.
 
+    Keys that are null are taken from the [data of the drive's maker](devices.md), where the program
+    has them, and otherwise are as in CiA 402.
+
     Attributes:
         kind: The protocol of the drive.
         node: CANopen node number.
+        device: Name of the maker's data; null for those that the identity in the EDS file leads
+            to, `none` for none.
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
         sign: 1 where the drive counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the drive's position reads zero.
@@ -48,22 +60,22 @@ class ServoSection(Schema):
         velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
             drive has it, and against the position as soon as the joint moves. Null for
             `velocity_unit_rad_s`.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units; null for one count
-            per second.
-        voltage_object: Index and subindex of the motor voltage.
-        voltage_unit_V: Voltage of one unit of that object.
-        temperature_object: Index and subindex of the drive's temperature.
-        temperature_unit_C: Temperature of one unit of that object.
-        supply_object: Index and subindex of the supply voltage.
-        supply_unit_V: Voltage of one unit of that object.
-        current_object: Index and subindex of the maker's own object of the motor current; null for
-            6078h or, where the drive has none, the torque 6077h.
-        current_unit_A: Current of one unit of that object; not used for 6078h and 6077h, whose
-            unit follows from the rated values.
-        rated_current_object: Index and subindex of the rated motor current.
-        rated_current_object_unit_A: Current of one unit of that object.
-        rated_torque_object: Index and subindex of the rated motor torque.
-        rated_torque_object_unit_N_m: Torque of one unit of that object.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. Where neither this
+            nor the data of the maker say it, one count per second.
+        voltage_object: Index and subindex of the motor voltage; CiA 402 has none.
+        voltage_unit_V: Voltage of one unit of that object; 0.01 unless stated.
+        temperature_object: Index and subindex of the drive's temperature; CiA 402 has none.
+        temperature_unit_C: Temperature of one unit of that object; 0.1 unless stated.
+        supply_object: Index and subindex of the supply voltage; 6079h in CiA 402.
+        supply_unit_V: Voltage of one unit of that object; 0.001 unless stated.
+        current_object: Index and subindex of the maker's own object of the motor current; in CiA
+            402 6078h or, where the drive has none, the torque 6077h.
+        current_unit_A: Current of one unit of that object, 0.001 unless stated; not used for 6078h
+            and 6077h of CiA 402, whose unit follows from the rated values.
+        rated_current_object: Index and subindex of the rated motor current; 6075h in CiA 402.
+        rated_current_object_unit_A: Current of one unit of that object; 0.001 unless stated.
+        rated_torque_object: Index and subindex of the rated motor torque; 6076h in CiA 402.
+        rated_torque_object_unit_N_m: Torque of one unit of that object; 0.001 unless stated.
         stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
             program any more; null where its EDS file shows it (6007h). False cuts the limits, as
             for every drive without a watchdog.
@@ -76,6 +88,7 @@ class ServoSection(Schema):
 
     kind: Literal["canopen"] = "canopen"
     node: NodeId = 1
+    device: str | None = None
     counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
     sign: Sign = 1
     offset_deg: float = 0.0
@@ -83,18 +96,18 @@ class ServoSection(Schema):
     rated_torque_N_m: Positive = 0.45
     velocity_unit: Literal["counts_per_s", "rpm"] | None = None
     velocity_unit_rad_s: Positive | None = None
-    voltage_object: ObjectAddress = (0x2100, 0)
-    voltage_unit_V: Positive = 0.01
-    temperature_object: ObjectAddress = (0x2101, 0)
-    temperature_unit_C: Positive = 0.1
-    supply_object: ObjectAddress = (0x6079, 0)
-    supply_unit_V: Positive = 0.001
+    voltage_object: ObjectAddress | None = None
+    voltage_unit_V: Positive | None = None
+    temperature_object: ObjectAddress | None = None
+    temperature_unit_C: Positive | None = None
+    supply_object: ObjectAddress | None = None
+    supply_unit_V: Positive | None = None
     current_object: ObjectAddress | None = None
-    current_unit_A: Positive = 0.001
-    rated_current_object: ObjectAddress = (0x6075, 0)
-    rated_current_object_unit_A: Positive = 0.001
-    rated_torque_object: ObjectAddress = (0x6076, 0)
-    rated_torque_object_unit_N_m: Positive = 0.001
+    current_unit_A: Positive | None = None
+    rated_current_object: ObjectAddress | None = None
+    rated_current_object_unit_A: Positive | None = None
+    rated_torque_object: ObjectAddress | None = None
+    rated_torque_object_unit_N_m: Positive | None = None
     stops_alone: bool | None = None
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
@@ -109,10 +122,45 @@ class ServoSection(Schema):
             )
         return self
 
-    @property
-    def motor_speed_unit_rad_s(self) -> float | None:
-        """Motor speed of one unit of 606Ch, rad/s; None for one count per second."""
-        return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
+    @field_validator("device")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        names = [NO_DEVICE, *devices()]
+        if name is not None and name not in names:
+            raise ValueError(f"there are no such device data; {nearest(name, names)}")
+        return name
+
+    def device_data(self, folder: Path) -> DeviceData | None:
+        """Return what is known of drives of this maker; None for nothing.
+
+        An EDS file that cannot be read leads to nothing here; it is refused elsewhere.
+
+        Args:
+            folder: Folder of the bench file.
+        """
+        if self.device is not None:
+            return devices().get(self.device)
+        if self.eds is None:
+            return devices()[SIMULATED]
+        try:
+            return match(read_eds(folder / self.eds, self.node))
+        except ConfigurationError:
+            return None
+
+    def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
+        """Return the motor speed of one unit of 606Ch, rad/s; None for one count per second.
+
+        Args:
+            data: What is known of the drive.
+        """
+        if self.velocity_unit is not None or self.velocity_unit_rad_s is not None:
+            return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
+        if data is None:
+            return None
+        counts_per_s = data.velocity_unit_counts_per_s
+        if counts_per_s is not None:
+            return counts_per_s * 2.0 * math.pi / self.counts_per_motor_turn
+        return RPM if data.velocity_unit == "rpm" else None
 
 
 class EncoderSection(Schema):
