@@ -110,7 +110,8 @@ def description(make: str) -> str:
     text = "\n".join(kept) + "\n"
     text = text.replace("0x000007FF", f"0x{traits.vendor_id:08X}")
     text = text.replace("0x00000402", f"0x{traits.product_code:08X}")
-    return text + "".join(_section(shown) for shown in traits.own)
+    indices = sorted({own.address[0] for own in traits.own if own.address[1]})
+    return text + "".join(map(_record, indices)) + "".join(map(_section, traits.own))
 
 
 def described_drive(dictionary: ObjectDictionary) -> Traits:
@@ -126,6 +127,14 @@ def described_drive(dictionary: ObjectDictionary) -> Traits:
     ]
     traits = max(found, key=lambda make: len(make.own), default=Traits())
     return replace(traits, product_code=product or traits.product_code, shown=shown)
+
+
+def _record(index: int) -> str:
+    return (
+        f"\n[{index:04X}]\nParameterName=Record {index:04X}\nObjectType=0x9\nSubNumber=2\n"
+        f"\n[{index:04X}sub0]\nParameterName=Highest subindex\nObjectType=0x7\n"
+        f"DataType=0x0005\nAccessType=const\nDefaultValue=4\nPDOMapping=0\n"
+    )
 
 
 def _section(shown: Shown) -> str:

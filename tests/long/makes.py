@@ -1,0 +1,142 @@
+"""Drives of common makes on the practical bench: the Figure 10 sequence, and every fault.
+
+python -m tests.long.makes figure10 [MAKE ...]   the nine parameters of each, against CANopen's
+python -m tests.long.makes faults [MAKE ...]     every fault in every phase
+
+Each make is simulated with the objects and units of its maker. Over the serial line of the EPOS4
+run the objects of three makes; only maxon's drives speak that protocol.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import json
+import sys
+import tempfile
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from drivers.mock.makes import MAKES, description
+from rig.cli.entry import status
+from rig.common.tables import number, table
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.runs.truth import true_parameters
+
+from . import fault_matrix
+from .fault_cases import PHASES, STATES, Transport
+from .fault_cases_makes import cases
+
+SERIAL_MAKES = ("EPOS4", "Elmo", "Trinamic")
+
+
+def write_bench(folder: Path, make: str, packaged: str = "practical", keys: str = "") -> Path:
+    """Write the bench of a make and its EDS file; returns the bench file."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "drive.eds").write_text(description(make))
+    text = resolve(packaged, "benches").read_text()
+    path = folder / "bench.yaml"
+    path.write_text(text.replace("servo: {", f"servo: {{eds: drive.eds, {keys}", 1))
+    return path
+
+
+def rig(*words: str) -> str:
+    """Run a command; returns what it says, and ends the program where it fails."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = status(list(words))
+    if code:
+        raise SystemExit(f"rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
+    return said.getvalue()
+
+
+def identified(bench: str, folder: Path) -> tuple[dict[str, dict[str, Any]], list[str]]:
+    """Run Figure 10 and identify; returns the parameters, and what was said to be unwatched."""
+    run, result = folder / "run", folder / "result.json"
+    said = rig("run", "figure10", "--yes", "--bench", bench, "--seed", "1", "--out", str(run))
+    rig("identify", str(run), "--out", str(run / "identified"), "--json", str(result))
+    unwatched = [line for line in said.splitlines() if "not watched" in line]
+    return json.loads(result.read_text())["parameters"], unwatched
+
+
+def figure10(makes: list[str]) -> int:
+    """Run Figure 10 with each make; 1 where an interval misses the truth far."""
+    machine = load_bench("practical").value.mock
+    assert machine is not None
+    truth = true_parameters(machine)
+    found: dict[str, Mapping[str, dict[str, Any]]] = {}
+    benches = [("practical", make) for make in makes]
+    benches += [("practical_serial", make) for make in SERIAL_MAKES if make in makes]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        found["simulated drive"], _ = identified("practical", folder / "own")
+        for packaged, make in benches:
+            label = make if packaged == "practical" else f"{make}, serial"
+            began = time.monotonic()
+            at = folder / label
+            bench = write_bench(at, make, packaged)
+            found[label], unwatched = identified(str(bench), at)
+            what = "; ".join(
+                line.partition("not watched: ")[2].partition(";")[0] for line in unwatched
+            )
+            took_s = time.monotonic() - began
+            print(f"{label}: {took_s:.0f} s; not watched: {what or 'nothing'}", flush=True)
+    rows, missed, apart = [], 0, 0
+    reference = found["simulated drive"]
+    for parameter, true in truth.items():
+        row = [parameter, number(true)]
+        for parameters in found.values():
+            item, mine = parameters[parameter], reference[parameter]
+            held = item["value"] is not None and item["low"] <= true <= item["high"]
+            missed += not held
+            apart += item["value"] is None or not (
+                item["low"] <= mine["high"] and mine["low"] <= item["high"]
+            )
+            row.append(f"{number(item['value'])}{'' if held else ' *'}")
+        rows.append(row)
+    print(table(["parameter", "true", *found], rows, right=range(1, 2 + len(found))))
+    cells = len(rows) * len(found)
+    print(f"* truth outside the 90 % interval: {missed} of {cells}")
+    print(f"intervals apart from those of the simulated drive: {apart} of {cells}")
+    return 1 if apart > 0.05 * cells else 0
+
+
+def faults(makes: list[str]) -> int:
+    """Run every fault in every phase with each make; 1 where one ends otherwise than it must."""
+    problems: list[str] = []
+    count = 0
+    with tempfile.TemporaryDirectory() as name:
+        for make in makes:
+            began, folder = time.monotonic(), Path(name) / make
+            bench = str(write_bench(folder, make))
+            found: list[str] = []
+            for fault, case in cases(make).items():
+                for phase in PHASES:
+                    cell = fault_matrix.run_case(case, phase, bench, folder / f"{fault} {phase}")
+                    found += [f"{make}: {fault}, {phase}: {p}" for p in cell.problems]
+                    count += 1
+            for state in STATES:
+                rows, must = fault_matrix.state_rows(state, Transport(bench, {}))
+                cell = fault_matrix.run_rows(rows, must, bench, folder / state)
+                found += [f"{make}: fault in {state}: {p}" for p in cell.problems]
+                count += 1
+            print(f"{make}: {len(found)} problems, {time.monotonic() - began:.0f} s", flush=True)
+            for problem in found:
+                print(f"  {problem}", flush=True)
+            problems += found
+    print(f"{count} cells on {len(makes)} makes, {len(problems)} problems")
+    return 1 if problems else 0
+
+
+def main() -> int:
+    """Do what the first word says with the makes that follow, or with all."""
+    what, *names = sys.argv[1:]
+    makes = names or list(MAKES)
+    return figure10(makes) if what == "figure10" else faults(makes)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
