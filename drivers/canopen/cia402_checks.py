@@ -8,6 +8,7 @@ from drivers import servo_limits
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen import velocity_unit
 from drivers.canopen.cia402_objects import Cyclic
+from drivers.canopen.motion import TORQUE_OFFSET, Motion
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.lacks import Lacks
 from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
@@ -17,12 +18,12 @@ _ONLY_HOST = "only this program checks it, in every cycle"
 
 
 def description_refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion
 ) -> Iterator[DeviceError]:
     """Yield the objects that the servo needs and the EDS lacks. Sends nothing."""
     yield from refusal(channel.require_fit, *VENDOR, 0)
     lacking = False
-    for address, purpose in objects.NEEDED.items():
+    for address, purpose in {**objects.NEEDED, **motion.needed}.items():
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
             yield ConfigurationError(f"{error}; every run needs it: {purpose}")
@@ -40,35 +41,45 @@ def description_refusals(
         )
     if not lacking:
         settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
-        for address in (*held_limits(channel), *settings):
+        for address in (*held_limits(channel, motion), *settings):
             if channel.describes(*address):
                 yield from refusal(channel.require_fit, *address, 0)
         yield from refusal(
-            channel.require_mappable, objects.outputs(torque_offset), objects.inputs(told, channel)
+            channel.require_mappable, objects.outputs(motion), objects.inputs(told, channel)
         )
 
 
-def held_limits(channel: ProcessChannel) -> tuple[ObjectAddress, ...]:
-    """Return the objects of limits that the drive's EDS has. Sends nothing."""
-    return tuple(address for address in servo_limits.OBJECTS if channel.describes(*address))
+def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress, ...]:
+    """Return the objects of limits that the drive's EDS has, and that the drive obeys in this mode.
+    Sends nothing.
+    """
+    return tuple(
+        address
+        for address in servo_limits.OBJECTS
+        if address not in motion.unheld and channel.describes(*address)
+    )
 
 
-def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float) -> Lacks:
+def lacks(
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
+) -> Lacks:
     """Return what the drive neither holds nor tells, according to its EDS. Sends nothing.
 
     Args:
         channel: The drive.
         scales: Its units.
         told: What it tells in every cycle.
+        motion: The mode of operation.
         cycle_s: Control cycle, s.
     """
-    held = held_limits(channel)
+    held = held_limits(channel, motion)
     missing = {
         field: f"{what} ({_name(address)})"
         for address, (field, what) in servo_limits.FIELDS.items()
         if address not in held
     }
-    words = [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
+    words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
+    words += [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
     supply, temperature, voltage = (
         f" ({_name(address)})" if address else ""
         for address in (scales.supply_object, scales.temperature_object, scales.voltage_object)
@@ -122,14 +133,14 @@ def _name(address: ObjectAddress) -> str:
 
 
 def refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield units that differ from the bench file, a cycle that cannot be set, and missing
     objects.
     """
-    yield from unit_refusals(channel, scales, torque_offset, cycle_s)
+    yield from unit_refusals(channel, scales, motion, cycle_s)
     inputs = objects.inputs(told, channel)
-    unmappable = list(refusal(channel.require_mappable, objects.outputs(torque_offset), inputs))
+    unmappable = list(refusal(channel.require_mappable, objects.outputs(motion), inputs))
     yield from unmappable
     if not unmappable:
         for layout in inputs:
@@ -138,7 +149,7 @@ def refusals(
 
 
 def unit_refusals(
-    channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield refusals that mapping the process data does not detect."""
     if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
@@ -154,12 +165,12 @@ def unit_refusals(
         yield ConfigurationError(
             f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)"
         )
-    if torque_offset:
+    if motion.takes_offset:
         yield from _offset_refusals(channel)
 
 
 def _offset_refusals(channel: ProcessChannel) -> Iterator[ConfigurationError]:
-    for error in refusal(channel.read, *objects.TORQUE_OFFSET):
+    for error in refusal(channel.read, *TORQUE_OFFSET):
         words = f"{channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
         offset_error = ConfigurationError(words)
         offset_error.__cause__ = error

@@ -1,24 +1,22 @@
-"""Selects cyclic synchronous position, and tells whether it is in force."""
+"""Selects the mode of operation, and tells whether it is in force."""
 
 from __future__ import annotations
 
 from typing import Final
 
 from drivers.canopen import cia402_objects as objects
-from drivers.canopen.cia402 import CYCLIC_SYNCHRONOUS_POSITION
+from drivers.canopen.motion import Motion
 from drivers.errors import StateError
 from drivers.interfaces import ServoState
 from drivers.objects import ProcessChannel, optional
 
-_OFFERS_CSP: Final = 1 << 7
-"""Bit of 6502h."""
 NEEDED_IN: Final = frozenset({ServoState.SWITCHED_ON, ServoState.OPERATION_ENABLED})
 """States in which the mode must be in force before the next step toward power. Some drives take it
 over only when they are switched on.
 """
 
 
-def select(channel: ProcessChannel) -> None:
+def select(channel: ProcessChannel, motion: Motion) -> None:
     """Write the mode of operation (6060h).
 
     Raises:
@@ -27,23 +25,26 @@ def select(channel: ProcessChannel) -> None:
     offered = None
     if channel.describes(*objects.MODES):
         offered = optional(channel.read, *objects.MODES)
-    if offered is not None and not offered & _OFFERS_CSP:
+    bit = motion.mode - 1
+    if offered is not None and not offered & 1 << bit:
         raise StateError(
-            f"the drive does not offer mode 8, cyclic synchronous position (6502h reads "
-            f"{offered:08X}h, bit 7 is 0): it cannot be used here"
+            f"the drive does not offer mode {motion.mode}, {motion.words} (6502h reads "
+            f"{offered:08X}h, bit {bit} is 0): set servo.mode to one that it offers"
         )
-    channel.write(*objects.MODE, CYCLIC_SYNCHRONOUS_POSITION)
+    channel.write(*objects.MODE, motion.mode)
 
 
-def in_force(channel: ProcessChannel) -> bool:
+def in_force(channel: ProcessChannel, motion: Motion) -> bool:
     """Return whether the drive shows the mode (6061h)."""
-    return channel.read(*objects.MODE_DISPLAY) == CYCLIC_SYNCHRONOUS_POSITION
+    return channel.read(*objects.MODE_DISPLAY) == motion.mode
 
 
-def not_shown(channel: ProcessChannel, state: ServoState, waited_s: float) -> StateError:
+def not_shown(
+    channel: ProcessChannel, motion: Motion, state: ServoState, waited_s: float
+) -> StateError:
     """Return the error of a drive that does not take the mode over."""
     return StateError(
         f"mode of operation 6061h still reads {channel.read(*objects.MODE_DISPLAY)} in state "
-        f"'{state.value}', {waited_s:g} s after 8 (cyclic synchronous position) was written to "
+        f"'{state.value}', {waited_s:g} s after {motion.mode} ({motion.words}) was written to "
         f"6060h: check in the drive's manual how this mode is selected"
     )

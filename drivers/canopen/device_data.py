@@ -16,6 +16,7 @@ import yaml
 from canopen.objectdictionary import ObjectDictionary
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from drivers.canopen.motion import ModeName
 from drivers.canopen.sdo import described
 from drivers.objects import VENDOR
 
@@ -55,8 +56,7 @@ class DeviceData(BaseModel):
         rated_current_object_unit_A: Current of one unit of it, or of 6075h.
         rated_torque_object: Object of the rated torque.
         rated_torque_object_unit_N_m: Torque of one unit of it, or of 6076h.
-        stops_alone: Whether it takes the power off by itself when its master falls silent, though
-            it has no 6007h.
+        mode: Mode of operation in which it is commanded; None for cyclic synchronous position.
         remarks: What the operator has to know, one sentence each.
     """
 
@@ -81,7 +81,7 @@ class DeviceData(BaseModel):
     rated_current_object_unit_A: _Unit | None = None
     rated_torque_object: Address | None = None
     rated_torque_object_unit_N_m: _Unit | None = None
-    stops_alone: bool | None = None
+    mode: ModeName | None = None
     remarks: tuple[str, ...] = ()
 
     @model_validator(mode="after")

@@ -13,6 +13,7 @@ from drivers.clock import SimulatedClock
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
+from drivers.mock.drive_modes import CSP, CST, CSV, PP, Mover
 from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts import constants
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
@@ -24,7 +25,6 @@ from drivers.mock.wires.timer import Timer
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
 CONNECTION_LOST: Final = 0x8100
-CSP: Final = 8
 
 _VOLTAGE: Final = key(0x2100)
 _TEMPERATURE: Final = key(0x2101)
@@ -41,11 +41,6 @@ _MAX_CURRENT: Final = key(0x6073)
 _TORQUE: Final = key(0x6077)
 _CURRENT: Final = key(0x6078)
 _DC_LINK: Final = key(0x6079)
-_TARGET: Final = key(0x607A)
-_TARGET_MIN: Final = key(0x607D, 1)
-_TARGET_MAX: Final = key(0x607D, 2)
-_MAX_SPEED: Final = key(0x607F)
-_TORQUE_OFFSET: Final = key(0x60B2)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
@@ -56,6 +51,9 @@ _INTERNAL_LIMIT: Final = 0x0800
 _FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
+_MS: Final = 1_000_000
+_LONGEST_PERIOD: Final = 20
+"""Greatest time between targets that a drive interpolates over if it measures it, ms."""
 _WHOLE: Final = 1e-6
 """Tolerance for rounding to a whole number of units, in units."""
 _AT_LIMIT: Final = 0.98
@@ -86,7 +84,7 @@ class QuickStop(IntEnum):
 
 
 class SimulatedDrive(SimulatedNode):
-    """A position servo in cyclic synchronous position mode.
+    """A position servo, in cyclic synchronous position mode unless ``traits`` offer others.
 
     Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h are counts per second
     (squared), unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
@@ -132,11 +130,21 @@ class SimulatedDrive(SimulatedNode):
         self._per_mille_torque_A = 1e3 * torque_constant / torque
         self._ramp = Timer(clock, self._ramp_done)
         self._last_word = 0
-        self._demand = 0.0
-        self._period_ns = 1_000_000
+        self._mover = Mover(
+            sampler,
+            clock,
+            self._values,
+            self._counts_per_rad,
+            self._speed_unit,
+            1.0 / self._per_mille_torque_A,
+        )
+        self._period_ns = _MS
+        # A drive without 60C2h measures the time between targets.
+        self._told_period = key(0x60C2, 1) in self.objects.entries
+        self._followed_ns = 0
         self._flags = 0
         objects = self.objects
-        objects.checks[0x6060] = _check_mode
+        objects.checks[0x6060] = self._check_mode
         objects.checks[0x605A] = _check_quick_stop
         objects.checks[0x60C2] = self._check_disabled
         objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
@@ -186,6 +194,7 @@ class SimulatedDrive(SimulatedNode):
         if (
             window != _WINDOW_OFF
             and self.power_state is State.OPERATION_ENABLED
+            and self._mover.positions
             and abs(reading.following_error_counts) > window
         ):
             self._flags |= _FOLLOWING_ERROR_BIT
@@ -255,6 +264,7 @@ class SimulatedDrive(SimulatedNode):
 
     def _enter(self, state: State) -> None:
         self._ramp.stop()
+        self._mover.stop()
         self._sampler.advance(self._clock.now_ns())
         was = self.power_state
         self.power_state = state
@@ -263,7 +273,7 @@ class SimulatedDrive(SimulatedNode):
         self._flags &= ~_TARGET_REACHED
         if state is State.OPERATION_ENABLED:
             self._machine.power(True)
-            self._demand = float(self._sampler.peek(self._clock.now_ns()).motor_counts)
+            self._mover.start(self._sampler.peek(self._clock.now_ns()).motor_counts)
         elif state not in POWERED:
             self._machine.power(False)
         elif state is State.QUICK_STOP_ACTIVE and was is not state:
@@ -308,32 +318,26 @@ class SimulatedDrive(SimulatedNode):
         self._brake(self.objects.integer(0x6084 if reaction == 1 else 0x6085))
 
     def _follow(self) -> None:
-        values = self._values
-        if values[_MODE] != CSP:
-            return
-        wanted = values[_TARGET]
-        target: float = min(max(wanted, values[_TARGET_MIN]), values[_TARGET_MAX])
-        reach = values[_MAX_SPEED] * self._speed_unit * self._period_ns * 1e-9
-        step = target - self._demand
-        if step > reach or step < -reach:
-            target = self._demand + math.copysign(reach, step)
-        if (
-            target != wanted
-            or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit * self._per_mille_A
-        ):
+        if not self._told_period:
+            now = self._clock.now_ns()
+            past = now - self._followed_ns
+            self._period_ns = min(max(round(past / _MS), 1), _LONGEST_PERIOD) * _MS
+            self._followed_ns = now
+        limited = self._mover.follow(self._period_ns)
+        greatest = _AT_LIMIT * self._current_limit * self._per_mille_A
+        if limited or abs(self._values[_CURRENT]) >= greatest:
             self._flags |= _INTERNAL_LIMIT
         else:
             self._flags &= ~_INTERNAL_LIMIT
-        self._demand = target
-        self._machine.track(target, self._period_ns)
-        self._machine.feed(values[_TORQUE_OFFSET] / self._per_mille_torque_A)
 
     def _show_status(self) -> None:
         word = self.power_state | self._flags | _VOLTAGE_ENABLED
         if self.state is Nmt.OPERATIONAL:
             word |= _REMOTE
-        if self.power_state is State.OPERATION_ENABLED and self._values[_MODE] == CSP:
-            word |= _FOLLOWS
+        if self.power_state is State.OPERATION_ENABLED:
+            mode = self._values[_MODE]
+            if mode in (CSP, CSV, CST) or (mode == PP and self._mover.acknowledged):
+                word |= _FOLLOWS
         self._values[_STATUSWORD] = word
 
     def _greatest(self, per_mille_A: float) -> int:
@@ -350,6 +354,13 @@ class SimulatedDrive(SimulatedNode):
         value, exponent = self.objects.integer(0x60C2, 1), self.objects.integer(0x60C2, 2)
         self._period_ns = value * 10 ** (9 + exponent)
 
+    def _check_mode(self, _subindex: int, value: int) -> None:
+        if value and not (value > 0 and self.traits.modes >> value - 1 & 1):
+            raise SdoAbortError(od.OUT_OF_RANGE)
+        loops = {value, self._values[_MODE]} & {CSV, CST, PP}
+        if loops and self.power_state in POWERED and value != self._values[_MODE]:
+            raise SdoAbortError(od.DEVICE_STATE)
+
     def _check_disabled(self, _subindex: int, _value: int) -> None:
         if self.power_state in POWERED:
             raise SdoAbortError(od.DEVICE_STATE)
@@ -365,11 +376,6 @@ def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
     if counts:
         return counts, 1
     return round(2e8 * math.pi / machine.motor.gear_ratio), 100
-
-
-def _check_mode(_subindex: int, value: int) -> None:
-    if value not in (0, CSP):
-        raise SdoAbortError(od.OUT_OF_RANGE)
 
 
 def _check_quick_stop(_subindex: int, value: int) -> None:

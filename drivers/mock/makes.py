@@ -18,7 +18,7 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.device_data import identity
 from drivers.canopen.eds_file import addresses
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.traits import Shown, Traits, current_A, supply_V, temperature_C
+from drivers.mock.traits import PP, Shown, Traits, current_A, supply_V, temperature_C
 
 _OWN: Final = frozenset({0x2100, 0x2101})
 MAKES: Final[Mapping[str, Traits]] = {
@@ -34,6 +34,18 @@ MAKES: Final[Mapping[str, Traits]] = {
         ),
         rpm=True,
         rated_torque_unit_N_m=1e-6,
+    ),
+    "EPOS2": Traits(
+        0xFB,
+        0x62200000,
+        _OWN | {0x1009, 0x100A, 0x603F, 0x605A, 0x6072, 0x6073, 0x6075, 0x6076, 0x6079},
+        (
+            Shown((0x2027, 0), "h", current_A, 1e-3),
+            Shown((0x6078, 0), "h", current_A, 1e-3),
+            Shown((0x6410, 1), "H", None, 1e-3),
+        ),
+        rpm=True,
+        modes=PP,
     ),
     "Elmo": Traits(
         0x9A,
@@ -91,6 +103,8 @@ MAKES: Final[Mapping[str, Traits]] = {
 LACKS: Final[Mapping[str, frozenset[int]]] = {name: make.lacks for name, make in MAKES.items()}
 """Make to the indices that are missing."""
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
+_STANDARD: Final = frozenset({(0x6078, 0)})
+"""Objects of CiA 402 that some make has in a unit of its own."""
 _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 """Struct code to data type of CiA 301."""
 
@@ -111,7 +125,11 @@ def description(make: str) -> str:
     text = text.replace("0x000007FF", f"0x{traits.vendor_id:08X}")
     text = text.replace("0x00000402", f"0x{traits.product_code:08X}")
     indices = sorted({own.address[0] for own in traits.own if own.address[1]})
-    return text + "".join(map(_record, indices)) + "".join(map(_section, traits.own))
+    return (
+        text
+        + "".join(map(_record, indices))
+        + "".join(_section(own) for own in traits.own if own.address not in _STANDARD)
+    )
 
 
 def described_drive(dictionary: ObjectDictionary) -> Traits:

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container
 from dataclasses import dataclass, field
-from typing import Final
 
 from drivers.mock.canopen.dictionary import DeviceDictionary, Entry, key
 from drivers.mock.plant.machine import Reading
 
 Quantity = Callable[[Reading], float]
 """What an object shows, in SI units or deg C."""
-CSP_ONLY: Final = 1 << 7
-"""6502h of a drive that offers cyclic synchronous position only."""
+PP, CSP, CSV, CST = 1 << 0, 1 << 7, 1 << 8, 1 << 9
+"""Bits of 6502h: modes that a drive offers."""
 
 
 def current_A(reading: Reading) -> float:
@@ -72,7 +71,7 @@ class Traits:
     rpm: bool = False
     speed_counts_per_s: float = 1.0
     rated_torque_unit_N_m: float = 1e-3
-    modes: int = CSP_ONLY
+    modes: int = PP | CSP | CSV | CST
     shown: Container[tuple[int, int]] | None = None
 
     def speed_unit(self, counts_per_turn: float) -> float:

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from drivers.canopen.device_data import SIMULATED, DeviceData, devices, match
 from drivers.canopen.eds_file import read_eds
+from drivers.canopen.motion import ModeName
 from drivers.canopen.velocity_unit import RPM
 from drivers.errors import ConfigurationError
 from rig.config.configuration import Positive, Schema, nearest
@@ -36,6 +37,29 @@ class Bus(Schema):
     interface: str = "mock"
     channel: str | None = None
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
+
+
+class PositionLoopSection(Schema):
+    """The position loop of this program, for drives that take a speed (`csv`) or torque (`cst`).
+
+    Gains that are null follow from the cycle and, for a torque, from the inertia.
+
+    Attributes:
+        position_gain_1_s: Speed command per position error.
+        speed_gain_N_m_s_rad: Torque command per speed error, at the joint; for `cst`.
+        reset_1_s: Inverse reset time of the speed loop; for `cst`.
+        inertia_kg_m2: Inertia at the joint, identified or from the drawings; `cst` needs it.
+        drive_limits_speed: Whether the drive itself limits the speed in torque mode, to
+            `limits.speed_deg_s` or less, as set with the maker's tool (for example 6080h). `cst`
+            needs it, as a torque that is left standing for the time-out of the drive's watchdog
+            accelerates the joint.
+    """
+
+    position_gain_1_s: Positive | None = None
+    speed_gain_N_m_s_rad: Positive | None = None
+    reset_1_s: Positive | None = None
+    inertia_kg_m2: Positive | None = None
+    drive_limits_speed: bool = False
 
 
 class ServoSection(Schema):
@@ -76,6 +100,12 @@ class ServoSection(Schema):
         rated_current_object_unit_A: Current of one unit of that object; 0.001 unless stated.
         rated_torque_object: Index and subindex of the rated motor torque; 6076h in CiA 402.
         rated_torque_object_unit_N_m: Torque of one unit of that object; 0.001 unless stated.
+        mode: How the drive is commanded. `csp` sends positions in every cycle. `csv` and `cst` send
+            speeds and torques: this program closes the position loop, and the drive must notice a
+            silent program by itself. `pp` sends set-points, between which the drive moves in ramps;
+            for slow motions. Null for the mode of the maker's data, else `csp`.
+        position_loop: The position loop of `csv` and `cst`.
+        profile_acceleration_deg_s2: Acceleration of the ramps of `pp`, at the joint (6083h, 6084h).
         stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
             program any more; null where its EDS file shows it (6007h). False cuts the limits, as
             for every drive without a watchdog.
@@ -108,6 +138,9 @@ class ServoSection(Schema):
     rated_current_object_unit_A: Positive | None = None
     rated_torque_object: ObjectAddress | None = None
     rated_torque_object_unit_N_m: Positive | None = None
+    mode: ModeName | None = None
+    position_loop: PositionLoopSection = PositionLoopSection()
+    profile_acceleration_deg_s2: Positive = 2000.0
     stops_alone: bool | None = None
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
@@ -119,6 +152,16 @@ class ServoSection(Schema):
             raise ValueError(
                 f"velocity_unit {self.velocity_unit} and velocity_unit_rad_s "
                 f"{self.velocity_unit_rad_s:g} are both set; remove one"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _torque_is_bounded(self) -> Self:
+        loop = self.position_loop
+        if self.mode == "cst" and (loop.inertia_kg_m2 is None or not loop.drive_limits_speed):
+            raise ValueError(
+                "mode cst needs position_loop.inertia_kg_m2, and a drive that limits the speed by "
+                "itself: position_loop.drive_limits_speed: true"
             )
         return self
 
@@ -146,6 +189,10 @@ class ServoSection(Schema):
             return match(read_eds(folder / self.eds, self.node))
         except ConfigurationError:
             return None
+
+    def commanded(self, data: DeviceData | None) -> ModeName:
+        """Return the mode of operation, as stated here, by the maker's data, or else `csp`."""
+        return self.mode or (data.mode if data is not None else None) or "csp"
 
     def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
         """Return the motor speed of one unit of 606Ch, rad/s; None for one count per second.

@@ -36,7 +36,7 @@ from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.devices import Devices
 from rig.wiring.guard import Guard
 from rig.wiring.resources import resources
-from rig.wiring.scales import encoder_scales, servo_scales
+from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 from rig.wiring.serial_devices import amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -161,12 +161,13 @@ def _wire(
         link, simulated = _link(document, bench.servo, bus, seed, attach)
         hang = None if simulated is None else simulated.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
-        scales = servo_scales(bench.servo, bench.machine, servo_data(document))
+        data = servo_data(document)
+        scales = servo_scales(bench.servo, bench.machine, data)
         servo = Cia402Servo(
             drive,
             link,
             scales,
-            torque_offset=torque_offset,
+            motion=servo_motion(bench.servo, scales, data, torque_offset),
             stops_alone=bench.servo.stops_alone,
         )
     pressure: PressureTransmitter | None = None

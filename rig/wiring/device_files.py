@@ -22,7 +22,7 @@ from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, wire
 from rig.config.serial_bus import SerialBus
 from rig.wiring.connect import eds_path, servo_data
-from rig.wiring.scales import encoder_scales, servo_scales
+from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 
 Role = Literal["servo", "encoder", "pressure"]
 _WORDS: dict[Role, str] = {
@@ -125,8 +125,10 @@ def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessCha
     bench = document.value
     if role == "servo":
         assert isinstance(bench.servo, ServoSection)
-        scales = servo_scales(bench.servo, bench.machine, servo_data(document))
-        return Cia402Servo(node, link, scales)
+        data = servo_data(document)
+        scales = servo_scales(bench.servo, bench.machine, data)
+        motion = servo_motion(bench.servo, scales, data)
+        return Cia402Servo(node, link, scales, motion=motion, stops_alone=bench.servo.stops_alone)
     if role == "encoder":
         assert isinstance(bench.encoder, EncoderSection)
         return Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))

@@ -6,6 +6,14 @@ import math
 from typing import Any
 
 from drivers.canopen.device_data import DeviceData
+from drivers.canopen.motion import (
+    CyclicPosition,
+    CyclicSpeed,
+    CyclicTorque,
+    Motion,
+    ProfilePosition,
+)
+from drivers.canopen.position_loop import LoopGains
 from drivers.units import EncoderScales, ServoScales
 from rig.config.bench import Constants
 from rig.config.canopen import EncoderSection, ServoSection
@@ -58,6 +66,31 @@ def servo_scales(
         vendor_id=_vendor(servo, data),
         **found,
     )
+
+
+def servo_motion(
+    servo: ServoSection, scales: ServoScales, data: DeviceData | None, torque_offset: bool = False
+) -> Motion:
+    """Return how the drive is commanded.
+
+    Args:
+        servo: The drive in the bench file.
+        scales: Its units.
+        data: What is known of drives of its maker.
+        torque_offset: Whether a torque is added (feed-forward); for positions in every cycle only.
+    """
+    mode = servo.commanded(data)
+    if mode == "csp":
+        return CyclicPosition(torque_offset)
+    if mode == "pp":
+        return ProfilePosition(scales, math.radians(servo.profile_acceleration_deg_s2))
+    loop = servo.position_loop
+    stated = LoopGains(
+        loop.position_gain_1_s or 0.0, loop.speed_gain_N_m_s_rad or 0.0, loop.reset_1_s or 0.0
+    )
+    if mode == "csv":
+        return CyclicSpeed(scales, stated)
+    return CyclicTorque(scales, stated, loop.inertia_kg_m2 or 0.0)
 
 
 def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:

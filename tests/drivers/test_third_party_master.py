@@ -56,16 +56,30 @@ def pair(
     bench.bus.shutdown()
 
 
+def positions(node: BaseNode402) -> bool:
+    """Whether the drive takes positions in every cycle; the others take set-points."""
+    return bool(node.is_op_mode_supported("CYCLIC SYNCHRONOUS POSITION"))
+
+
 def enable(node: BaseNode402) -> None:
-    node.op_mode = "CYCLIC SYNCHRONOUS POSITION"
-    assert node.op_mode == "CYCLIC SYNCHRONOUS POSITION"
+    mode = "CYCLIC SYNCHRONOUS POSITION" if positions(node) else "PROFILED POSITION"
+    node.op_mode = mode
+    assert node.op_mode == mode
     node.sdo[0x607A].raw = node.sdo[0x6064].raw
     node.state = "OPERATION ENABLED"
 
 
 def move(node: BaseNode402, counts: int) -> None:
-    """Move by counts, ten per SYNC."""
+    """Move by counts, ten per SYNC or in one profile."""
     start = node.sdo[0x6064].raw
+    if not positions(node):
+        node.sdo[0x607A].raw = start + counts
+        node.controlword = 0x3F
+        assert node.statusword & 0x1000
+        node.controlword = 0x0F
+        for _ in range(counts // 10):
+            node.network.sync.transmit()
+        return
     for step in range(10, counts + 1, 10):
         node.sdo[0x607A].raw = start + step
         node.network.sync.transmit()
