@@ -80,51 +80,62 @@ def lacks(
     }
     words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
     words += [f"not held by the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
-    supply, temperature, voltage = (
-        f" ({_name(address)})" if address else ""
-        for address in (scales.supply_object, scales.temperature_object, scales.voltage_object)
-    )
-    words += [
-        text
-        for there, text in (
-            (told.supply, f"not watched: supply voltage{supply}; servo.supply_object names it"),
-            (
-                told.temperature,
-                f"not watched: temperature{temperature}; servo.temperature_object names it",
-            ),
-            (told.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
-            (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
-            (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
-            (
-                told.current if told.current in (scales.current_object, objects.CURRENT) else None,
-                "no motor current (6078h): it is taken from the torque 6077h",
-            ),
-            *(
-                (
-                    channel.describes(*rated) or None,
-                    f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
-                    f"values are; read it with the maker's tool",
-                )
-                for what, rated in (
-                    ("rated current", scales.rated_current_object),
-                    ("rated torque", scales.rated_torque_object),
-                )
-            ),
-            (
-                channel.describes(*objects.CYCLE) or None,
-                f"no interpolation period (60C2h): set it to {cycle_s * 1e3:g} ms with the maker's "
-                f"tool",
-            ),
-            (
-                channel.describes(*objects.ON_ABORT) or None,
-                "no reaction to a lost master (6007h), so that the drive counts as one without a "
-                "watchdog; servo.stops_alone: true where its manual says that it takes the power "
-                "off when the heartbeat of this program ends",
-            ),
-        )
-        if there is None
-    ]
+    words += _replaced(channel, scales, told, cycle_s)
     return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
+
+
+def _replaced(
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float
+) -> Iterator[str]:
+    """Yield what is not watched, and what stands in for an object that is missing."""
+
+    def place(address: ObjectAddress | None) -> str:
+        if address is None:
+            return ""
+        single = ", which is no process data" if channel.describes(*address) else ""
+        return f" ({_name(address)}{single})"
+
+    supply, temperature, voltage = map(
+        place, (scales.supply_object, scales.temperature_object, scales.voltage_object)
+    )
+    for there, text in (
+        (told.supply, f"not watched: supply voltage{supply}; servo.supply_object names it"),
+        (
+            told.temperature,
+            f"not watched: temperature{temperature}; servo.temperature_object names it",
+        ),
+        (told.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
+        (told.time, "no time stamp (1013h): samples bear this computer's time of the SYNC"),
+        (told.speed, "no motor speed (606Ch): it is taken from the change of the position"),
+        (
+            told.current if told.current in (scales.current_object, objects.CURRENT) else None,
+            "no motor current (6078h): it is taken from the torque 6077h",
+        ),
+        *(
+            (
+                channel.describes(*rated) or None,
+                f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
+                f"values are; read it with the maker's tool",
+            )
+            for what, rated in (
+                ("rated current", scales.rated_current_object),
+                ("rated torque", scales.rated_torque_object),
+            )
+        ),
+        (
+            channel.describes(*objects.CYCLE) or None,
+            f"no interpolation period (60C2h): set it to {cycle_s * 1e3:g} ms with the maker's "
+            f"tool",
+        ),
+        (
+            channel.describes(*objects.ON_ABORT) or None,
+            "no reaction to a lost master (6007h), so that the drive counts as one without a "
+            "watchdog; servo.stops_alone: true where its manual says that it takes the power "
+            "off when the heartbeat of this program ends",
+        ),
+    ):
+        if there is None:
+            yield text
 
 
 def _name(address: ObjectAddress) -> str:

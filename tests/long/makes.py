@@ -1,9 +1,10 @@
 """Drives of common makes on the practical bench: the Figure 10 sequence, and every fault.
 
-python -m tests.long.makes figure10 [MAKE ...]   the nine parameters of each, against CANopen's
-python -m tests.long.makes faults [MAKE ...]     every fault in every phase
+python -m tests.long.makes figure10 [MAKE|MODE ...]   the nine parameters of each, against CANopen's
+python -m tests.long.makes faults [MAKE|MODE ...]     every fault in every phase
 
-Each make is simulated with the objects and units of its maker. Over the serial line of the EPOS4
+Each make is simulated with the objects and units of its maker; csv, cst and pp are the simulated
+drive in these modes. Over the serial line of the EPOS4
 run the objects of three makes; only maxon's drives speak that protocol.
 """
 
@@ -28,18 +29,20 @@ from rig.runs.truth import true_parameters
 
 from . import fault_matrix
 from .fault_cases import PHASES, STATES, Transport
-from .fault_cases_makes import cases
+from .fault_cases_makes import MODES, cases
 
 SERIAL_MAKES = ("EPOS4", "Elmo", "Trinamic")
 
 
-def write_bench(folder: Path, make: str, packaged: str = "practical", keys: str = "") -> Path:
-    """Write the bench of a make and its EDS file; returns the bench file."""
+def write_bench(folder: Path, make: str, packaged: str = "practical") -> Path:
+    """Write the bench of a make and its EDS file, or of a mode; returns the bench file."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "drive.eds").write_text(description(make))
+    keys = MODES.get(make, "eds: drive.eds, ")
+    if make not in MODES:
+        (folder / "drive.eds").write_text(description(make))
     text = resolve(packaged, "benches").read_text()
     path = folder / "bench.yaml"
-    path.write_text(text.replace("servo: {", f"servo: {{eds: drive.eds, {keys}", 1))
+    path.write_text(text.replace("servo: {", f"servo: {{{keys}", 1))
     return path
 
 
@@ -143,7 +146,7 @@ def faults(makes: list[str]) -> int:
 def main() -> int:
     """Do what the first word says with the makes that follow, or with all."""
     what, *names = sys.argv[1:]
-    makes = names or list(MAKES)
+    makes = names or [*MAKES, *MODES]
     return figure10(makes) if what == "figure10" else faults(makes)
 
 
