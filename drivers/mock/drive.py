@@ -28,6 +28,7 @@ CONNECTION_LOST: Final = 0x8100
 
 _VOLTAGE: Final = key(0x2100)
 _TEMPERATURE: Final = key(0x2101)
+_ON_ABORT: Final = key(0x6007)
 _ERROR_CODE: Final = key(0x603F)
 _CONTROLWORD: Final = key(0x6040)
 _STATUSWORD: Final = key(0x6041)
@@ -160,6 +161,8 @@ class SimulatedDrive(SimulatedNode):
         values = self._values
         values[key(0x6075)] = self._rated_current_mA
         values[key(0x6076)] = self._rated_torque
+        if _ON_ABORT not in self.objects.entries:
+            values[_ON_ABORT] = 0  # a drive without the object has no such reaction
         self._own.restore(values, self._rated_current_mA * 1e-3)
         for index in (0x6084, 0x6085):
             values[key(index)] = round(values[key(index)] / self._speed_unit)
@@ -218,7 +221,7 @@ class SimulatedDrive(SimulatedNode):
         """React to the loss of the master as set in 6007h; no reaction in states without power."""
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
-        match self.objects.integer(0x6007):
+        match self._values[_ON_ABORT]:
             case 1:
                 self._fault(code or CONNECTION_LOST, COMMUNICATION, announce=False)
             case 2:
