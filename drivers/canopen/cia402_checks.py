@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from drivers import servo_limits
+from drivers.canopen import cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
-from drivers.canopen import velocity_unit
 from drivers.canopen.cia402_objects import Cyclic
 from drivers.canopen.motion import TORQUE_OFFSET, Motion
 from drivers.errors import ConfigurationError, DeviceError
@@ -149,6 +149,8 @@ def refusals(
     """Yield units that differ from the bench file, a cycle that cannot be set, and missing
     objects.
     """
+    if (error := cia402_mode.not_offered(channel, motion)) is not None:
+        yield error
     yield from unit_refusals(channel, scales, motion, cycle_s)
     inputs = objects.inputs(told, channel)
     unmappable = list(refusal(channel.require_mappable, objects.outputs(motion), inputs))

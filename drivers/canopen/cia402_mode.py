@@ -16,21 +16,30 @@ over only when they are switched on.
 """
 
 
+def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
+    """Return why the drive cannot be used in this mode (6502h); None where it can, or leaves it
+    open.
+    """
+    offered = None
+    if channel.describes(*objects.MODES):
+        offered = optional(channel.read, *objects.MODES)
+    bit = motion.mode - 1
+    if offered is None or offered & 1 << bit:
+        return None
+    return StateError(
+        f"the drive does not offer mode {motion.mode}, {motion.words} (6502h reads "
+        f"{offered:08X}h, bit {bit} is 0): set servo.mode to one that it offers"
+    )
+
+
 def select(channel: ProcessChannel, motion: Motion) -> None:
     """Write the mode of operation (6060h).
 
     Raises:
         StateError: The drive does not offer it (6502h).
     """
-    offered = None
-    if channel.describes(*objects.MODES):
-        offered = optional(channel.read, *objects.MODES)
-    bit = motion.mode - 1
-    if offered is not None and not offered & 1 << bit:
-        raise StateError(
-            f"the drive does not offer mode {motion.mode}, {motion.words} (6502h reads "
-            f"{offered:08X}h, bit {bit} is 0): set servo.mode to one that it offers"
-        )
+    if (error := not_offered(channel, motion)) is not None:
+        raise error
     channel.write(*objects.MODE, motion.mode)
 
 

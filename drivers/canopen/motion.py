@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from typing import ClassVar, Final, Literal, NamedTuple
 
@@ -33,6 +34,10 @@ PROFILE_ACCELERATION: Final = (0x6083, 0)
 PROFILE_DECELERATION: Final = (0x6084, 0)
 STALE_CYCLES: Final = 3
 """Exchanges without a whole answer after which a speed or torque of 0 is commanded."""
+SPEED_OVER: Final = 2
+"""Exchanges over which the loop takes the speed from positions."""
+COARSE: Final = 0.05
+"""Share of the torque limit from which one count of that speed is too coarse for the loop."""
 _INT16: Final = range(-(1 << 15), 1 << 15)
 _INT32: Final = range(-(1 << 31), 1 << 31)
 
@@ -180,6 +185,7 @@ class _HostLoop(Motion):
         self._before: LoopState = AT_REST
         self._stepped_in = -1
         self._stale = 0
+        self._passed: deque[tuple[int, float]] = deque(maxlen=SPEED_OVER + 1)
 
     def begin(self, cycle_s: float) -> None:
         """Derive the gains from the cycle."""
@@ -212,6 +218,7 @@ class _HostLoop(Motion):
         self._state = self._before = AT_REST
         self._stepped_in = -1
         self._stale = 0
+        self._passed.clear()
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
@@ -226,6 +233,8 @@ class _HostLoop(Motion):
         if cycle != self._stepped_in:
             self._stepped_in, self._before = cycle, self._state
             self._stale = 0 if seen.fresh else self._stale + 1
+            if seen.fresh:
+                self._passed.append((cycle, seen.angle_rad))
         if self._stale > STALE_CYCLES or self._limits is None:
             self._state = AT_REST
             return 0
@@ -236,9 +245,22 @@ class _HostLoop(Motion):
             self._cycle_s,
             target_rad,
             seen.angle_rad,
-            seen.speed_rad_s,
+            self._speed(seen, self._limits.torque_N_m),
         )
         return self._units(speed, torque)
+
+    def _speed(self, seen: Observed, torque_N_m: float) -> float:
+        """Return the joint speed from the change of the position, which needs no unit of the speed
+        to be right. Where one count of it would be too much torque, the drive's own speed counts.
+        """
+        then, before = self._passed[0] if self._passed else (0, 0.0)
+        now, angle = self._passed[-1] if self._passed else (0, 0.0)
+        if now == then:
+            return 0.0
+        count = abs(self._scales.joint_rad_per_count) / (SPEED_OVER * self._cycle_s)
+        if count * self._gains.speed_N_m_s_rad > COARSE * torque_N_m:
+            return seen.speed_rad_s
+        return (angle - before) / ((now - then) * self._cycle_s)
 
     @abstractmethod
     def _units(self, speed_rad_s: float, torque_N_m: float) -> int:

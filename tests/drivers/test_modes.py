@@ -12,6 +12,7 @@ from drivers.canopen.motion import (
     CyclicSpeed,
     CyclicTorque,
     Motion,
+    Observed,
     ProfilePosition,
 )
 from drivers.canopen.position_loop import LoopGains
@@ -151,6 +152,34 @@ def test_a_torque_is_never_more_than_its_limit() -> None:
         host.cycles(5, lambda t, begun=0.005 * step: 5.0 * (begun + t))
         asked.append(host.bench.drive.objects.integer(0x6071))
     assert max(asked) == math.floor(20.0 / SCALES.joint_torque_unit_N_m)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_torque_needs_no_unit_of_the_speed(sign: int) -> None:
+    scales = dataclasses.replace(SCALES, sign=sign)
+    torque = CyclicTorque(scales, LoopGains(0.0), INERTIA)
+    # The drive tells its speed in rpm, which is 68 times too small for the unit of the scales.
+    host = make_host(scales=scales, motion=torque, traits=Traits(modes=1 << 9, rpm=True))
+    host.servo.write_limits(LIMITS)
+    enabled(host)
+    for step in range(50):
+        host.cycles(20, lambda t, begun=0.02 * step: sine(begun + t))
+        error = sign * host.bench.machine.truth().angle_rad - sine(0.02 * step + 0.02)
+        assert abs(math.degrees(error)) < 0.5
+
+
+@pytest.mark.parametrize(("counts", "own"), [(4096.0, False), (40.0, True)])
+def test_where_the_encoder_is_coarse_the_drive_s_speed_counts(counts: float, own: bool) -> None:
+    scales = dataclasses.replace(SCALES, counts_per_turn=counts)
+    torque = CyclicTorque(scales, LoopGains(0.0), INERTIA)
+    torque.begin(0.001)
+    torque.take_limits(LIMITS)
+    torque.reset()
+    seen = Observed(0x27, 0.0, 0.25, True)
+    torque._value(1, 0.0, seen)
+    assert torque._speed(seen, 75.0) == 0.0
+    torque._value(2, 0.0, seen._replace(angle_rad=1e-4))
+    assert torque._speed(seen, 75.0) == pytest.approx(0.25 if own else 0.1)
 
 
 @pytest.mark.parametrize("mode", TARGETS)
