@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 from drivers.mock.makes import MAKES
 
@@ -91,8 +92,5 @@ def cases(make: str) -> Mapping[str, Case]:
         )
     if 0x6007 in lacks:
         found |= _ALONE
-        found = {
-            name: _changed(case, lambda phase, must, name=name: _unwatched(name, phase, must))
-            for name, case in found.items()
-        }
+        found = {name: _changed(case, partial(_unwatched, name)) for name, case in found.items()}
     return found
