@@ -1,6 +1,6 @@
 """Drives of common makes on the practical bench: the Figure 10 sequence, and every fault.
 
-python -m tests.long.makes figure10 [MAKE|MODE ...]   the nine parameters of each, against CANopen's
+python -m tests.long.makes figure10 [MAKE|MAKE:serial|MODE ...]  the nine parameters of each
 python -m tests.long.makes faults [--some] [MAKE|MODE ...]  every fault, or some, in every phase
 
 Each make is simulated with the objects and units of its maker; csv, cst and pp are the simulated
@@ -32,7 +32,9 @@ from . import fault_matrix
 from .fault_cases import PHASES, STATES, Transport
 from .fault_cases_makes import MODES, cases
 
-SERIAL_MAKES = ("EPOS4", "Elmo", "Trinamic")
+BASELINES = ("practical", "practical_serial")
+"""The simulated drive on CAN and on a serial line, which the others are held against."""
+SERIAL = ("EPOS4:serial", "Elmo:serial", "Trinamic:serial")
 SOME = (
     "one frame lost",
     "the drive's frames lost, 40 of them",
@@ -87,23 +89,34 @@ def figure10(makes: list[str]) -> int:
     assert machine is not None
     truth = true_parameters(machine)
     found: dict[str, Mapping[str, dict[str, Any]]] = {}
-    benches = [("practical", make) for make in makes]
-    benches += [("practical_serial", make) for make in SERIAL_MAKES if make in makes]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        for packaged in ("practical", "practical_serial"):
-            found[packaged], _ = identified(packaged, folder / packaged)
-        for packaged, make in benches:
-            label = make if packaged == "practical" else f"{make}, serial"
+        for label in (*BASELINES, *makes):
             began = time.monotonic()
-            bench = write_bench(folder / label, make, packaged)
-            found[label], unwatched = identified(str(bench), folder / label)
+            make, _, serial = label.partition(":")
+            bench = label
+            if label not in BASELINES:
+                packaged = BASELINES[1 if serial else 0]
+                bench = str(write_bench(folder / label, make, packaged))
+            found[label], unwatched = identified(bench, folder / label)
             what = "; ".join(
                 line.partition("not watched: ")[2].partition(";")[0] for line in unwatched
             )
-            took_s = time.monotonic() - began
-            print(f"{label}: {took_s:.0f} s; not watched: {what or 'nothing'}", flush=True)
+            print(
+                f"{label}: {time.monotonic() - began:.0f} s; {_held(found[label], truth)} of "
+                f"{len(truth)} constants in their intervals; not watched: {what or 'nothing'}",
+                flush=True,
+            )
     return report(found, truth)
+
+
+def _held(parameters: Mapping[str, dict[str, Any]], truth: Mapping[str, float]) -> int:
+    """Return how many intervals hold the truth."""
+    return sum(
+        parameters[name]["value"] is not None
+        and parameters[name]["low"] <= true <= parameters[name]["high"]
+        for name, true in truth.items()
+    )
 
 
 def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str, float]) -> int:
@@ -115,10 +128,10 @@ def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str
         row = [parameter, number(true)]
         for label, parameters in found.items():
             item = parameters[parameter]
-            mine = found["practical_serial" if "serial" in label else "practical"][parameter]
+            mine = found[BASELINES[":" in label]][parameter]
             held = item["value"] is not None and item["low"] <= true <= item["high"]
             missed += not held
-            if not label.startswith("practical"):
+            if label not in BASELINES:
                 pairs += 1
                 apart += item["value"] is None or not (
                     item["low"] <= mine["high"] and mine["low"] <= item["high"]
@@ -166,8 +179,11 @@ def faults(makes: list[str], some: bool) -> int:
 def main() -> int:
     """Do what the first word says with the makes that follow, or with all."""
     what, *names = sys.argv[1:]
-    makes = [name for name in names if name != "--some"] or [*MAKES, *MODES]
-    return figure10(makes) if what == "figure10" else faults(makes, "--some" in names)
+    named = [name for name in names if name != "--some"]
+    makes = named or [*MAKES, *MODES]
+    if what == "figure10":
+        return figure10(named or [*makes, *SERIAL])
+    return faults(makes, "--some" in names)
 
 
 if __name__ == "__main__":
