@@ -25,7 +25,7 @@ from drivers.mock.makes import MAKES, description
 from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
-from rig.config.packaged import resolve
+from rig.config.packaged import names, resolve
 from rig.runs.truth import true_parameters
 
 from . import fault_matrix
@@ -34,6 +34,8 @@ from .fault_cases_makes import MODES, cases
 
 BASELINES = ("practical", "practical_serial")
 """The simulated drive on CAN and on a serial line, which the others are held against."""
+OWN_FRAMES = ("odrive_can", "mit_mini")
+"""Packaged benches of drives with frames of their own."""
 SERIAL = ("EPOS4:serial", "Elmo:serial", "Trinamic:serial")
 SOME = (
     "one frame lost",
@@ -89,13 +91,13 @@ def figure10(makes: list[str]) -> int:
     assert machine is not None
     truth = true_parameters(machine)
     found: dict[str, Mapping[str, dict[str, Any]]] = {}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
         for label in (*BASELINES, *makes):
             began = time.monotonic()
             make, _, serial = label.partition(":")
             bench = label
-            if label not in BASELINES:
+            if label not in names("benches"):
                 packaged = BASELINES[1 if serial else 0]
                 bench = str(write_bench(folder / label, make, packaged))
             found[label], unwatched = identified(bench, folder / label)
@@ -178,12 +180,12 @@ def faults(makes: list[str], some: bool) -> int:
 
 def main() -> int:
     """Do what the first word says with the makes that follow, or with all."""
-    what, *names = sys.argv[1:]
-    named = [name for name in names if name != "--some"]
+    what, *words = sys.argv[1:]
+    named = [word for word in words if word != "--some"]
     makes = named or [*MAKES, *MODES]
     if what == "figure10":
-        return figure10(named or [*makes, *SERIAL])
-    return faults(makes, "--some" in names)
+        return figure10(named or [*makes, *SERIAL, *OWN_FRAMES])
+    return faults(makes, "--some" in words)
 
 
 if __name__ == "__main__":
