@@ -90,6 +90,16 @@ def cases(make: str) -> Mapping[str, Case]:
             found["target with a bit wrong"],
             by_phase=at("approach excite ramp_out hold", Must(4, "8611h", BRAKE_S)),
         )
+    elif {0x6007, 0x6072, 0x6073} <= lacks:
+        # The limit is cut, and the drive does not hold it.
+        found["target with a bit wrong"] = replace(
+            found["target with a bit wrong"],
+            by_phase=at("approach excite ramp_out hold", Must(1, "motor current", BRAKE_S)),
+        )
+    if make == "EPOS2":
+        # The first frame of that phase is no answer there, but process data.
+        lost = found["one frame lost"]
+        found["one frame lost"] = replace(lost, by_phase={**lost.by_phase, "disable": RIDES})
     if 0x6007 in lacks:
         found |= _ALONE
         found = {name: _changed(case, partial(_unwatched, name)) for name, case in found.items()}
