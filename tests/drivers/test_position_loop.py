@@ -60,10 +60,94 @@ def test_the_integral_does_not_grow_in_the_limit() -> None:
 
 
 @pytest.mark.parametrize("name", ["target", "angle", "speed"])
-def test_a_missing_value_is_no_command(name: str) -> None:
-    values = {"target": 0.0, "angle": 0.0, "speed": 0.0, name: math.nan}
-    with pytest.raises(ConfigurationError, match="a value is missing"):
-        step(AT_REST, derived(CYCLE_S, 0.2), LIMITS, CYCLE_S, *values.values())
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_missing_value_is_no_command(name: str, value: float) -> None:
+    values = {"target": 0.5, "angle": 0.25, "speed": 0.125, name: value}
+    target, angle, speed = values.values()
+    with pytest.raises(ConfigurationError) as caught:
+        step(AT_REST, derived(CYCLE_S, 0.2), LIMITS, CYCLE_S, target, angle, speed)
+    assert str(caught.value) == (
+        f"the position loop got target {target:g} rad, angle {angle:g} rad, speed {speed:g} "
+        f"rad/s: a value is missing; check the drive's process data"
+    )
+
+
+def test_two_infinite_values_do_not_cancel() -> None:
+    with pytest.raises(ConfigurationError):
+        step(AT_REST, derived(CYCLE_S, 0.2), LIMITS, CYCLE_S, math.inf, math.inf, 0.0)
+
+
+GAINS = LoopGains(10.0, 5.0, 4.0)
+
+
+def test_one_step_in_figures() -> None:
+    state, speed, torque = step(LoopState(0.1999, 1.0), GAINS, LIMITS, CYCLE_S, 0.2, 0.1, 0.3)
+    assert speed == pytest.approx(0.1 + 10 * 0.1)
+    assert state.target_rad == 0.2
+    assert state.integral_N_m == pytest.approx(1.0 + 5 * 4 * 0.001 * 0.8)
+    assert torque == pytest.approx(5 * 0.8 + state.integral_N_m)
+    assert AT_REST.integral_N_m == 0.0
+
+
+def test_without_a_speed_gain_there_is_neither_torque_nor_integral() -> None:
+    state, _, torque = step(LoopState(0.2, 3.0), LoopGains(10.0), LIMITS, CYCLE_S, 0.2, 0.1, 0.3)
+    assert (state.integral_N_m, torque) == (0.0, 0.0)
+    assert LoopGains(10.0).reset_1_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("integral", "speed", "grows"), [(74.0, 0.5, False), (-74.0, 1.5, False), (90.0, 1.1, True)]
+)
+def test_in_the_torque_limit_the_integral_only_shrinks(
+    integral: float, speed: float, grows: bool
+) -> None:
+    """The speed that is asked for is 1 rad/s; the third error leads out of the limit."""
+    state, asked, torque = step(LoopState(0.2, integral), GAINS, LIMITS, CYCLE_S, 0.2, 0.1, speed)
+    assert asked == pytest.approx(1.0)
+    assert torque == math.copysign(75.0, integral)
+    assert (state.integral_N_m != integral) is grows
+
+
+@pytest.mark.parametrize(
+    ("angle", "target", "speed"),
+    [
+        (0.45, 9.0, math.sqrt(2 * 35 * 0.05)),
+        (-0.45, -9.0, -math.sqrt(2 * 35 * 0.05)),
+        (0.0, 9.0, 2.0),
+        (0.5, 9.0, 0.0),
+        (0.6, 9.0, 0.0),
+        (-0.6, -9.0, 0.0),
+        (0.6, 0.5, -1.0),
+    ],
+)
+def test_the_speed_in_front_of_an_end(angle: float, target: float, speed: float) -> None:
+    _, found, _ = step(AT_REST, LoopGains(10.0), LIMITS, CYCLE_S, target, angle, 0.0)
+    assert found == pytest.approx(speed)
+
+
+@pytest.mark.parametrize(
+    ("speed", "integral", "torque"),
+    [(2.5, 20.0, 0.0), (-2.5, -20.0, 0.0), (2.0, 20.0, 15.0), (2.5, 5.0, -2.5), (2.5, 8.0, 0.0)],
+)
+def test_a_torque_that_would_raise_a_speed_beyond_its_limit(
+    speed: float, integral: float, torque: float
+) -> None:
+    wanted = math.copysign(1.0, speed)
+    gains = LoopGains(10.0, 5.0, 1e-9)
+    _, _, found = step(LoopState(0.0, integral), gains, LIMITS, CYCLE_S, 0.0, -0.1 * wanted, speed)
+    assert found == pytest.approx(torque, abs=1e-6)
+
+
+def test_the_gains_that_follow_from_cycle_and_inertia() -> None:
+    assert derived(0.001, None) == LoopGains(60.0)
+    assert derived(0.0005, None) == LoopGains(60.0)
+    assert derived(0.01, None) == LoopGains(pytest.approx(6.0))
+    tuned = derived(0.01, 0.2)
+    assert (tuned.position_1_s, tuned.speed_N_m_s_rad, tuned.reset_1_s) == pytest.approx(
+        (6.0, 3.0, 3.0)
+    )
+    slow = derived(0.001, 0.2, LoopGains(0.0, 8.0))
+    assert (slow.position_1_s, slow.reset_1_s) == pytest.approx((16.0, 8.0))
 
 
 @pytest.mark.parametrize("cycle_s", [0.001, 0.002, 0.01, 0.1])
