@@ -169,6 +169,12 @@ class ProcessChannel(ObjectAccess, Protocol):
         """Set the values that output ``number`` carries from the next exchange on."""
         ...
 
+    def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
+        """Set the values that output ``number`` carries in the next exchange, and those from the
+        one after it on unless others are staged.
+        """
+        ...
+
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of input ``number``."""
         ...

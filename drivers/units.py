@@ -29,9 +29,9 @@ class ServoScales:
         offset_rad: Joint angle at position 0.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
             for one count per second.
-        voltage_object: Object of the mean motor voltage.
+        voltage_object: Object of the mean motor voltage; None where it is not known.
         voltage_unit_V: Unit of that object, V.
-        temperature_object: Object of the drive's temperature.
+        temperature_object: Object of the drive's temperature; None where it is not known.
         temperature_unit_C: Unit of that object, deg C.
         supply_object: Object of the supply voltage.
         supply_unit_V: Unit of that object, V.
@@ -43,6 +43,10 @@ class ServoScales:
         rated_current_object_unit_A: Unit of that object, A.
         rated_torque_object: Object of the rated torque.
         rated_torque_object_unit_N_m: Unit of that object, N m.
+        known_objects: Those of these objects that are not named for this one drive, but known of
+            drives of its maker, so that it may lack them.
+        vendor_id: Vendor whose drives are known to have these units (1018h:01h); None where they
+            rest on the bench file alone.
     """
 
     counts_per_turn: float
@@ -52,9 +56,9 @@ class ServoScales:
     sign: int = 1
     offset_rad: float = 0.0
     velocity_unit_rad_s: float | None = None
-    voltage_object: ObjectAddress = (0x2100, 0)
+    voltage_object: ObjectAddress | None = None
     voltage_unit_V: float = 0.01
-    temperature_object: ObjectAddress = (0x2101, 0)
+    temperature_object: ObjectAddress | None = None
     temperature_unit_C: float = 0.1
     supply_object: ObjectAddress = (0x6079, 0)
     supply_unit_V: float = 1e-3
@@ -65,6 +69,8 @@ class ServoScales:
     rated_current_object_unit_A: float = 1e-3
     rated_torque_object: ObjectAddress = RATED[1]
     rated_torque_object_unit_N_m: float = 1e-3
+    known_objects: tuple[ObjectAddress, ...] = ()
+    vendor_id: int | None = None
 
     @property
     def named_objects(self) -> tuple[ObjectAddress, ...]:
@@ -74,13 +80,13 @@ class ServoScales:
             address
             for address, default in (
                 (self.current_object, None),
-                (self.voltage_object, usual.voltage_object),
-                (self.temperature_object, usual.temperature_object),
+                (self.voltage_object, None),
+                (self.temperature_object, None),
                 (self.supply_object, usual.supply_object),
                 (self.rated_current_object, usual.rated_current_object),
                 (self.rated_torque_object, usual.rated_torque_object),
             )
-            if address is not None and address != default
+            if address not in (None, default) and address not in self.known_objects
         )
 
     def __post_init__(self) -> None:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import commands
+import devices
 import effects
 import formats
 import keys
@@ -110,6 +111,7 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "results": results.page,
     "recording": recording.page,
     "effects": effects.page,
+    "devices": devices.page,
 }
 """Page to the function that returns it."""
 

@@ -9,6 +9,7 @@ from itertools import chain
 from typing import Final
 
 from drivers.canopen.cia402_objects import Cyclic
+from drivers.canopen.motion import Observed
 from drivers.clock import NS
 from drivers.interfaces import ServoSample
 from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
@@ -64,6 +65,22 @@ class CyclicValues:
         """Return statusword and position, counts."""
         statusword, position, *_ = self._channel.latest(self._numbers[0])
         return statusword, position
+
+    def observed(self) -> Observed:
+        """Return what a loop in this program needs of the last exchange."""
+        channel, scales = self._channel, self._scales
+        values: list[int] = []
+        for number in self._numbers:
+            values += channel.latest(number)
+        position, speed = values[1], self._told.speed
+        return Observed(
+            values[0],
+            scales.joint_angle_rad(position),
+            self._change(position)
+            if speed is None
+            else values[self._at[speed]] * scales.joint_speed_unit_rad_s * scales.sign,
+            channel.fresh,
+        )
 
     def sample(self, following_counts: int) -> ServoSample:
         """Return the sample of the last exchange.

@@ -78,6 +78,7 @@ class CanopenNode:
         self._wire = wire
         self._dictionary = dictionary
         self._staged: dict[int, tuple[int, struct.Struct]] = {}
+        self._then: dict[int, bytes] = {}
         self._numbered: dict[int, Input] = {}
         self._slow: list[Input] = []
 
@@ -201,7 +202,7 @@ class CanopenNode:
         self._command(0x80)
         self._disarm()
         self._produce_heartbeat()
-        self.outputs, self._staged = {}, {}
+        self.outputs, self._staged, self._then = {}, {}, {}
         for layout, (identifier, packing) in zip(
             outputs, configure(self, self._dictionary, RECEIVE, outputs), strict=True
         ):
@@ -224,6 +225,20 @@ class CanopenNode:
         """Set the values that RPDO ``number`` contains from the next exchange on."""
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
+        if self._then:
+            self._then.pop(identifier, None)
+
+    def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
+        """Set the values of RPDO ``number`` for the next exchange, and those after it."""
+        identifier, packing = self._staged[number]
+        self.outputs[identifier] = packing.pack(*values)
+        self._then[identifier] = packing.pack(*then)
+
+    def sent(self) -> None:
+        """Note that the outputs went out: values that were staged for once give way."""
+        if self._then:
+            self.outputs.update(self._then)
+            self._then.clear()
 
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the values of the last valid frame of TPDO ``number``."""

@@ -233,6 +233,11 @@ class Bench(Schema):
                     "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; "
                     "use amt21"
                 )
+            if self.servo.mode not in (None, "csp"):
+                raise ValueError(
+                    f"servo.mode {self.servo.mode} needs a CAN bus: over a serial line only "
+                    f"positions are sent; use csp"
+                )
         if (
             isinstance(self.encoder, Amt21Section)
             and (self.encoder.port == MOCK) is not self.simulated

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.cia402_objects import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET
+from drivers.canopen.cia402_objects import FRAMES, FRAMES_WITH_OFFSET
 from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
@@ -21,7 +22,12 @@ from drivers.servo_limits import OBJECTS
 from drivers.units import ServoScales
 
 SCALES = ServoScales(
-    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+    counts_per_turn=4096,
+    gear_ratio=100.0,
+    rated_current_A=15.0,
+    rated_torque_N_m=0.45,
+    voltage_object=(0x2100, 0),
+    temperature_object=(0x2101, 0),
 )
 UNITY = ServoScales(
     counts_per_turn=math.tau, gear_ratio=1.0, rated_current_A=15.0, rated_torque_N_m=1000.0
@@ -151,6 +157,8 @@ class Drive:
 
 def make(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia402Servo:
     whole: Any = drive
+    offset = options.pop("torque_offset", False)
+    options.setdefault("motion", CyclicPosition(offset))
     return Cia402Servo(whole, whole, scales, **options)
 
 
@@ -699,7 +707,9 @@ def test_a_sample_in_si_units() -> None:
         sign=-1,
         offset_rad=0.25,
         velocity_unit_rad_s=0.5,
+        voltage_object=(0x2100, 0),
         voltage_unit_V=0.02,
+        temperature_object=(0x2101, 0),
     )
     servo = make(drive, scales)
     drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251)}

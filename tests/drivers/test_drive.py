@@ -265,7 +265,7 @@ def test_settings_that_must_not_change_under_power(host: Host) -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "value"), [(0x6060, 1), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
+    ("index", "value"), [(0x6060, 3), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
 )
 def test_settings_the_drive_does_not_have(host: Host, index: int, value: int) -> None:
     with pytest.raises(ObjectAccessError, match="06090030"):

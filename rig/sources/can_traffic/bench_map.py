@@ -15,6 +15,7 @@ from drivers.canopen import cia402
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.motion import TARGET_POSITION
 from drivers.canopen.pdo import RECEIVE, TRANSMIT, Direction
 from drivers.canopen.sdo import variable
 from drivers.clock import SimulatedClock
@@ -29,7 +30,8 @@ from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path
 from rig.sources.can_traffic.dbc_map import messages_of
 from rig.sources.can_traffic.layout import BusMessage, BusSignal, little_endian
-from rig.wiring.connect import eds_path, encoder_scales, servo_scales
+from rig.wiring.connect import eds_path
+from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
 _COUNTER_BITS = 32
@@ -63,7 +65,9 @@ def messages_of_bench(path: Path) -> list[BusMessage]:
 
 def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
     """Yield the PDOs of a CiA 402 drive."""
-    scales = servo_scales(servo, document.value.machine)
+    data = servo.device_data(document.path.parent)
+    scales = servo_scales(servo, document.value.machine, data)
+    motion = servo_motion(servo, scales, data)
     eds = eds_path(document, "servo")
     link = CanopenLink(SimulatedClock(), _never_opened)
     node = link.add_node(servo.node, eds)
@@ -73,7 +77,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
         cia402.STATUSWORD: ("statusword", 1.0, 0.0),
         cia402.CONTROLWORD: ("controlword", 1.0, 0.0),
         objects.POSITION: ("motor_angle", *angle),
-        objects.TARGET: ("command", scales.joint_rad_per_count, scales.offset_rad),
+        TARGET_POSITION: ("command", scales.joint_rad_per_count, scales.offset_rad),
     }
     optional: tuple[tuple[ObjectAddress | None, str, float], ...] = (
         (told.current, "current", scales.sign * told.current_unit_A),
@@ -85,7 +89,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
     )
     meaning |= {at: (name, unit, 0.0) for at, name, unit in optional if at is not None}
     for direction, layouts in (
-        (RECEIVE, objects.outputs(torque_offset=False)),
+        (RECEIVE, objects.outputs(motion)),
         (TRANSMIT, objects.inputs(told, node)),
     ):
         for layout in layouts:
