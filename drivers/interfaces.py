@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Set
+from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, fields
 from enum import Enum
 from typing import NamedTuple
@@ -107,7 +107,8 @@ class ServoSample(NamedTuple):
 
     ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
     False when a part of the answer is missing or bad; the values are then those of the last good
-    frame.
+    frame. ``motor_torque_N_m`` is the torque at the motor by the drive's own measure, NaN where it
+    has none beside the current; it may be up to ten cycles old.
     """
 
     device_time_s: float
@@ -120,6 +121,7 @@ class ServoSample(NamedTuple):
     following_error_rad: float
     statusword: int
     fresh: bool
+    motor_torque_N_m: float = math.nan
 
 
 class EncoderSample(NamedTuple):
@@ -220,9 +222,19 @@ class Servo(ABC):
         """Return what the drive neither holds nor tells. Sends nothing."""
         return NOTHING
 
-    def speed_remedy(self, factor: float) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one."""
+    def speed_remedy(self, factor: float, spread: float = 1.6) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one; the
+        factor is known up to ``spread``, a ratio.
+        """
         return "correct the unit of its speed in the bench file"
+
+    def speed_settings(
+        self, factor: float, spread: float = 1.6
+    ) -> Sequence[tuple[str, str | float | None]]:
+        """Return the keys of the bench file's drive, and their values, that correct a speed as
+        :meth:`speed_remedy`; none where no key does.
+        """
+        return ()
 
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Sends nothing."""

@@ -93,6 +93,13 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     @property
+    def latches(self) -> bool:
+        """Whether all values of an exchange are of one instant, as after a SYNC; else they are read
+        one after another, and reading a mean ends its averaging.
+        """
+        ...
+
+    @property
     def cycle(self) -> int:
         """Number of exchanges so far."""
         ...

@@ -106,9 +106,15 @@ class Cia402Servo(Servo):
         """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
         return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
-    def speed_remedy(self, factor: float) -> str:
+    def speed_remedy(self, factor: float, spread: float = velocity_unit.FOUND) -> str:
         """Return what to change where the reported speed is ``factor`` times the true one."""
-        return velocity_unit.remedy(self._scales, factor)
+        return velocity_unit.remedy(self._scales, factor, spread)
+
+    def speed_settings(
+        self, factor: float, spread: float = velocity_unit.FOUND
+    ) -> tuple[tuple[str, str | float | None], ...]:
+        """Return the keys that set the unit of the speed, and their values."""
+        return velocity_unit.settings(self._scales, factor, spread)
 
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each limit's object, at the joint."""
@@ -145,7 +151,7 @@ class Cia402Servo(Servo):
         return ServoReadings(
             counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
             speed * scales.joint_speed_unit_rad_s * scales.sign,
-            current * told.current_unit_A * scales.sign,
+            current * told.current_unit_A * scales.sign * scales.current_sign,
             supply * scales.supply_unit_V,
             temperature * scales.temperature_unit_C,
         )

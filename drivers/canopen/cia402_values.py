@@ -82,13 +82,14 @@ class CyclicValues:
             self._change(position)
             if told.speed is None
             else values[at[told.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
-            values[at[told.current]] * told.current_unit_A * scales.sign,
+            values[at[told.current]] * told.current_unit_A * scales.sign * scales.current_sign,
             values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V * scales.sign,
             values[at.get(told.supply, _NOT_TOLD)] * scales.supply_unit_V,
             values[at.get(told.temperature, _NOT_TOLD)] * scales.temperature_unit_C,
             following_counts * scales.joint_rad_per_count,
             int(values[0]),
             channel.fresh,
+            values[at.get(told.torque, _NOT_TOLD)] * scales.motor_torque_unit_N_m * scales.sign,
         )
 
     def _change(self, position: int) -> float:

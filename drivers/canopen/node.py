@@ -86,6 +86,11 @@ class CanopenNode:
         return f"node {self.node_id}"
 
     @property
+    def latches(self) -> bool:
+        """The values of an exchange are those of the SYNC."""
+        return True
+
+    @property
     def fresh(self) -> bool:
         """Whether all data due at the last exchange arrived complete."""
         if self.missing:

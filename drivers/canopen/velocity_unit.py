@@ -24,7 +24,7 @@ _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0
 """Second, minute, hour."""
 _SAME: Final = 0.01
 """Relative difference up to which two units are the same."""
-_FOUND: Final = 1.6
+FOUND: Final = 1.6
 """Ratio up to which a unit found by measurement is a known one; known ones differ by far more."""
 
 
@@ -54,16 +54,41 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
         )
 
 
-def remedy(scales: ServoScales, factor: float) -> str:
-    """Return what to set where the reported speed is ``factor`` times the true one."""
+def remedy(scales: ServoScales, factor: float, spread: float = FOUND) -> str:
+    """Return what to set where the reported speed is ``factor`` times the true one, known up to
+    ``spread``.
+    """
     if factor <= 0.0:
         return "606Ch has the other sign than 6064h; correct the drive with its maker's tool"
-    return _words(scales.motor_speed_unit_rad_s / factor, scales)
+    return _words(scales.motor_speed_unit_rad_s / factor, scales, spread)
 
 
-def _words(unit: float, scales: ServoScales) -> str:
+def settings(
+    scales: ServoScales, factor: float, spread: float = FOUND
+) -> tuple[tuple[str, str | float | None], ...]:
+    """Return the keys of the drive in the bench file, and their values, that correct it; none where
+    no key does.
+    """
+    if factor <= 0.0:
+        return ()
+    unit = scales.motor_speed_unit_rad_s / factor
+    name = _known(unit, scales, spread)
+    if name is not None:
+        return (("velocity_unit_rad_s", None), ("velocity_unit", name))
+    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.3g}")))
+
+
+def _known(unit: float, scales: ServoScales, spread: float) -> str | None:
+    """Return the name of a unit of speed; None for one without a name."""
     for name, known in (("rpm", RPM), ("counts_per_s", scales.count_rad)):
-        if known / _FOUND <= unit <= known * _FOUND:
-            words = name.replace("counts_per_s", "counts per second")
-            return f"606Ch is in {words}: set servo.velocity_unit: {name}"
+        if known / spread <= unit <= known * spread:
+            return name
+    return None
+
+
+def _words(unit: float, scales: ServoScales, spread: float = FOUND) -> str:
+    name = _known(unit, scales, spread)
+    if name is not None:
+        words = name.replace("counts_per_s", "counts per second")
+        return f"606Ch is in {words}: set servo.velocity_unit: {name}"
     return f"set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about {unit:.2g}"

@@ -96,6 +96,9 @@ class SimulatedDrive(SimulatedNode):
     Attributes:
         power_state: State of the power drive system.
         entered: Called with each new state at the instant of the change.
+        speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
+            :meth:`use_speed_unit`.
+        current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
     """
 
     def __init__(
@@ -113,6 +116,8 @@ class SimulatedDrive(SimulatedNode):
             self.objects.remove_except(shown)
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
+        self.speed_unit = 1.0
+        self.current_sign = 1
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
@@ -154,6 +159,13 @@ class SimulatedDrive(SimulatedNode):
         self._last_word = self._flags = 0
         self._read_period()
         self._enter(State.SWITCH_ON_DISABLED)
+
+    def use_speed_unit(self, counts_per_s: float) -> None:
+        """Show and take speeds in another unit from now on, as a drive does that was made so."""
+        values = self._values
+        for address in (_MAX_SPEED, key(0x6084), key(0x6085)):
+            values[address] = round(values[address] * self.speed_unit / counts_per_s)
+        self.speed_unit = counts_per_s
 
     def halt(self) -> None:
         """Take the power off at once."""
@@ -214,9 +226,12 @@ class SimulatedDrive(SimulatedNode):
         values = self._values
         self.stamp(self._sampler.time_ns)
         values[_POSITION] = reading.motor_counts
-        values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
-        values[_CURRENT] = clamp_i16(round(reading.current_A * self._per_mille_A))
-        values[_TORQUE] = clamp_i16(round(reading.current_A * self._per_mille_torque_A))
+        speed = reading.motor_velocity_rad_s * self._counts_per_rad
+        values[_VELOCITY] = round(speed / self.speed_unit)
+        current = reading.current_A * self._per_mille_A
+        values[_CURRENT] = clamp_i16(self.current_sign * round(current))
+        torque = reading.current_A * self._per_mille_torque_A
+        values[_TORQUE] = clamp_i16(self.current_sign * round(torque))
         values[_DC_LINK] = round(reading.supply_V * 1e3)
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
@@ -269,7 +284,8 @@ class SimulatedDrive(SimulatedNode):
             case QuickStop.RAMP | QuickStop.RAMP_AND_STAY:
                 self._brake(self.objects.integer(0x6085))
 
-    def _brake(self, deceleration: int) -> None:
+    def _brake(self, units: int) -> None:
+        deceleration = units * self.speed_unit
         now = self._clock.now_ns()
         speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
         self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)
@@ -302,7 +318,7 @@ class SimulatedDrive(SimulatedNode):
             return
         wanted = values[_TARGET]
         target: float = min(max(wanted, values[_TARGET_MIN]), values[_TARGET_MAX])
-        reach = values[_MAX_SPEED] * self._period_ns * 1e-9
+        reach = values[_MAX_SPEED] * self.speed_unit * self._period_ns * 1e-9
         step = target - self._demand
         if step > reach or step < -reach:
             target = self._demand + math.copysign(reach, step)

@@ -34,7 +34,7 @@ from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
 from rig.config.limits_section import LimitsSection
 from rig.config.serial_bus import Amt21Section, SerialBus
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, Nominal
 from rig.wiring.guard import Guard
 from rig.wiring.resources import resources
 from rig.wiring.serial_devices import amt21_encoder, epos_link
@@ -108,6 +108,7 @@ def connect(
                 pressure=wired.pressure,
                 ignite=wired.ignite,
                 lock=lock,
+                nominal=nominal_of(bench),
             )
         finally:
             link.close()
@@ -279,6 +280,23 @@ def _simulated_dbc(
     return bench, bench.clock
 
 
+def nominal_of(bench: Bench) -> Nominal:
+    """Return the constants of a bench that its motions are held against.
+
+    Rated values that the file leaves to their defaults say nothing of this motor.
+    """
+    machine, servo = bench.machine, bench.servo
+    stated = servo.model_fields_set
+    own = isinstance(servo, ServoSection) and {"rated_current_A", "rated_torque_N_m"} <= stated
+    return Nominal(
+        machine.torque_constant_N_m_A,
+        machine.gear_ratio,
+        servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
+        servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
+        bench.encoder.sign,
+    )
+
+
 def device_files(document: Document[Bench]) -> dict[str, Path]:
     """Return the files that describe the devices' objects or signals (EDS, DBC): name to path.
 
@@ -323,6 +341,7 @@ def servo_scales(servo: ServoSection, machine: Constants) -> ServoScales:
         rated_torque_N_m=servo.rated_torque_N_m,
         sign=servo.sign,
         offset_rad=math.radians(servo.offset_deg),
+        current_sign=servo.current_sign,
         velocity_unit_rad_s=servo.motor_speed_unit_rad_s,
         voltage_object=servo.voltage_object,
         voltage_unit_V=servo.voltage_unit_V,

@@ -1,0 +1,62 @@
+"""Keeps the samples of a motion until its units are proven, and explains trips before that."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from drivers.errors import ConfigurationError
+from drivers.interfaces import Servo
+from rig.common.sample import Sample
+from rig.control.motion_proof import RATIO_TOLERANCE, Motion, Proof, hint, prove
+from rig.wiring.devices import Nominal
+
+MOST: Final = 20_000
+"""Samples after which no more are kept."""
+
+
+class MotionWitness:
+    """Collects samples under power.
+
+    Args:
+        servo: The drive, which names remedies.
+        nominal: Constants of the bench file.
+    """
+
+    def __init__(self, servo: Servo, nominal: Nominal) -> None:
+        self._servo = servo
+        self._nominal = nominal
+        self._samples: list[tuple[Sample, float]] = []
+
+    def take(self, sample: Sample, motor_torque: float) -> None:
+        """Keep a sample, and the motor torque that the drive reports with it, N m."""
+        if len(self._samples) < MOST:
+            self._samples.append((sample, motor_torque))
+
+    def forget(self) -> None:
+        """Begin anew."""
+        self._samples = []
+
+    @property
+    def motion(self) -> Motion:
+        """The samples so far."""
+        return Motion.of(self._samples, self._nominal.gear_ratio)
+
+    def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
+        """Compare all that the samples show; see :func:`rig.control.motion_proof.prove`."""
+        return prove(self.motion, self._nominal, self._servo, tolerance)
+
+    def require(self) -> Proof:
+        """Compare all that the samples show.
+
+        Raises:
+            ConfigurationError: Reports contradict each other or the bench file.
+        """
+        proof = self.prove()
+        if proof.contradictions:
+            raise ConfigurationError(proof.words)
+        return proof
+
+    def explanation(self) -> str:
+        """Return what explains a trip or a fault; empty where nothing does."""
+        found = hint(self.motion, self._nominal, self._servo)
+        return "" if found is None else f"; {found.words}"
