@@ -12,11 +12,17 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
 from drivers.lacks import NOTHING, Lacks
+
+
+KNOWN_SPREAD: Final = 2.2
+"""Ratio up to which a unit of speed that a motion shows is a known one; known ones differ by far
+more, and at low speed rounding to whole units changes a measured one.
+"""
 
 
 class ServoState(Enum):
@@ -222,14 +228,14 @@ class Servo(ABC):
         """Return what the drive neither holds nor tells. Sends nothing."""
         return NOTHING
 
-    def speed_remedy(self, factor: float, spread: float = 1.6) -> str:
+    def speed_remedy(self, factor: float, spread: float = KNOWN_SPREAD) -> str:
         """Return what to change where the reported speed is ``factor`` times the true one; the
         factor is known up to ``spread``, a ratio.
         """
         return "correct the unit of its speed in the bench file"
 
     def speed_settings(
-        self, factor: float, spread: float = 1.6
+        self, factor: float, spread: float = KNOWN_SPREAD
     ) -> Sequence[tuple[str, str | float | None]]:
         """Return the keys of the bench file's drive, and their values, that correct a speed as
         :meth:`speed_remedy`; none where no key does.

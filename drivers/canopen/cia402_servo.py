@@ -25,6 +25,7 @@ from drivers.errors import (
     StateError,
 )
 from drivers.interfaces import (
+    KNOWN_SPREAD,
     Identity,
     LimitSteps,
     Link,
@@ -106,12 +107,12 @@ class Cia402Servo(Servo):
         """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
         return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
-    def speed_remedy(self, factor: float, spread: float = velocity_unit.FOUND) -> str:
+    def speed_remedy(self, factor: float, spread: float = KNOWN_SPREAD) -> str:
         """Return what to change where the reported speed is ``factor`` times the true one."""
         return velocity_unit.remedy(self._scales, factor, spread)
 
     def speed_settings(
-        self, factor: float, spread: float = velocity_unit.FOUND
+        self, factor: float, spread: float = KNOWN_SPREAD
     ) -> tuple[tuple[str, str | float | None], ...]:
         """Return the keys that set the unit of the speed, and their values."""
         return velocity_unit.settings(self._scales, factor, spread)

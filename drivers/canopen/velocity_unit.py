@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from drivers.errors import ConfigurationError
+from drivers.interfaces import KNOWN_SPREAD
 from drivers.objects import ObjectAddress, ProcessChannel, optional
 from drivers.units import ServoScales
 
@@ -24,8 +25,6 @@ _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0
 """Second, minute, hour."""
 _SAME: Final = 0.01
 """Relative difference up to which two units are the same."""
-FOUND: Final = 1.6
-"""Ratio up to which a unit found by measurement is a known one; known ones differ by far more."""
 
 
 def decode(word: int) -> float | None:
@@ -54,7 +53,7 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
         )
 
 
-def remedy(scales: ServoScales, factor: float, spread: float = FOUND) -> str:
+def remedy(scales: ServoScales, factor: float, spread: float = KNOWN_SPREAD) -> str:
     """Return what to set where the reported speed is ``factor`` times the true one, known up to
     ``spread``.
     """
@@ -64,7 +63,7 @@ def remedy(scales: ServoScales, factor: float, spread: float = FOUND) -> str:
 
 
 def settings(
-    scales: ServoScales, factor: float, spread: float = FOUND
+    scales: ServoScales, factor: float, spread: float = KNOWN_SPREAD
 ) -> tuple[tuple[str, str | float | None], ...]:
     """Return the keys of the drive in the bench file, and their values, that correct it; none where
     no key does.
@@ -79,14 +78,13 @@ def settings(
 
 
 def _known(unit: float, scales: ServoScales, spread: float) -> str | None:
-    """Return the name of a unit of speed; None for one without a name."""
-    for name, known in (("rpm", RPM), ("counts_per_s", scales.count_rad)):
-        if known / spread <= unit <= known * spread:
-            return name
-    return None
+    """Return the name of the nearest unit of speed; None for one without a name."""
+    known = {"rpm": RPM, "counts_per_s": scales.count_rad}
+    name = min(known, key=lambda name: abs(math.log(unit / known[name])))
+    return name if known[name] / spread <= unit <= known[name] * spread else None
 
 
-def _words(unit: float, scales: ServoScales, spread: float = FOUND) -> str:
+def _words(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str:
     name = _known(unit, scales, spread)
     if name is not None:
         words = name.replace("counts_per_s", "counts per second")

@@ -15,7 +15,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
 from rig.control.motion_witness import MotionWitness
-from rig.control.safety import Latch, Trip, check_stage_time
+from rig.control.safety import Check, Latch, Trip, check_stage_time
 from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
@@ -227,7 +227,8 @@ class Cycle:
             if units is not None:
                 units.take(sample, self._torque)
             if trip is not None:
-                raise TripError(trip, "" if units is None else units.explanation())
+                too_fast = trip.check is Check.SPEED
+                raise TripError(trip, "" if units is None else units.explanation(too_fast))
             if self._witness is not None and self._witness.decided(sample):
                 self._witness = None
             if keep is not None:

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from drivers.interfaces import Servo
+from drivers.interfaces import KNOWN_SPREAD, Servo
 from rig.common.sample import Sample
 from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
@@ -37,10 +37,12 @@ SENSE: Final = 0.3
 """Least share of the work that may be negative: friction takes work in both directions."""
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, at the joint."""
-HINT_COUNTS: Final = 6
+HINT_COUNTS: Final = 4
 """Least number of different motor positions on which words about a trip rest."""
 INSTANT_SPREAD: Final = 4.0
 """Ratio up to which the speed of one sample is known from the position."""
+SHAFT_SPREAD: Final = 1.3
+"""Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
 SPEED, SHAFT, WORK, CONSTANT = (
     "speed against position",
     "joint encoder against motor encoder",
@@ -54,6 +56,7 @@ NO_TORQUE: Final = (
     "current. Name servo.voltage_object, or state the rated values; an identification of this "
     "bench shows a change of it"
 )
+_JUMP_SHARE: Final = 0.7
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
 """First part of a travel that is left out: play and twist are taken up there."""
@@ -94,7 +97,7 @@ class Motion:
                 if s.fresh
             ]
         ).reshape(-1, 7)
-        return cls(*rows.T)
+        return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
 
 
 @dataclass(frozen=True)
@@ -192,31 +195,60 @@ def prove(
     return Proof(found, tuple(wrong))
 
 
-def hint(motion: Motion, nominal: Nominal, servo: Servo) -> Contradiction | None:
+def hint(
+    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False
+) -> Contradiction | None:
     """Return what explains a trip or a fault early in a motion; None where nothing does.
 
     The samples may be few, so that only gross contradictions count, and the encoders only where
     their angles are proportional to each other.
+
+    Args:
+        motion: The samples up to the trip.
+        nominal: Constants of the bench file.
+        servo: The drive, which names the remedy for its speed.
+        too_fast: Whether the reported speed is what tripped.
     """
-    if len(motion.time) < HINT_COUNTS:
+    if len(motion.time) < 2:
         return None
-    if len(np.unique(motion.motor)) < HINT_COUNTS:
-        return _instant_speed(motion, servo)
-    shaft = _early_factor(motion)
+    shaft = math.nan
+    if len(np.unique(motion.motor)) >= HINT_COUNTS:
+        shaft = _early_factor(motion)
+    elif _turn_alike(motion, nominal):
+        shaft = nominal.gear_ratio
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= 2.0 * RATIO_TOLERANCE):
         return _shaft(shaft, nominal)
     speed = speed_factor(motion, least=0.0)
-    return _instant_speed(motion, servo) if _same(speed, SPEED_BAND) else _speed(speed, servo)
+    if not _same(speed, SPEED_BAND) and len(np.unique(motion.motor)) >= HINT_COUNTS:
+        return _speed(speed, servo)
+    return _instant_speed(motion, servo) if too_fast else None
+
+
+def _turn_alike(motion: Motion, nominal: Nominal) -> bool:
+    """Whether both encoders may turn 1:1, where the motor moved by one to three counts.
+
+    A position that jumped in one sample is no turn.
+    """
+    steps = np.abs(np.diff(motion.joint))
+    counts = np.diff(np.unique(motion.motor))
+    way = float(np.ptp(motion.joint))
+    if len(counts) == 0 or way < LEAST_RAD or float(steps.max()) > _JUMP_SHARE * way:
+        return False
+    low, high = (float(np.ptp(motion.motor)) + side * float(counts.min()) for side in (-1, 1))
+    return low * nominal.gear_ratio <= way <= high * nominal.gear_ratio
 
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     """Return a speed of the last sample that the position contradicts by far.
 
-    The factor is rough: one count in one cycle is all that there may be.
+    The factor is rough: one count in one cycle is all that there may be, and a position that was
+    read before the speed lacks even that.
     """
     last = slice(-HINT_COUNTS, None)
+    steps = servo.limit_steps()
+    count = 0.0 if steps is None else steps.angle_rad
     way, time = np.abs(np.diff(motion.motor[last])), np.diff(motion.time[last])
-    fastest = float(np.max(way / np.maximum(time, 1e-9)))
+    fastest = float(np.max(np.maximum(way, count) / np.maximum(time, 1e-9)))
     if fastest <= 0.0:
         return None
     factor = abs(float(motion.velocity[-1])) / fastest
@@ -378,7 +410,7 @@ def _means(values: Array, size: int) -> Array:
     return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))
 
 
-def _speed(factor: float, servo: Servo, spread: float = 1.6) -> Contradiction:
+def _speed(factor: float, servo: Servo, spread: float = KNOWN_SPREAD) -> Contradiction:
     about = "" if spread < INSTANT_SPREAD else "about "
     words = (
         f"the speed that the drive reports is {about}{factor:.4g} times the change of its "
@@ -401,7 +433,7 @@ def _shaft(factor: float, nominal: Nominal) -> Contradiction:
     changes = (sign,) if factor < 0.0 else ()
     if abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
         remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
-    elif abs(size / gear - 1.0) <= 2.0 * RATIO_TOLERANCE:
+    elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
         changes = ()
         remedy = (
             "both turn 1:1, so that one of the encoders is on the other's shaft: mount it there, "

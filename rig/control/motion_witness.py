@@ -56,7 +56,9 @@ class MotionWitness:
             raise ConfigurationError(proof.words)
         return proof
 
-    def explanation(self) -> str:
-        """Return what explains a trip or a fault; empty where nothing does."""
-        found = hint(self.motion, self._nominal, self._servo)
+    def explanation(self, too_fast: bool = False) -> str:
+        """Return what explains a trip (``too_fast``: of the reported speed) or a fault; empty where
+        nothing does.
+        """
+        found = hint(self.motion, self._nominal, self._servo, too_fast)
         return "" if found is None else f"; {found.words}"

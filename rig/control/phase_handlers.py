@@ -256,7 +256,8 @@ class PhaseHandlers:
         """
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
-        if level is None and self._pass + 1 < len(self.stage.first_passes):
+        undecided = level is None or self.cycle.units is not None
+        if undecided and self._pass + 1 < len(self.stage.first_passes):
             self._pass += 1
             self.cycle.resume()
             return Event.FIRST_PASS

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import logging
 import sys
 import tempfile
 import time
@@ -35,6 +36,7 @@ def trial(seed: int, mistake: str | None, folder: Path) -> tuple[str, str]:
 
 def main() -> int:
     """Run all, and print a table; returns the exit status."""
+    logging.getLogger("can").addHandler(logging.NullHandler())
     parser = argparse.ArgumentParser()
     parser.add_argument("--wrong", type=int, default=100)
     parser.add_argument("--right", type=int, default=200)
