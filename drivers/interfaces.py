@@ -216,6 +216,14 @@ class Servo(ABC):
     def identity(self) -> Identity:
         """Read who it is."""
 
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield in which way the drive is another one than its description says.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        yield from ()
+
     @abstractmethod
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h), not from a cached frame."""
@@ -228,17 +236,19 @@ class Servo(ABC):
         """Return what the drive neither holds nor tells. Sends nothing."""
         return NOTHING
 
-    def speed_remedy(self, factor: float, spread: float = KNOWN_SPREAD) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one; the
-        factor is known up to ``spread``, a ratio.
-        """
+    def speed_remedy(self, factor: float) -> str:
+        """Return what to change where the reported speed is ``factor`` times the true one."""
         return "correct the unit of its speed in the bench file"
 
-    def speed_settings(
-        self, factor: float, spread: float = KNOWN_SPREAD
-    ) -> Sequence[tuple[str, str | float | None]]:
-        """Return the keys of the bench file's drive, and their values, that correct a speed as
-        :meth:`speed_remedy`; none where no key does.
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor that a speed in another known unit would be reported with, the nearest
+        to a rough one that is right up to ``spread``, a ratio; that one where there is none.
+        """
+        return factor
+
+    def speed_settings(self, factor: float) -> Sequence[tuple[str, str | float | None]]:
+        """Return the keys of the bench file's drive, and their values, that correct a speed which
+        is reported as ``factor`` times the true one; none where no key does.
         """
         return ()
 
@@ -349,6 +359,14 @@ class Encoder(ABC):
     @abstractmethod
     def identity(self) -> Identity:
         """Read who it is."""
+
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield in which way the encoder is another one than its description says.
+
+        Raises:
+            LinkError: The encoder cannot be reached.
+        """
+        yield from ()
 
     def reading(self) -> float:
         """Read the joint angle, rad, without preparing the encoder; NaN if it gives none.

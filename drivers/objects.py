@@ -16,6 +16,7 @@ ObjectAddress = tuple[int, int]
 """Index and subindex of an object."""
 VENDOR: Final = (0x1018, 1)
 """Vendor of a device, the only part of its identity that CiA 301 prescribes."""
+PRODUCT: Final = (0x1018, 2)
 ABSENT: Final = (0x06020000, 0x06090011)
 """Abort codes of a device that lacks an object or a subindex."""
 P = ParamSpec("P")
@@ -131,6 +132,13 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the value that the description states for an object; None where it states none.
+
+        Sends nothing.
+        """
+        ...
+
     def require_watchable(self) -> None:
         """Check against the description that the device can watch the control loop, as far as the
         transport leaves this to the device. Sends nothing.
@@ -212,6 +220,22 @@ def read_identity(objects: ObjectAccess) -> Identity:
         hardware_version=optional(objects.read_text, 0x1009, 0) or "",
         software_version=optional(objects.read_text, 0x100A, 0) or "",
     )
+
+
+def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
+    """Yield the numbers of the identity object that differ from those that the description states.
+
+    Raises:
+        LinkError: No answer.
+    """
+    for address, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
+        stated = channel.stated(*address)
+        found = optional(channel.read, *address) if stated else None
+        if stated and found is not None and found != stated:
+            yield (
+                f"{channel.label} says {what} {found:X}h, its EDS file is for {what} {stated:X}h: "
+                f"another device, or another EDS file; check the node numbers and the file"
+            )
 
 
 def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:

@@ -25,7 +25,6 @@ from drivers.errors import (
     StateError,
 )
 from drivers.interfaces import (
-    KNOWN_SPREAD,
     Identity,
     LimitSteps,
     Link,
@@ -36,7 +35,14 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import ObjectAddress, ProcessChannel, optional, read_identity, refusal
+from drivers.objects import (
+    ObjectAddress,
+    ProcessChannel,
+    identity_doubts,
+    optional,
+    read_identity,
+    refusal,
+)
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
@@ -95,6 +101,10 @@ class Cia402Servo(Servo):
         """Read the drive's identity."""
         return read_identity(self._channel)
 
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield the numbers of 1018h that differ from the EDS file's."""
+        yield from identity_doubts(self._channel)
+
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h)."""
         return decode_state(self._channel.read(*cia402.STATUSWORD))
@@ -107,15 +117,17 @@ class Cia402Servo(Servo):
         """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
         return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
 
-    def speed_remedy(self, factor: float, spread: float = KNOWN_SPREAD) -> str:
+    def speed_remedy(self, factor: float) -> str:
         """Return what to change where the reported speed is ``factor`` times the true one."""
-        return velocity_unit.remedy(self._scales, factor, spread)
+        return velocity_unit.remedy(self._scales, factor)
 
-    def speed_settings(
-        self, factor: float, spread: float = KNOWN_SPREAD
-    ) -> tuple[tuple[str, str | float | None], ...]:
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor of the nearest known unit to a rough factor."""
+        return velocity_unit.nearest_factor(self._scales, factor, spread)
+
+    def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
         """Return the keys that set the unit of the speed, and their values."""
-        return velocity_unit.settings(self._scales, factor, spread)
+        return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each limit's object, at the joint."""

@@ -148,6 +148,12 @@ class CanopenNode:
         found = (self._dictionary.get_variable(*address) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the default value of an object in the EDS. Sends nothing."""
+        item = self._dictionary.get_variable(index, subindex)
+        default = None if item is None else item.default
+        return default if isinstance(default, int) else None
+
     def require_watchable(self) -> None:
         """Check that the EDS has a heartbeat consumer; raises as :meth:`watch`. Sends nothing."""
         for error in refusal(self._packed, *_CONSUMER, 0):

@@ -53,39 +53,50 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
         )
 
 
-def remedy(scales: ServoScales, factor: float, spread: float = KNOWN_SPREAD) -> str:
-    """Return what to set where the reported speed is ``factor`` times the true one, known up to
-    ``spread``.
-    """
+def remedy(scales: ServoScales, factor: float) -> str:
+    """Return what to set where the reported speed is ``factor`` times the true one."""
     if factor <= 0.0:
         return "606Ch has the other sign than 6064h; correct the drive with its maker's tool"
-    return _words(scales.motor_speed_unit_rad_s / factor, scales, spread)
+    return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
 
-def settings(
-    scales: ServoScales, factor: float, spread: float = KNOWN_SPREAD
-) -> tuple[tuple[str, str | float | None], ...]:
+def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
     """Return the keys of the drive in the bench file, and their values, that correct it; none where
     no key does.
     """
     if factor <= 0.0:
         return ()
     unit = scales.motor_speed_unit_rad_s / factor
-    name = _known(unit, scales, spread)
+    name = _known(unit, scales)
     if name is not None:
         return (("velocity_unit_rad_s", None), ("velocity_unit", name))
     return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.3g}")))
 
 
-def _known(unit: float, scales: ServoScales, spread: float) -> str | None:
+def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
+    """Return the factor of the known unit that is nearest to a rough one; that one where none is
+    within ``spread``.
+    """
+    if factor <= 0.0:
+        return factor
+    own = scales.motor_speed_unit_rad_s
+    name = _known(own / factor, scales, spread)
+    return factor if name is None else own / _units(scales)[name]
+
+
+def _units(scales: ServoScales) -> dict[str, float]:
+    return {"rpm": RPM, "counts_per_s": scales.count_rad}
+
+
+def _known(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str | None:
     """Return the name of the nearest unit of speed; None for one without a name."""
-    known = {"rpm": RPM, "counts_per_s": scales.count_rad}
+    known = _units(scales)
     name = min(known, key=lambda name: abs(math.log(unit / known[name])))
     return name if known[name] / spread <= unit <= known[name] * spread else None
 
 
-def _words(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str:
-    name = _known(unit, scales, spread)
+def _words(unit: float, scales: ServoScales) -> str:
+    name = _known(unit, scales)
     if name is not None:
         words = name.replace("counts_per_s", "counts per second")
         return f"606Ch is in {words}: set servo.velocity_unit: {name}"

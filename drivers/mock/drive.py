@@ -98,6 +98,7 @@ class SimulatedDrive(SimulatedNode):
         entered: Called with each new state at the instant of the change.
         speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
             :meth:`use_speed_unit`.
+        deaf_to: Orders that the drive ignores.
         current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
     """
 
@@ -118,6 +119,7 @@ class SimulatedDrive(SimulatedNode):
         self.entered: list[Callable[[State], None]] = []
         self.speed_unit = 1.0
         self.current_sign = 1
+        self.deaf_to: frozenset[Command] = frozenset()
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
@@ -248,6 +250,8 @@ class SimulatedDrive(SimulatedNode):
                 self.clear_errors()
             return
         order = command(word)
+        if order in self.deaf_to:
+            return
         following = TRANSITIONS.get((self.power_state, order))
         if following is None:
             return

@@ -29,6 +29,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
     "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
+    "commission": (
+        "rig.cli.commands.commission:command",
+        "Go through a new bench with the operator, step by step.",
+    ),
     "check": (
         "rig.cli.commands.check:command",
         "Connect to a bench and read it back; nothing moves.",

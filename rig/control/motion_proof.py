@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from drivers.interfaces import KNOWN_SPREAD, Servo
+from drivers.interfaces import Servo
 from rig.common.sample import Sample
 from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
@@ -39,8 +39,12 @@ LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, at the joint."""
 HINT_COUNTS: Final = 4
 """Least number of different motor positions on which words about a trip rest."""
-INSTANT_SPREAD: Final = 4.0
-"""Ratio up to which the speed of one sample is known from the position."""
+INSTANT_SPREAD: Final = 15.0
+"""Ratio up to which the factor of a speed is known early in a motion: a drive shows the peak of a
+slip that lasts less than a cycle. Known units are taken within it.
+"""
+LEAST_INSTANT: Final = 4.0
+"""Least ratio of the speed of one sample to the change of the position that explains a trip."""
 SHAFT_SPREAD: Final = 1.3
 """Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
 SPEED, SHAFT, WORK, CONSTANT = (
@@ -220,7 +224,7 @@ def hint(
         return _shaft(shaft, nominal)
     speed = speed_factor(motion, least=0.0)
     if not _same(speed, SPEED_BAND) and len(np.unique(motion.motor)) >= HINT_COUNTS:
-        return _speed(speed, servo)
+        return _speed(servo.nearest_speed_factor(speed, INSTANT_SPREAD), servo)
     return _instant_speed(motion, servo) if too_fast else None
 
 
@@ -252,7 +256,9 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     if fastest <= 0.0:
         return None
     factor = abs(float(motion.velocity[-1])) / fastest
-    return _speed(factor, servo, INSTANT_SPREAD) if factor > INSTANT_SPREAD else None
+    if factor < LEAST_INSTANT:
+        return None
+    return _speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo)
 
 
 def _same(factor: float, band: tuple[float, float]) -> bool:
@@ -410,15 +416,12 @@ def _means(values: Array, size: int) -> Array:
     return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))
 
 
-def _speed(factor: float, servo: Servo, spread: float = KNOWN_SPREAD) -> Contradiction:
-    about = "" if spread < INSTANT_SPREAD else "about "
+def _speed(factor: float, servo: Servo) -> Contradiction:
     words = (
-        f"the speed that the drive reports is {about}{factor:.4g} times the change of its "
-        f"position, must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: "
-        f"{servo.speed_remedy(factor, spread)}"
+        f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
+        f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
-    settings = servo.speed_settings(factor, spread)
-    changes = tuple(Change("servo", key, value) for key, value in settings)
+    changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
     return Contradiction(SPEED, factor, words, changes)
 
 

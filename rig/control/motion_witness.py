@@ -7,7 +7,7 @@ from typing import Final
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Servo
 from rig.common.sample import Sample
-from rig.control.motion_proof import RATIO_TOLERANCE, Motion, Proof, hint, prove
+from rig.control.motion_proof import RATIO_TOLERANCE, Contradiction, Motion, Proof, hint, prove
 from rig.wiring.devices import Nominal
 
 MOST: Final = 20_000
@@ -56,9 +56,13 @@ class MotionWitness:
             raise ConfigurationError(proof.words)
         return proof
 
+    def hint(self, too_fast: bool = False) -> Contradiction | None:
+        """Return what explains a trip or a fault; see :func:`rig.control.motion_proof.hint`."""
+        return hint(self.motion, self._nominal, self._servo, too_fast)
+
     def explanation(self, too_fast: bool = False) -> str:
         """Return what explains a trip (``too_fast``: of the reported speed) or a fault; empty where
         nothing does.
         """
-        found = hint(self.motion, self._nominal, self._servo, too_fast)
+        found = self.hint(too_fast)
         return "" if found is None else f"; {found.words}"

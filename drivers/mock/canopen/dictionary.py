@@ -94,6 +94,7 @@ class DeviceDictionary:
         texts: Key to text, of the string objects.
         checks: Index to a hook ``(subindex, value)``.
         written: Index to a hook ``(subindex, value)``.
+        deaf: Indices whose writes are acknowledged and ignored.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
@@ -102,6 +103,7 @@ class DeviceDictionary:
         self.texts: dict[int, str] = {}
         self.checks: dict[int, Callable[[int, int], None]] = {}
         self.written: dict[int, Callable[[int, int], None]] = {}
+        self.deaf: frozenset[int] = frozenset()
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
@@ -173,6 +175,8 @@ class DeviceDictionary:
             raise SdoAbortError(OUT_OF_RANGE)
         if check := self.checks.get(index):
             check(subindex, value)
+        if index in self.deaf:
+            return
         self.values[key(index, subindex)] = value
         if written := self.written.get(index):
             written(subindex, value)
