@@ -89,7 +89,10 @@ class CyclicValues:
             following_counts * scales.joint_rad_per_count,
             int(values[0]),
             channel.fresh,
-            values[at.get(told.torque, _NOT_TOLD)] * scales.motor_torque_unit_N_m * scales.sign,
+            values[at.get(told.torque, _NOT_TOLD)]
+            * scales.motor_torque_unit_N_m
+            * scales.sign
+            * scales.current_sign,
         )
 
     def _change(self, position: int) -> float:

@@ -5,7 +5,6 @@ devices, so that it can be seen that they are found.
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -87,21 +86,8 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
     ),
     "ratio": Mistake("the gear has 2/3 of the stated ratio", change=_motor(gear_ratio=2.0 / 3.0)),
     "torque_constant": Mistake(
-        "the motor has half the stated torque constant",
-        change=_motor(torque_constant_N_m_A=0.5, back_emf_constant_V_s_rad=0.5),
-    ),
-    "sinking": Mistake(
-        "the joint sinks without power, and no brake holds it",
-        change=lambda machine: dataclasses.replace(
-            machine,
-            effects={
-                **machine.effects,
-                "gravity_imbalance": {
-                    "torque_Nm": 1.5 * machine.joint.Ms_N_m,
-                    "zero_rad": 0.5 * math.pi,
-                },
-            },
-        ),
+        "the motor has twice the stated torque constant",
+        change=_motor(torque_constant_N_m_A=2.0, back_emf_constant_V_s_rad=2.0),
     ),
 }
 """Name to mistake."""

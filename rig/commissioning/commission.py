@@ -156,22 +156,23 @@ def commission(
         wrong = _session(document, connect, interview, stop, record_in, result)
         if wrong is None or not wrong.changes or result.ending is not Ending.TRIPPED:
             break
-        if len(result.sessions) > MOST_CORRECTIONS or set(wrong.changes) <= set(result.changes):
+        changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
+        if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
             result.words += "; the same was corrected before: look at the bench itself"
             break
-        if not _agreed(interview, wrong, result):
+        if not _agreed(interview, changes, result):
             break
-        text = patched(result.text, wrong.changes)
+        text = patched(result.text, changes)
         document = bench_from_text(text, document.path)
         result.text = text
-        result.changes += wrong.changes
+        result.changes += changes
         result.ending, result.words = Ending.DONE, ""
     return result
 
 
-def _agreed(interview: Interview, wrong: WrongError, result: Commissioning) -> bool:
+def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissioning) -> bool:
     """Ask whether to go on with corrected values."""
-    shown = ", ".join(map(str, wrong.changes))
+    shown = ", ".join(map(str, changes))
     try:
         return interview.agrees(f"Go on from the start with {shown} in a new bench file?")
     except OperatorStopError as stopped:

@@ -47,7 +47,7 @@ class AutomaticInterview:
 
     def tell(self, words: str) -> None:
         """Show the message."""
-        self._screen.say(words)
+        self._screen.say(words, err=False)
 
     def agrees(self, words: str) -> bool:
         """Show the question and agree."""
@@ -81,7 +81,7 @@ class TypedInterview:
 
     def tell(self, words: str) -> None:
         """Show the message."""
-        self._screen.say(words)
+        self._screen.say(words, err=False)
 
     def agrees(self, words: str) -> bool:
         """Ask until yes, no or abort is typed; an empty answer is no.

@@ -152,6 +152,11 @@ def stop(setup: Setup, step: StepRecord) -> None:
             state = servo.state()
         took_s = (setup.devices.link.clock.now_ns() - began) / NS
         way = abs(math.degrees(encoder.sample().angle_rad - at))
+    if state is ServoState.FAULT:
+        raise WrongError(
+            "the drive did not obey the quick stop: it is in fault instead, stopped by its watchdog "
+            "or a fault of its own; check 605Ah and 6085h"
+        )
     step.measure("time to the end of the stop", took_s, "s")
     step.measure("way", way, "deg")
     step.measure("state", state.value)

@@ -119,6 +119,8 @@ class Change:
     value: str | float | None
 
     def __str__(self) -> str:
+        if self.value is None:
+            return f"no {self.section}.{self.key}"
         shown = f"{self.value:.4g}" if isinstance(self.value, float) else self.value
         return f"{self.section}.{self.key}: {shown}"
 
@@ -267,6 +269,8 @@ def _same(factor: float, band: tuple[float, float]) -> bool:
 
 def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
     """Return reported speed over the change of the position; NaN for too little travel."""
+    if len(motion.time) < 2:
+        return math.nan
     size = _block(motion)
     edges = np.arange(0, len(motion.time), size)
     if len(edges) < 3:
@@ -352,18 +356,26 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
     nothing shows it.
 
     In order: the drive's torque against its current; the voltage that the motion induces, which is
-    the same number in SI units; the rated values of the drive.
+    the same number in SI units; the rated values of the drive, unless an uncertain voltage is on
+    the side of the bench file.
     """
     if not math.isnan(constant := _by_torque(motion)):
         return constant, "the drive's torque 6077h against its current 6078h"
-    if not math.isnan(constant := emf_constant(motion, nominal)):
-        return constant, "the voltage that the motion induces"
+    induced, certain = emf_constant(motion, nominal)
+    if certain:
+        return induced, "the voltage that the motion induces"
     if nominal.rated_torque_N_m is not None and nominal.rated_current_A is not None:
-        return (
-            nominal.rated_torque_N_m / nominal.rated_current_A,
-            "rated torque over rated current",
-        )
+        rated = nominal.rated_torque_N_m / nominal.rated_current_A
+        if not _nearer(induced, nominal.torque_constant_N_m_A, rated):
+            return rated, "rated torque over rated current"
     return math.nan, ""
+
+
+def _nearer(value: float, first: float, second: float) -> bool:
+    """Whether a value, NaN for none, is nearer to the first of two by its ratio to them."""
+    if math.isnan(value) or first == second:
+        return False
+    return abs(math.log(value / first)) < abs(math.log(value / second))
 
 
 def _by_torque(motion: Motion) -> float:
@@ -377,19 +389,19 @@ def _by_torque(motion: Motion) -> float:
     return float(np.sum(torque * way)) / worked if abs(worked) > SENSE * amount else math.nan
 
 
-def emf_constant(motion: Motion, nominal: Nominal) -> float:
-    """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1); NaN where
-    the motion does not show it.
+def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
+    """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
+    whether it is certain; NaN where the motion does not show it.
     """
     size = _block(motion)
     ends = motion.motor[::size]
     if len(ends) < 12 or np.isnan(motion.voltage).any():
-        return math.nan
+        return math.nan, False
     speed = np.diff(ends) / np.diff(motion.time[::size]) * nominal.gear_ratio
     voltage, current = (_means(x, size)[: len(speed)] for x in (motion.voltage, motion.current))
     moving = np.abs(speed) > _MOVING_SHARE * np.max(np.abs(speed))
     if min(np.sum(speed[moving] > 0), np.sum(speed[moving] < 0)) < 4:
-        return math.nan
+        return math.nan, False
     table = np.column_stack((speed, current, np.ones_like(speed)))[moving]
     solution, *_ = np.linalg.lstsq(table, voltage[moving], rcond=None)
     rest = voltage[moving] - table @ solution
@@ -397,10 +409,12 @@ def emf_constant(motion: Motion, nominal: Nominal) -> float:
     try:
         spread = np.linalg.inv(table.T @ table)[0, 0] * float(rest @ rest) / freedom
     except np.linalg.LinAlgError:
-        return math.nan
+        return math.nan, False
     constant = float(solution[0])
+    if constant <= 0.0 or solution[1] <= 0.0:
+        return math.nan, False
     certain = _EMF_INFLATION * math.sqrt(max(spread, 0.0)) <= _EMF_CERTAINTY * constant
-    return constant if constant > 0.0 and certain and solution[1] > 0.0 else math.nan
+    return constant, certain
 
 
 def _block(motion: Motion) -> int:

@@ -718,7 +718,7 @@ def test_a_sample_in_si_units() -> None:
         following_error_rad=0.0,
         statusword=0x1640,
         fresh=False,
-        motor_torque_N_m=pytest.approx(-0.027),
+        motor_torque_N_m=pytest.approx(0.027),
     )
     # The drive's clock counts microseconds in 32 bits.
     drive.inputs[2] = (30, 100)

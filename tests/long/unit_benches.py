@@ -30,7 +30,7 @@ from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
 
 MISTAKES = ("unit of speed", "sign", "ratio", "shaft", "torque constant")
-SLOWEST_HZ = 0.1
+SLOWEST_HZ = 0.25
 COUNTS = (1024, 2000, 4096, 8192, 16384, 65536)
 RATIOS = (0.2, 0.25, 0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0, 4.0, 5.0)
 """Stated over true gear ratio: a stage forgotten, edges not counted, a neighbour in the list."""
@@ -144,9 +144,9 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
     if frequency < SLOWEST_HZ:
         amplitude, frequency = amplitude * frequency / SLOWEST_HZ, SLOWEST_HZ
     tone = {"amplitude_deg": amplitude, "frequency_Hz": frequency}
-    stage = {"name": "empty", "stage": "unloaded", "tones": [tone], "duration_s": 1.3 / frequency}
+    stage = {"name": "empty", "stage": "unloaded", "tones": [tone], "duration_s": 1.1 / frequency}
     stage |= {"ramp_in_s": 0.4 / frequency, "ramp_out_s": 0.4 / frequency}
-    first = {"amplitude": 0.1, "duration_s": 1.2 / frequency}
+    first = {"amplitude": 0.1, "duration_s": 1.1 / frequency}
     sequence = {"sequence": 1, "name": "short", "stages": [stage], "first_pass": first}
     return Drawn(bench, sequence, make, spoil, expected, words)
 
