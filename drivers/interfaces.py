@@ -9,20 +9,15 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Set
 from dataclasses import dataclass, fields
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
 from drivers.lacks import NOTHING, Lacks
-
-
-KNOWN_SPREAD: Final = 2.2
-"""Ratio up to which a unit of speed that a motion shows is a known one; known ones differ by far
-more, and at low speed rounding to whole units changes a measured one.
-"""
+from drivers.remedies import Recognised, SpeedRemedies
 
 
 class ServoState(Enum):
@@ -197,7 +192,7 @@ class Link(ABC):
         """Return the raw frames seen since the last call, oldest first."""
 
 
-class Servo(ABC):
+class Servo(SpeedRemedies, Recognised, ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:
@@ -216,14 +211,6 @@ class Servo(ABC):
     def identity(self) -> Identity:
         """Read who it is."""
 
-    def identity_doubts(self) -> Iterator[str]:
-        """Yield in which way the drive is another one than its description says.
-
-        Raises:
-            LinkError: The drive cannot be reached.
-        """
-        yield from ()
-
     @abstractmethod
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h), not from a cached frame."""
@@ -235,22 +222,6 @@ class Servo(ABC):
     def lacks(self, cycle_s: float) -> Lacks:
         """Return what the drive neither holds nor tells. Sends nothing."""
         return NOTHING
-
-    def speed_remedy(self, factor: float) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one."""
-        return "correct the unit of its speed in the bench file"
-
-    def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor that a speed in another known unit would be reported with, the nearest
-        to a rough one that is right up to ``spread``, a ratio; that one where there is none.
-        """
-        return factor
-
-    def speed_settings(self, factor: float) -> Sequence[tuple[str, str | float | None]]:
-        """Return the keys of the bench file's drive, and their values, that correct a speed which
-        is reported as ``factor`` times the true one; none where no key does.
-        """
-        return ()
 
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Sends nothing."""
@@ -353,20 +324,12 @@ class Servo(ABC):
         """Return the sample of the last exchange."""
 
 
-class Encoder(ABC):
+class Encoder(Recognised, ABC):
     """A joint encoder."""
 
     @abstractmethod
     def identity(self) -> Identity:
         """Read who it is."""
-
-    def identity_doubts(self) -> Iterator[str]:
-        """Yield in which way the encoder is another one than its description says.
-
-        Raises:
-            LinkError: The encoder cannot be reached.
-        """
-        yield from ()
 
     def reading(self) -> float:
         """Read the joint angle, rad, without preparing the encoder; NaN if it gives none.

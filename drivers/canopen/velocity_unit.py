@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from drivers.errors import ConfigurationError
-from drivers.interfaces import KNOWN_SPREAD
 from drivers.objects import ObjectAddress, ProcessChannel, optional
+from drivers.remedies import KNOWN_SPREAD
 from drivers.units import ServoScales
 
 UNIT: Final[ObjectAddress] = (0x60A9, 0)

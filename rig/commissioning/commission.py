@@ -7,7 +7,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from drivers.errors import DeviceError
@@ -20,7 +19,7 @@ from rig.common.errors import StorageError
 from rig.config.bench import Bench, bench_from_text
 from rig.config.configuration import Document
 from rig.control.cycle import TripError
-from rig.control.motion_proof import Change
+from rig.control.motion_words import Change
 from rig.runs.recorder import Recorder
 from rig.runs.run_record import Ending
 from rig.terminal.stop_button import OperatorStopError, StopButton

@@ -11,8 +11,8 @@ from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import Setup
 from rig.control.cycle import TripError
-from rig.control.motion_proof import RATIO_TOLERANCE
 from rig.control.motion_witness import MotionWitness
+from rig.control.motion_words import RATIO_TOLERANCE
 from rig.control.safety import Check
 
 HOLD_S: Final = 0.5
@@ -154,8 +154,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
         raise WrongError(
-            "the drive did not obey the quick stop: it is in fault instead, stopped by its watchdog "
-            "or a fault of its own; check 605Ah and 6085h"
+            "the drive did not obey the quick stop: it is in fault instead, stopped by its "
+            "watchdog or a fault of its own; check 605Ah and 6085h"
         )
     step.measure("time to the end of the stop", took_s, "s")
     step.measure("way", way, "deg")

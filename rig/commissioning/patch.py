@@ -5,7 +5,7 @@ from __future__ import annotations
 import yaml
 
 from rig.common.errors import InputError
-from rig.control.motion_proof import Change
+from rig.control.motion_words import Change
 
 
 def patched(text: str, changes: tuple[Change, ...]) -> str:

@@ -8,7 +8,7 @@ from typing import Final
 from drivers.errors import DeviceError
 from rig.commissioning.record import StepRecord, WrongError
 from rig.commissioning.setup import Setup
-from rig.control.motion_proof import Change
+from rig.control.motion_words import Change
 from rig.control.readings import reading_findings, take_readings
 from rig.wiring.bench_text import watcher
 from rig.wiring.drive_limits import compare, show
@@ -56,8 +56,9 @@ def readings(setup: Setup, step: StepRecord) -> None:
     found = list(device_findings(devices, setup.wanted, bench.cycle_s))
     # Angles are the matter of the next step.
     found += [
-        item for item in reading_findings(taken, setup.limits) if "joint angle" not in item.text
-        and "encoder against drive" not in item.text
+        item
+        for item in reading_findings(taken, setup.limits)
+        if "joint angle" not in item.text and "encoder against drive" not in item.text
     ]
     for words in devices.servo.lacks(bench.cycle_s).words:
         setup.interview.tell(f"note: {words}")
@@ -105,9 +106,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
             wanted = float(f"{offset + true - reading:.4f}")
             changes.append(Change(section, "offset_deg", wanted))
     if changes:
-        raise WrongError(
-            f"the zero is off: set {' and '.join(map(str, changes))}", tuple(changes)
-        )
+        raise WrongError(f"the zero is off: set {' and '.join(map(str, changes))}", tuple(changes))
     step.words = f"both angles are within {ZERO_TOLERANCE_DEG:g} deg of the true one"
 
 

@@ -1,42 +1,43 @@
 """Holds what a drive and a joint encoder report in a motion against each other and against the
-bench file: units, signs, ratio, torque constant.
-
-Pure functions of the samples of one motion. Work along the path is used where it can be, as noise
-averages out in it and the inertia's share cancels.
+bench file: units, signs, ratio, torque constant. Pure functions of the samples.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from drivers.interfaces import Servo
-from rig.common.sample import Sample
-from rig.config.sequence import Array
+from rig.control.motion_factors import (
+    SENSE,
+    Motion,
+    current_sense,
+    early_factor,
+    shaft_factor,
+    speed_factor,
+    torque_constant,
+    turn_alike,
+)
+from rig.control.motion_words import (
+    CONSTANT,
+    NO_TORQUE,
+    RATIO_TOLERANCE,
+    SHAFT,
+    SPEED,
+    SPEED_BAND,
+    TORQUE_BAND,
+    WORK,
+    Contradiction,
+    wrong_sense,
+    wrong_shaft,
+    wrong_speed,
+    wrong_torque,
+)
 from rig.wiring.devices import Nominal
 
-BLOCK_S: Final = 0.02
-"""Time over which samples are averaged; at least two of them, and no stage of a first pass is so
-quick that it would show.
-"""
-SPEED_BAND: Final = (0.4, 2.5)
-"""Ratio of reported to true speed that is taken for the same unit. Filters, and samples that miss
-the short peaks of stick and slip, change it by less (0.7 in a slow ramp), units by more.
-"""
-RATIO_TOLERANCE: Final = 0.1
-"""Relative difference of the encoders' travels that is left to play and twist."""
-TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
-"""Ratio of found to stated torque constant that is taken for the same. Data sheets, magnets and
-temperature differ by 20 %, wrong definitions (peak and root mean square, motor and joint) by more.
-"""
-SENSE: Final = 0.3
-"""Least share of the work that may be negative: friction takes work in both directions."""
-LEAST_RAD: Final = 0.004
-"""Least travel in one direction that is evaluated, at the joint."""
 HINT_COUNTS: Final = 4
 """Least number of different motor positions on which words about a trip rest."""
 INSTANT_SPREAD: Final = 15.0
@@ -45,101 +46,7 @@ slip that lasts less than a cycle. Known units are taken within it.
 """
 LEAST_INSTANT: Final = 4.0
 """Least ratio of the speed of one sample to the change of the position that explains a trip."""
-SHAFT_SPREAD: Final = 1.3
-"""Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
-SPEED, SHAFT, WORK, CONSTANT = (
-    "speed against position",
-    "joint encoder against motor encoder",
-    "current against motion",
-    "torque constant",
-)
 _BY_MOTION: Final = (SPEED, SHAFT, WORK)
-NO_TORQUE: Final = (
-    "the torque constant is not held against anything: the drive reports no torque beside its "
-    "current, no motor voltage that the motion shows, and the bench file states no rated torque and "
-    "current. Name servo.voltage_object, or state the rated values; an identification of this "
-    "bench shows a change of it"
-)
-_JUMP_SHARE: Final = 0.7
-_MOVING_SHARE: Final = 0.1
-_SETTLED_SHARE: Final = 0.4
-"""First part of a travel that is left out: play and twist are taken up there."""
-_EMF_CERTAINTY: Final = 0.08
-_EMF_INFLATION: Final = 3.0
-"""Factor on its standard error, as neighbouring blocks are not independent."""
-
-
-@dataclass(frozen=True)
-class Motion:
-    """Fresh samples under power, SI units, arrays of shape (n,); motor values at the joint.
-
-    Attributes:
-        time: Time of the samples.
-        motor: Angle of the motor encoder over the gear ratio.
-        joint: Angle of the joint encoder.
-        velocity: Joint speed as the drive reports it.
-        current: Motor current.
-        voltage: Motor voltage, NaN where the drive reports none.
-        torque: Motor torque, NaN where the drive reports none beside the current.
-    """
-
-    time: Array
-    motor: Array
-    joint: Array
-    velocity: Array
-    current: Array
-    voltage: Array
-    torque: Array
-
-    @classmethod
-    def of(cls, samples: Sequence[tuple[Sample, float]], gear_ratio: float) -> Motion:
-        """Return the motion of samples, each with the motor torque that came with it, N m."""
-        rows = np.array(
-            [
-                (s.time, s.motor_angle / gear_ratio, s.angle, s.velocity, s.current, s.voltage, t)
-                for s, t in samples
-                if s.fresh
-            ]
-        ).reshape(-1, 7)
-        return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
-
-
-@dataclass(frozen=True)
-class Change:
-    """A value to be set in the bench file.
-
-    Attributes:
-        section: Section of the file.
-        key: Key in that section.
-        value: Value to set; None removes the key.
-    """
-
-    section: str
-    key: str
-    value: str | float | None
-
-    def __str__(self) -> str:
-        if self.value is None:
-            return f"no {self.section}.{self.key}"
-        shown = f"{self.value:.4g}" if isinstance(self.value, float) else self.value
-        return f"{self.section}.{self.key}: {shown}"
-
-
-@dataclass(frozen=True)
-class Contradiction:
-    """Two reports, or a report and the bench file, that contradict each other.
-
-    Attributes:
-        what: What was compared.
-        factor: Found value over the one that was expected.
-        words: Finding and remedy, for the operator.
-        changes: What to set in the bench file; empty where the bench or the drive must be changed.
-    """
-
-    what: str
-    factor: float
-    words: str
-    changes: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -191,13 +98,13 @@ def prove(
     }
     wrong = []
     if not _same(speed, SPEED_BAND):
-        wrong.append(_speed(speed, servo))
+        wrong.append(wrong_speed(speed, servo))
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= tolerance):
-        wrong.append(_shaft(shaft, nominal))
+        wrong.append(wrong_shaft(shaft, nominal))
     if sense < -SENSE:
-        wrong.append(_sense(sense))
+        wrong.append(wrong_sense(sense))
     if not _same(constant / nominal.torque_constant_N_m_A, TORQUE_BAND):
-        wrong.append(_torque(constant, source, nominal))
+        wrong.append(wrong_torque(constant, source, nominal))
     return Proof(found, tuple(wrong))
 
 
@@ -219,29 +126,15 @@ def hint(
         return None
     shaft = math.nan
     if len(np.unique(motion.motor)) >= HINT_COUNTS:
-        shaft = _early_factor(motion)
-    elif _turn_alike(motion, nominal):
+        shaft = early_factor(motion)
+    elif turn_alike(motion, nominal):
         shaft = nominal.gear_ratio
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= 2.0 * RATIO_TOLERANCE):
-        return _shaft(shaft, nominal)
+        return wrong_shaft(shaft, nominal)
     speed = speed_factor(motion, least=0.0)
     if not _same(speed, SPEED_BAND) and len(np.unique(motion.motor)) >= HINT_COUNTS:
-        return _speed(servo.nearest_speed_factor(speed, INSTANT_SPREAD), servo)
+        return wrong_speed(servo.nearest_speed_factor(speed, INSTANT_SPREAD), servo)
     return _instant_speed(motion, servo) if too_fast else None
-
-
-def _turn_alike(motion: Motion, nominal: Nominal) -> bool:
-    """Whether both encoders may turn 1:1, where the motor moved by one to three counts.
-
-    A position that jumped in one sample is no turn.
-    """
-    steps = np.abs(np.diff(motion.joint))
-    counts = np.diff(np.unique(motion.motor))
-    way = float(np.ptp(motion.joint))
-    if len(counts) == 0 or way < LEAST_RAD or float(steps.max()) > _JUMP_SHARE * way:
-        return False
-    low, high = (float(np.ptp(motion.motor)) + side * float(counts.min()) for side in (-1, 1))
-    return low * nominal.gear_ratio <= way <= high * nominal.gear_ratio
 
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
@@ -260,233 +153,8 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     factor = abs(float(motion.velocity[-1])) / fastest
     if factor < LEAST_INSTANT:
         return None
-    return _speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo)
+    return wrong_speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo)
 
 
 def _same(factor: float, band: tuple[float, float]) -> bool:
     return math.isnan(factor) or band[0] <= factor <= band[1]
-
-
-def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
-    """Return reported speed over the change of the position; NaN for too little travel."""
-    if len(motion.time) < 2:
-        return math.nan
-    size = _block(motion)
-    edges = np.arange(0, len(motion.time), size)
-    if len(edges) < 3:
-        edges = np.array([0, len(motion.time) - 1])
-    moved = np.diff(motion.motor[edges])
-    mean = motion.velocity[1:] * np.diff(motion.time)
-    reported = np.diff(np.concatenate(([0.0], np.cumsum(mean)))[edges])
-    if len(moved) == 0 or np.sum(np.abs(moved)) < max(least, 1e-9):
-        return math.nan
-    return float(np.sum(moved * reported) / np.sum(moved * moved))
-
-
-def shaft_factor(motion: Motion) -> float:
-    """Return travel of the joint encoder over that of the motor encoder; NaN for too little travel.
-
-    Least squares over all travels in one direction, with an offset for each, which takes play and
-    twist, and with a term in the speed, which takes the time between the two readings.
-    """
-    parts = []
-    for begin, end in travels(motion.motor):
-        inside = slice(begin + round(_SETTLED_SHARE * (end - begin)), end + 1)
-        m, j, v = motion.motor[inside], motion.joint[inside], motion.velocity[inside]
-        if len(m) < 4 or max(abs(m[-1] - m[0]), abs(j[-1] - j[0])) < 0.5 * LEAST_RAD:
-            continue
-        parts.append(np.column_stack([x - x.mean() for x in (m, v, j)]))
-    if not parts:
-        return math.nan
-    table = np.concatenate(parts)
-    return float(np.linalg.lstsq(table[:, :2], table[:, 2], rcond=None)[0][0])
-
-
-def _early_factor(motion: Motion) -> float:
-    """Return the same for the few samples before a trip; NaN unless they fit it."""
-    m, j = motion.motor - motion.motor[0], motion.joint - motion.joint[0]
-    table = np.column_stack((m, motion.velocity))
-    solution = np.linalg.lstsq(table, j, rcond=None)[0]
-    rest, span = j - table @ solution, float(np.max(np.abs(j - m)))
-    if span <= 0.0 or float(np.sqrt(np.mean(rest**2))) > 0.1 * span:
-        return math.nan
-    return float(solution[0])
-
-
-def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
-    """Return first and last index of each travel in one direction of at least ``least``, rad."""
-    found: list[tuple[int, int]] = []
-    low = high = begin = 0
-    way = 0
-    for at, angle in enumerate(motor.tolist()):
-        if angle > motor[high]:
-            high = at
-        if angle < motor[low]:
-            low = at
-        if way >= 0 and motor[high] - angle >= least:
-            if way:
-                found.append((begin, high))
-            begin, way, low = high, -1, at
-        elif way <= 0 and angle - motor[low] >= least:
-            if way:
-                found.append((begin, low))
-            begin, way, high = low, 1, at
-    if way:
-        found.append((begin, high if way > 0 else low))
-    return [(a, b) for a, b in found if b - a > 1]
-
-
-def current_sense(motion: Motion) -> float:
-    """Return the work of the current over the sum of its amounts, from -1 to 1; NaN unless the
-    joint moved in both directions.
-    """
-    way = np.diff(motion.motor)
-    up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
-    if min(up, down) < LEAST_RAD:
-        return math.nan
-    work = motion.current[1:] * way
-    # The same weight for both directions, as a constant load works up one way and down the other.
-    ups, downs = (float(work[way * side > 0].sum()) / path for side, path in ((1, up), (-1, down)))
-    amount = float(np.abs(work).sum()) / (up + down)
-    return 0.5 * (ups + downs) / amount if amount > 0.0 else math.nan
-
-
-def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
-    """Return the torque constant that the motion shows, N m/A, and what it rests on; NaN where
-    nothing shows it.
-
-    In order: the drive's torque against its current; the voltage that the motion induces, which is
-    the same number in SI units; the rated values of the drive, unless an uncertain voltage is on
-    the side of the bench file.
-    """
-    if not math.isnan(constant := _by_torque(motion)):
-        return constant, "the drive's torque 6077h against its current 6078h"
-    induced, certain = emf_constant(motion, nominal)
-    if certain:
-        return induced, "the voltage that the motion induces"
-    if nominal.rated_torque_N_m is not None and nominal.rated_current_A is not None:
-        rated = nominal.rated_torque_N_m / nominal.rated_current_A
-        if not _nearer(induced, nominal.torque_constant_N_m_A, rated):
-            return rated, "rated torque over rated current"
-    return math.nan, ""
-
-
-def _nearer(value: float, first: float, second: float) -> bool:
-    """Whether a value, NaN for none, is nearer to the first of two by its ratio to them."""
-    if math.isnan(value) or first == second:
-        return False
-    return abs(math.log(value / first)) < abs(math.log(value / second))
-
-
-def _by_torque(motion: Motion) -> float:
-    size = _block(motion)
-    way = np.diff(motion.motor[::size])
-    if np.isnan(motion.torque).any() or np.abs(way).sum() < LEAST_RAD:
-        return math.nan
-    torque, current = (_means(x, size)[: len(way)] for x in (motion.torque, motion.current))
-    worked = float(np.sum(current * way))
-    amount = float(np.sum(np.abs(current * way)))
-    return float(np.sum(torque * way)) / worked if abs(worked) > SENSE * amount else math.nan
-
-
-def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
-    """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
-    whether it is certain; NaN where the motion does not show it.
-    """
-    size = _block(motion)
-    ends = motion.motor[::size]
-    if len(ends) < 12 or np.isnan(motion.voltage).any():
-        return math.nan, False
-    speed = np.diff(ends) / np.diff(motion.time[::size]) * nominal.gear_ratio
-    voltage, current = (_means(x, size)[: len(speed)] for x in (motion.voltage, motion.current))
-    moving = np.abs(speed) > _MOVING_SHARE * np.max(np.abs(speed))
-    if min(np.sum(speed[moving] > 0), np.sum(speed[moving] < 0)) < 4:
-        return math.nan, False
-    table = np.column_stack((speed, current, np.ones_like(speed)))[moving]
-    solution, *_ = np.linalg.lstsq(table, voltage[moving], rcond=None)
-    rest = voltage[moving] - table @ solution
-    freedom = max(1, len(rest) - 3)
-    try:
-        spread = np.linalg.inv(table.T @ table)[0, 0] * float(rest @ rest) / freedom
-    except np.linalg.LinAlgError:
-        return math.nan, False
-    constant = float(solution[0])
-    if constant <= 0.0 or solution[1] <= 0.0:
-        return math.nan, False
-    certain = _EMF_INFLATION * math.sqrt(max(spread, 0.0)) <= _EMF_CERTAINTY * constant
-    return constant, certain
-
-
-def _block(motion: Motion) -> int:
-    """Return the number of samples in a block."""
-    if len(motion.time) < 2:
-        return 1
-    return max(2, round(BLOCK_S / max(float(np.median(np.diff(motion.time))), 1e-6)))
-
-
-def _means(values: Array, size: int) -> Array:
-    """Return the means over the samples from the second of each block to the first of the next."""
-    count = (len(values) - 1) // size
-    return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))
-
-
-def _speed(factor: float, servo: Servo) -> Contradiction:
-    words = (
-        f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
-        f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
-    )
-    changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
-    return Contradiction(SPEED, factor, words, changes)
-
-
-def _shaft(factor: float, nominal: Nominal) -> Contradiction:
-    """Name the cause of encoders whose travels differ by a factor."""
-    gear = nominal.gear_ratio
-    found = (
-        f"the joint encoder travels {factor:.4g} times as far as the motor encoder over the gear "
-        f"ratio of {gear:g}"
-    )
-    size, sign = abs(factor), Change("encoder", "sign", -nominal.encoder_sign)
-    changes = (sign,) if factor < 0.0 else ()
-    if abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
-        remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
-    elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
-        changes = ()
-        remedy = (
-            "both turn 1:1, so that one of the encoders is on the other's shaft: mount it there, "
-            "or set machine.gear_ratio: 1 where there is no gear"
-        )
-    else:
-        ratio = Change("machine", "gear_ratio", float(f"{gear / size:.4g}"))
-        changes = (*changes, ratio)
-        remedy = (
-            f"set {' and '.join(map(str, changes))}, where the counts per turn of both are right"
-        )
-    return Contradiction(SHAFT, factor, f"{found}: {remedy}", changes)
-
-
-def _sense(sense: float) -> Contradiction:
-    words = (
-        f"the current works against the motion in both directions ({sense:.2f} of its amount, "
-        f"must be above {-SENSE:g}), but friction takes work: its sign is wrong: set "
-        f"servo.current_sign: -1, or correct it with the maker's tool"
-    )
-    return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))
-
-
-def _torque(constant: float, source: str, nominal: Nominal) -> Contradiction:
-    stated = nominal.torque_constant_N_m_A
-    factor = constant / stated
-    if factor < 0.0:
-        words = (
-            "torque 6077h and current 6078h of the drive have opposite signs; correct the drive "
-            "with its maker's tool"
-        )
-        return Contradiction(CONSTANT, factor, words)
-    change = Change("machine", "torque_constant_N_m_A", float(f"{constant:.4g}"))
-    words = (
-        f"by {source} the motor gives {constant:.4g} N m/A, the bench file says {stated:.4g}: "
-        f"{factor:.3g} times that, must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g} times: set "
-        f"{change}, or correct the rated values"
-    )
-    return Contradiction(CONSTANT, factor, words, (change,))

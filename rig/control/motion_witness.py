@@ -7,7 +7,9 @@ from typing import Final
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Servo
 from rig.common.sample import Sample
-from rig.control.motion_proof import RATIO_TOLERANCE, Contradiction, Motion, Proof, hint, prove
+from rig.control.motion_factors import Motion
+from rig.control.motion_proof import Proof, hint, prove
+from rig.control.motion_words import RATIO_TOLERANCE, Contradiction
 from rig.wiring.devices import Nominal
 
 MOST: Final = 20_000

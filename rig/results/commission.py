@@ -7,6 +7,7 @@ from typing import Any
 
 from rig.commissioning.commission import Commissioning
 from rig.commissioning.record import StepRecord
+from rig.commissioning.record import Verdict as Found
 from rig.common.provenance import sha256, utc_now, versions
 from rig.config.bench import Bench
 from rig.config.configuration import Document as Loaded
@@ -45,8 +46,8 @@ def commission_record(
 
 def difference(before: str, after: str, name: str) -> str:
     """Return the corrections as a unified diff, which ``patch`` takes."""
-    lines = (text.splitlines(keepends=True) for text in (before, after))
-    return "".join(difflib.unified_diff(*lines, fromfile=name, tofile=name))
+    old, new = before.splitlines(keepends=True), after.splitlines(keepends=True)
+    return "".join(difflib.unified_diff(old, new, fromfile=name, tofile=name))
 
 
 def commission_document(
@@ -69,9 +70,7 @@ def commission_document(
     kind = "simulated" if bench.value.simulated else "REAL"
     who = f", by {operator}" if operator else ""
     subtitle = f"{kind} bench, {bench.path}{who}, {utc_now():%Y-%m-%d %H:%M} UTC"
-    return Document(
-        f"Commissioning of {bench.value.name}", subtitle, (summary,), tuple(sections)
-    )
+    return Document(f"Commissioning of {bench.value.name}", subtitle, (summary,), tuple(sections))
 
 
 def _headline(result: Commissioning) -> str:
@@ -92,12 +91,13 @@ def _step(step: StepRecord) -> Section:
     rows = tuple((item.name, item.value, item.unit) for item in step.measured)
     measured = (Table(("measured", "value", "unit"), rows, (1,)),) if rows else ()
     consent = f" Agreed to: {step.consent}." if step.consent else ""
-    tone = "warning" if step.verdict.value == "wrong" else "plain"
+    words = f"{step.verdict.value}: {step.words}"
+    wrong = step.verdict is Found.WRONG
     return Section(
         step.name,
         (
             Note(f"{step.announced}{consent}", "aside"),
             *measured,
-            Note(f"{step.verdict.value}: {step.words}", "warning" if tone == "warning" else "plain"),
+            Note(words, "warning" if wrong else "plain"),
         ),
     )

@@ -19,10 +19,10 @@ from drivers.mock.makes import LACKS, description
 from drivers.mock.plant.parts.constants import Joint
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
-from rig.fault_injection.scene import Scene
 from rig.control.operator import AutomaticOperator
 from rig.control.sequencer import Outcome
 from rig.control.session import Inputs, execute
+from rig.fault_injection.scene import Scene
 from rig.planning.plan import make_plan
 from rig.runs.run import RunFolder, create_folder
 from rig.runs.run_record import Ending
@@ -115,10 +115,7 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
             "angle_min_deg": -30,
             "angle_max_deg": 30,
             "speed_deg_s": speed,
-            "torque_N_m": 0.45
-            * machine["torque_constant_N_m_A"]
-            * machine["gear_ratio"]
-            * limit_A,
+            "torque_N_m": 0.45 * machine["torque_constant_N_m_A"] * machine["gear_ratio"] * limit_A,
             "current_A": 0.9 * limit_A,
             "following_error_deg": 2,
             "encoder_disagreement_deg": 1,

@@ -56,9 +56,7 @@ def main() -> int:
                 print(f"{given.first + number} {kind} {where}: {problem}", flush=True)
     names = [*MISTAKES, "none"]
     places = sorted({where for _, where in tried})
-    rows = [
-        [where, *(f"{good[n, where]} of {tried[n, where]}" for n in names)] for where in places
-    ]
+    rows = [[where, *(f"{good[n, where]} of {tried[n, where]}" for n in names)] for where in places]
     sums = [
         f"{sum(good[n, w] for w in places)} of {sum(tried[n, w] for w in places)}" for n in names
     ]

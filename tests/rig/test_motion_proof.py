@@ -1,4 +1,6 @@
-"""Units, signs, ratio and torque constant from the samples of a motion: both sides of each limit."""
+"""Units, signs, ratio and torque constant from the samples of a motion: both sides of each
+limit.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.control.motion_proof import Change, Motion, hint, prove, travels
+from rig.control.motion_factors import Motion, travels
+from rig.control.motion_proof import hint, prove
+from rig.control.motion_words import Change
 from rig.wiring.devices import Nominal
 
 GEAR, KM, RESISTANCE = 50.0, 0.04, 0.8
@@ -171,7 +175,7 @@ def early(moved: Any, joint: Any, velocity: Any) -> Motion:
 @pytest.mark.parametrize("factor", [-1.0, 3.0, 0.3, GEAR])
 def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
     moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
-    found = hint(early(moved, factor * moved, np.gradient(moved)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    found = hint(early(moved, factor * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
     assert found is not None
     assert found.factor == pytest.approx(factor, rel=0.02)
 
@@ -179,7 +183,7 @@ def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
 def test_a_jump_explains_nothing() -> None:
     moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
     jumped = moved + np.where(np.arange(30) > 28, 0.09, 0.0)
-    assert hint(early(moved, jumped, np.gradient(moved)), NOMINAL, Remedies()) is None  # type: ignore[arg-type]
+    assert hint(early(moved, jumped, np.gradient(moved, 1e-3)), NOMINAL, Remedies()) is None  # type: ignore[arg-type]
     still = np.zeros(30)
     still[-1] = 2e-5
     assert hint(early(still, jumped - moved, still), NOMINAL, Remedies()) is None  # type: ignore[arg-type]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from drivers.mock.mistakes import MISTAKES
 from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
+from rig.cli.entry import DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
 from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
 from rig.common.errors import InputError
@@ -103,7 +105,6 @@ def command(
     require_file(json_file, "--json")
     document = load_bench(bench)
     click.echo(bench_line(document))
-    real = not document.value.simulated
     _require_allowed(document, yes, mistake)
     require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
     folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-commission-{document.value.name}"
@@ -113,6 +114,27 @@ def command(
     require_file(new_file if bench_out else None, "--bench-out")
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
+    plan = _Plan(document, folder, new_file, seed, mistake, operator_name)
+    status, record = _carry_out(plan, yes, angle_deg)
+    write_asked(json_file, record)
+    return status
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is to be done, and where the results go."""
+
+    document: Document[Bench]
+    folder: Path
+    new_file: Path
+    seed: int
+    mistake: str | None
+    operator: str | None
+
+
+def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
+    """Go through the bench, and store and show the protocol; returns exit status and record."""
+    folder = plan.folder
     screen = Screen()
     screen.silence()
     with noting_folder(folder), closing(screen), StopButton(screen.say) as stop:
@@ -121,26 +143,24 @@ def command(
             interview = TypedInterview(screen, Prompt(screen), stop, angle_deg)
         with create_folder(folder, "rig commission"):
             result = commission(
-                document,
-                _connections(stop, seed, mistake, screen),
+                plan.document,
+                _connections(stop, plan.seed, plan.mistake, screen),
                 interview,
                 stop,
                 lambda number: open_recorder(folder / part_file(number)),
             )
-            written = _keep(result, document, folder, new_file)
-            record = commission_record(result, document, seed, operator_name, written)
+            written = _keep(result, plan.document, folder, plan.new_file)
+            record = commission_record(result, plan.document, plan.seed, plan.operator, written)
             write_record(record, folder / RECORD_FILE, None)
-        protocol = commission_document(result, document, operator_name, written)
+        protocol = commission_document(result, plan.document, plan.operator, written)
         screen.say(shown(protocol), err=False)
         write_page(protocol, folder / PAGE_FILE)
         screen.say(f"protocol: {folder / PAGE_FILE}", err=False)
-        write_asked(json_file, record)
     if result.error is not None:
         note_drive(result.error, "never energised" if result.safe is None else result.safe.message)
         raise result.error
-    if real and result.safe is not None and not result.safe.verified:
-        return STATUS[result.ending] or 4
-    return STATUS[result.ending]
+    unsure = result.safe is not None and not result.safe.verified
+    return (STATUS[result.ending] or DEVICE_FAILED) if unsure else STATUS[result.ending], record
 
 
 def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:
