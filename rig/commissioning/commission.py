@@ -134,6 +134,7 @@ def commission(
     interview: Interview,
     stop: StopButton,
     record_in: Callable[[int], Recorder],
+    fastest_deg_s: float = FASTEST_DEG_S,
 ) -> Commissioning:
     """Go through a bench. Raises only what a connection raises before anything is energised.
 
@@ -143,6 +144,7 @@ def commission(
         interview: Whoever stands at the bench.
         stop: Stop button.
         record_in: Creates the recording of a connection, by its number from 1.
+        fastest_deg_s: Limit on the joint speed, deg/s.
 
     Raises:
         InputError: The bench cannot be connected to.
@@ -151,8 +153,12 @@ def commission(
     """
     text = document.path.read_text(encoding="utf-8-sig")
     result = Commissioning(Ending.DONE, "", text)
+
+    def setup_of(bench: Bench, devices: Devices, recorder: Recorder) -> Setup:
+        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s)
+
     while True:
-        wrong = _session(document, connect, interview, stop, record_in, result)
+        wrong = _session(document, connect, setup_of, record_in, result)
         if wrong is None or not wrong.changes or result.ending is not Ending.TRIPPED:
             break
         changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
@@ -182,8 +188,7 @@ def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissio
 def _session(
     document: Document[Bench],
     connect: Connect,
-    interview: Interview,
-    stop: StopButton,
+    setup_of: Callable[[Bench, Devices, Recorder], Setup],
     record_in: Callable[[int], Recorder],
     result: Commissioning,
 ) -> WrongError | None:
@@ -194,7 +199,7 @@ def _session(
     with connect(document) as devices:
         recorder = record_in(len(result.sessions))
         try:
-            setup = Setup.of(document.value, devices, interview, stop, recorder)
+            setup = setup_of(document.value, devices, recorder)
             try:
                 wrong = _steps(setup, steps, result)
             finally:

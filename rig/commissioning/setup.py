@@ -24,21 +24,21 @@ from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.teardown import SafeState, give_back, make_safe
 
 FASTEST_DEG_S: Final = 12.0
-"""Limit on the joint speed of a commissioning, deg/s; at most a quarter of the bench's."""
+"""Default limit on the joint speed, deg/s; at most a quarter of the bench's."""
 SPEED_SHARE: Final = 0.25
 TORQUE_SHARE: Final = 0.6
 """Share of the bench's torque and current limits that a commissioning uses."""
 REST_S: Final = 0.2
 
 
-def low_limits(bench: Bench) -> Limits:
+def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
     """Return the limits of a commissioning: those of the bench, with less speed, torque and
     current.
     """
     limits = bench_limits(bench)
     return dataclasses.replace(
         limits,
-        speed=min(math.radians(FASTEST_DEG_S), SPEED_SHARE * limits.speed),
+        speed=min(math.radians(fastest_deg_s), SPEED_SHARE * limits.speed),
         torque=TORQUE_SHARE * limits.torque,
         current=TORQUE_SHARE * limits.current,
     )
@@ -80,9 +80,10 @@ class Setup:
         interview: Interview,
         stop: StopButton,
         recorder: Recorder,
+        fastest_deg_s: float = FASTEST_DEG_S,
     ) -> Setup:
         """Return the setup of a bench whose link is open."""
-        limits = low_limits(bench)
+        limits = low_limits(bench, fastest_deg_s)
         cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
         return cls(bench, devices, interview, stop, recorder, limits, cycle)
 

@@ -173,8 +173,8 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weig
         first = (
             "hang the right weight, or look for what else rubs"
             if item.weight_kg
-            else "take every weight off, look for what rubs, and whether torque constant or unit of "
-            "the current have changed"
+            else "take every weight off, and look for what rubs, and for a changed torque "
+            "constant or unit of the current"
         )
         verdict, rest = Verdict.WRONG, f"{first}, then go on with `rig resume`"
     return Weighing(item.stage, item.weight_kg, verdict, mass, sigma, f"{found}; {rest}")

@@ -128,7 +128,7 @@ def test_a_right_bench_goes_through_all_steps(
     assert "no value of the bench file had to be corrected" in shown
     page = Path("out/report.html").read_text()
     assert "Commissioning of new" in page
-    assert "power off after" in page
+    assert "power off within" in page
     events = [e["event"] for e in read_run(Path("out/recording.mcap")).events]
     assert events.count("step") == len(STEPS)
     assert events.count("power on") == events.count("power off") == 5

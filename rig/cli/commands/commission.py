@@ -21,6 +21,7 @@ from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
 from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
+from rig.commissioning.setup import FASTEST_DEG_S
 from rig.common.errors import InputError
 from rig.common.places import require_file, require_folder, write_asked, write_text
 from rig.common.provenance import utc_now
@@ -64,6 +65,15 @@ PATCH_FILE = "bench.patch"
     type=float,
     help="True joint angle at the start, deg; asked for unless given, not checked with --yes.",
 )
+@click.option(
+    "--speed-limit",
+    "fastest_deg_s",
+    type=click.FloatRange(min=1.0),
+    default=FASTEST_DEG_S,
+    show_default=True,
+    help="Limit on the joint speed, deg/s, at most a quarter of the bench's; a soft drive slips "
+    "faster than it is told to move.",
+)
 @click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
 @click.option(
     "--mistake",
@@ -78,6 +88,7 @@ def command(
     out: Path | None,
     bench_out: Path | None,
     angle_deg: float | None,
+    fastest_deg_s: float,
     yes: bool,
     mistake: str | None,
     seed: int,
@@ -114,7 +125,7 @@ def command(
     require_file(new_file if bench_out else None, "--bench-out")
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
-    plan = _Plan(document, folder, new_file, seed, mistake, operator_name)
+    plan = _Plan(document, folder, new_file, seed, mistake, operator_name, fastest_deg_s)
     status, record = _carry_out(plan, yes, angle_deg)
     write_asked(json_file, record)
     return status
@@ -130,6 +141,7 @@ class _Plan:
     seed: int
     mistake: str | None
     operator: str | None
+    fastest_deg_s: float
 
 
 def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
@@ -148,6 +160,7 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
                 interview,
                 stop,
                 lambda number: open_recorder(folder / part_file(number)),
+                plan.fastest_deg_s,
             )
             written = _keep(result, plan.document, folder, plan.new_file)
             record = commission_record(result, plan.document, plan.seed, plan.operator, written)
