@@ -202,6 +202,10 @@ def _session(
             setup = setup_of(document.value, devices, recorder)
             try:
                 wrong = _steps(setup, steps, result)
+            except StorageError as error:
+                # Whoever reports it says how the drive was left.
+                error.__dict__["safe"] = setup.safe
+                raise
             finally:
                 setup.give_back()
                 result.safe = setup.safe or result.safe

@@ -8,13 +8,11 @@ it and the inertia's share cancels.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from rig.common.sample import Sample
 from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
 
@@ -28,6 +26,7 @@ SENSE: Final = 0.3
 """Least share of the work that may be negative: friction takes work in both directions."""
 _JUMP_SHARE: Final = 0.7
 """Share of a travel in one sample from which it is a jump."""
+_COLLINEAR: Final = 1e-9
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
 """First part of a travel that is left out: play and twist are taken up there."""
@@ -59,15 +58,10 @@ class Motion:
     torque: Array
 
     @classmethod
-    def of(cls, samples: Sequence[tuple[Sample, float]], gear_ratio: float) -> Motion:
-        """Return the motion of samples, each with the motor torque that came with it, N m."""
-        rows = np.array(
-            [
-                (s.time, s.motor_angle / gear_ratio, s.angle, s.velocity, s.current, s.voltage, t)
-                for s, t in samples
-                if s.fresh
-            ]
-        ).reshape(-1, 7)
+    def of(cls, rows: Array) -> Motion:
+        """Return the motion of an array of shape (n, 7), whose columns are the attributes in order;
+        rows whose time, angles, speed or current are not finite are left out.
+        """
         return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
 
 
@@ -94,7 +88,8 @@ def shaft_factor(motion: Motion) -> float:
     twist, and with a term in the speed, which takes the time between the two readings.
     """
     parts = []
-    for begin, end in travels(motion.motor):
+    size = _block(motion)
+    for begin, end in ((a * size, b * size) for a, b in travels(motion.motor[::size])):
         inside = slice(begin + round(_SETTLED_SHARE * (end - begin)), end + 1)
         m, j, v = motion.motor[inside], motion.joint[inside], motion.velocity[inside]
         if len(m) < 4 or max(abs(m[-1] - m[0]), abs(j[-1] - j[0])) < 0.5 * LEAST_RAD:
@@ -103,18 +98,31 @@ def shaft_factor(motion: Motion) -> float:
     if not parts:
         return math.nan
     table = np.concatenate(parts)
-    return float(np.linalg.lstsq(table[:, :2], table[:, 2], rcond=None)[0][0])
+    return _slope(table[:, 0], table[:, 1], table[:, 2])[0]
+
+
+def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
+    """Return the coefficients of two regressors by least squares.
+
+    By their normal equations, as this may be computed between two control cycles; of the second
+    regressor nothing is taken where it is zero or proportional to the first.
+    """
+    a, b, c = float(first @ first), float(first @ second), float(second @ second)
+    p, q = float(first @ values), float(second @ values)
+    determinant = a * c - b * b
+    if determinant <= _COLLINEAR * a * c:
+        return (p / a if a > 0.0 else math.nan), 0.0
+    return (c * p - b * q) / determinant, (a * q - b * p) / determinant
 
 
 def early_factor(motion: Motion) -> float:
     """Return the same for the few samples before a trip; NaN unless they fit it."""
     m, j = motion.motor - motion.motor[0], motion.joint - motion.joint[0]
-    table = np.column_stack((m, motion.velocity))
-    solution = np.linalg.lstsq(table, j, rcond=None)[0]
-    rest, span = j - table @ solution, float(np.max(np.abs(j - m)))
+    slope, delay = _slope(m, motion.velocity, j)
+    rest, span = j - slope * m - delay * motion.velocity, float(np.max(np.abs(j - m)))
     if span <= 0.0 or float(np.sqrt(np.mean(rest**2))) > 0.1 * span:
         return math.nan
-    return float(solution[0])
+    return slope
 
 
 def turn_alike(motion: Motion, nominal: Nominal) -> bool:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Final
 
+import numpy as np
+
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Servo
 from rig.common.sample import Sample
@@ -27,21 +29,28 @@ class MotionWitness:
     def __init__(self, servo: Servo, nominal: Nominal) -> None:
         self._servo = servo
         self._nominal = nominal
-        self._samples: list[tuple[Sample, float]] = []
+        self._rows = np.empty((MOST, 7))
+        self._count = 0
 
     def take(self, sample: Sample, motor_torque: float) -> None:
         """Keep a sample, and the motor torque that the drive reports with it, N m."""
-        if len(self._samples) < MOST:
-            self._samples.append((sample, motor_torque))
-
-    def forget(self) -> None:
-        """Begin anew."""
-        self._samples = []
+        if self._count == MOST or not sample.fresh:
+            return
+        self._rows[self._count] = (
+            sample.time,
+            sample.motor_angle / self._nominal.gear_ratio,
+            sample.angle,
+            sample.velocity,
+            sample.current,
+            sample.voltage,
+            motor_torque,
+        )
+        self._count += 1
 
     @property
     def motion(self) -> Motion:
-        """The samples so far."""
-        return Motion.of(self._samples, self._nominal.gear_ratio)
+        """The fresh samples so far."""
+        return Motion.of(self._rows[: self._count])
 
     def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
         """Compare all that the samples show; see :func:`rig.control.motion_proof.prove`."""

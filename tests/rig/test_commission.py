@@ -14,14 +14,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.errors import LinkError
 from drivers.mock.mistakes import MISTAKES
 from rig.cli.entry import status
 from rig.commissioning.commission import STEPS
 from rig.commissioning.patch import patched
-from rig.commissioning.setup import FASTEST_DEG_S
+from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.common.errors import StorageError
 from rig.config.bench import load_bench
 from rig.control.motion_words import Change
 from rig.runs.mcap.reader import read_run
+from rig.runs.recorder import Recorder
 
 from .benches import variant
 
@@ -186,6 +189,29 @@ def test_an_existing_file_is_not_overwritten(
     assert Path("bench.commissioned.yaml").read_text() == "mine"
 
 
+@pytest.mark.parametrize(
+    ("error", "ended", "state"),
+    [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
+)
+def test_however_a_step_ends_the_drive_is_read_back_as_off(
+    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
+) -> None:
+    go = Setup.go
+
+    def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
+        if error is not None:
+            raise error
+        self.stop.press("Ctrl-C")
+        go(self, start, end, speed)
+
+    monkeypatch.setattr(Setup, "go", interrupted)
+    assert commissioned("--angle", "0")[0] == ended
+    record = json.loads(Path("out/commission.json").read_text())
+    assert (record["state"], record["sessions"][0][-1]["name"]) == (state, "small move")
+    assert record["drive"]["verified"]
+    assert record["drive"]["state"] == "switch on disabled"
+
+
 FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 1\n"
 
 
@@ -205,3 +231,20 @@ FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 
 )
 def test_a_value_is_set_and_the_rest_is_kept(change: Change, text: str) -> None:
     assert patched(FLOW, (change,)) == text
+
+
+def test_a_recording_that_fails_takes_the_power_off_first(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sample = Recorder.sample
+
+    def full(self: Recorder, time_ns: int, *values: Any) -> None:
+        if time_ns > 3_000_000_000:
+            raise StorageError("disk full")
+        sample(self, time_ns, *values)
+
+    monkeypatch.setattr(Recorder, "sample", full)
+    assert status(["commission", "bench.yaml", "--yes", "--out", "out"]) == 4
+    shown = capsys.readouterr().err
+    assert "storage error: disk full" in shown
+    assert "the drive is de-energised (read back: switch on disabled)" in shown
