@@ -30,6 +30,10 @@ _COLLINEAR: Final = 1e-9
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
 """First part of a travel that is left out: play and twist are taken up there."""
+_SAME_EMF: Final = 0.15
+"""Logarithm of the ratio up to which a back-EMF constant is the stated one."""
+_LEAST_EMF: Final = 0.55
+"""Least ratio of back-EMF to torque constant: 1 / sqrt(3) and some, line to line against phase."""
 _EMF_CERTAINTY: Final = 0.08
 _EMF_INFLATION: Final = 3.0
 """Factor on its standard error, as neighbouring blocks are not independent."""
@@ -189,6 +193,11 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
         return constant, "the drive's torque 6077h against its current 6078h"
     induced, certain = emf_constant(motion, nominal)
     if certain:
+        # Constants of alternating current in root mean square: the same motor, other numbers.
+        stated, emf = nominal.torque_constant_N_m_A, nominal.back_emf_constant_V_s_rad
+        confirmed = emf is not None and abs(math.log(induced / emf)) < _SAME_EMF
+        if confirmed and _LEAST_EMF <= induced / stated <= 1.0:
+            return stated, "the voltage that the motion induces"
         return induced, "the voltage that the motion induces"
     if nominal.rated_torque_N_m is not None and nominal.rated_current_A is not None:
         rated = nominal.rated_torque_N_m / nominal.rated_current_A

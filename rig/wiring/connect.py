@@ -294,6 +294,7 @@ def nominal_of(bench: Bench) -> Nominal:
         servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
         servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
         bench.encoder.sign,
+        machine.back_emf_constant_V_s_rad,
     )
 
 

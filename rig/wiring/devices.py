@@ -22,6 +22,7 @@ class Nominal:
         rated_current_A: Rated motor current, stated in the file or held by the drive; else None.
         rated_torque_N_m: Rated motor torque, likewise.
         encoder_sign: Sign of the joint encoder.
+        back_emf_constant_V_s_rad: Voltage per rad/s of the motor; None where it is not stated.
     """
 
     torque_constant_N_m_A: float
@@ -29,6 +30,7 @@ class Nominal:
     rated_current_A: float | None = None
     rated_torque_N_m: float | None = None
     encoder_sign: int = 1
+    back_emf_constant_V_s_rad: float | None = None
 
 
 @dataclass(frozen=True)

@@ -144,6 +144,16 @@ def test_what_shows_no_torque_constant_says_so() -> None:
     assert "is not held against anything" in proof.unproven
 
 
+@pytest.mark.parametrize(("share", "wrong"), [(0.577, 0), (0.5, 1)])
+def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(
+    share: float, wrong: int
+) -> None:
+    nominal = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM)
+    assert len(proven(motion(torque=nothing), nominal).contradictions) == wrong
+    other = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM / share)
+    assert len(proven(motion(torque=nothing), other).contradictions) == 1
+
+
 def test_an_uncertain_voltage_on_the_side_of_the_file_outweighs_the_rated_values() -> None:
     rng = np.random.default_rng(2)
     noisy = motion(torque=nothing, voltage=lambda u: u + 1.0 * rng.standard_normal(len(u)))
