@@ -75,5 +75,9 @@ class MotionWitness:
         """Return what explains a trip (``too_fast``: of the reported speed) or a fault; empty where
         nothing does.
         """
-        found = self.hint(too_fast)
+        try:
+            found = self.hint(too_fast)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            # Words about a trip must not stand in the way of the stop.
+            return ""
         return "" if found is None else f"; {found.words}"

@@ -26,6 +26,8 @@ TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
 """Ratio of found to stated torque constant that is taken for the same. Data sheets, magnets and
 temperature differ by 20 %, wrong definitions (peak and root mean square, motor and joint) by more.
 """
+STANDS_STILL: Final = 0.005
+"""Share of the motor encoder's travel below which the joint encoder stands still."""
 SHAFT_SPREAD: Final = 1.3
 """Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
 NO_TORQUE: Final = (
@@ -93,7 +95,10 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
     )
     size, sign = abs(factor), Change("encoder", "sign", -nominal.encoder_sign)
     changes = (sign,) if factor < 0.0 else ()
-    if abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
+    if size < STANDS_STILL:
+        changes = ()
+        remedy = "it stands still: check its coupling, and whether it is the encoder of this joint"
+    elif abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
         remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
     elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
         changes = ()

@@ -93,13 +93,18 @@ def test_speed_against_position(factor: float, wrong: int) -> None:
         (-2.0, (Change("encoder", "sign", -1), Change("machine", "gear_ratio", 25.0))),
         (GEAR, ()),
         (-GEAR, ()),
+        (0.0, ()),
     ],
 )
 def test_joint_against_motor_encoder(factor: float, changes: Any) -> None:
     proof = proven(motion(joint=lambda j: factor * j))
-    assert proof.found["joint encoder against motor encoder"] == pytest.approx(factor, rel=1e-3)
+    assert proof.found["joint encoder against motor encoder"] == pytest.approx(
+        factor, rel=1e-3, abs=1e-9
+    )
     assert (proof.contradictions[0].changes if proof.contradictions else None) == changes
-    if changes == ():
+    if factor == 0.0:
+        assert "it stands still" in proof.words
+    elif changes == ():
         assert "one of the encoders is on the other's shaft" in proof.words
 
 
@@ -188,6 +193,13 @@ def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
     found = hint(early(moved, factor * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
     assert found is not None
     assert found.factor == pytest.approx(factor, rel=0.02)
+
+
+def test_an_encoder_that_stands_still_explains_a_trip() -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    found = hint(early(moved, 0.0 * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert "it stands still" in found.words
 
 
 def test_a_jump_explains_nothing() -> None:
