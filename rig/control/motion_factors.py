@@ -130,7 +130,7 @@ def early_factor(motion: Motion) -> float:
 
 
 def turn_alike(motion: Motion, nominal: Nominal) -> bool:
-    """Whether both encoders may turn 1:1, where the motor moved by one to three counts.
+    """Whether both encoders may turn 1:1, within one count of the motor encoder.
 
     A position that jumped in one sample is no turn.
     """

@@ -125,10 +125,10 @@ def hint(
     if len(motion.time) < 2:
         return None
     shaft = math.nan
-    if len(np.unique(motion.motor)) >= HINT_COUNTS:
-        shaft = early_factor(motion)
-    elif turn_alike(motion, nominal):
+    if turn_alike(motion, nominal):
         shaft = nominal.gear_ratio
+    elif len(np.unique(motion.motor)) >= HINT_COUNTS:
+        shaft = early_factor(motion)
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= 2.0 * RATIO_TOLERANCE):
         return wrong_shaft(shaft, nominal)
     speed = speed_factor(motion, least=0.0)
