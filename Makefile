@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units
 .DEFAULT_GOAL := help
 
 help:
@@ -38,6 +38,7 @@ help:
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
+	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make fuzz      a million frames or bytes for every decoder; 100 000 random logs of each format"
@@ -170,6 +171,9 @@ moments: $(VENV)/.dev
 
 pairs: $(VENV)/.dev
 	$(BIN)/python -m tests.long.pairs
+
+units: $(VENV)/.dev
+	$(BIN)/python -m tests.long.units
 
 terminal: $(VENV)/.dev
 	$(BIN)/python -m tests.long.terminal

@@ -27,6 +27,7 @@ class ServoScales:
         rated_torque_N_m: Expected value of 6076h; 6072h is in per mille of it.
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
+        current_sign: -1 where the drive's current has the opposite sign of its torque, else 1.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
             for one count per second.
         voltage_object: Object of the mean motor voltage; None where it is not known.
@@ -55,6 +56,7 @@ class ServoScales:
     rated_torque_N_m: float
     sign: int = 1
     offset_rad: float = 0.0
+    current_sign: int = 1
     velocity_unit_rad_s: float | None = None
     voltage_object: ObjectAddress | None = None
     voltage_unit_V: float = 0.01
@@ -101,10 +103,11 @@ class ServoScales:
                 raise ConfigurationError(
                     f"{name} is {value}, must be positive: correct the bench file"
                 )
-        if self.sign not in (1, -1):
-            raise ConfigurationError(
-                f"sign is {self.sign}, must be 1 or -1: correct the bench file"
-            )
+        for name in ("sign", "current_sign"):
+            if getattr(self, name) not in (1, -1):
+                raise ConfigurationError(
+                    f"{name} is {getattr(self, name)}, must be 1 or -1: correct the bench file"
+                )
 
     @cached_property
     def motor_rad_per_count(self) -> float:
@@ -145,6 +148,11 @@ class ServoScales:
             else self.rated_torque_N_m / self.torque_constant_N_m_A
         )
         return rated_A / 1000.0
+
+    @cached_property
+    def motor_torque_unit_N_m(self) -> float:
+        """Motor torque of one unit of 6077h, without sign."""
+        return self.rated_torque_N_m / 1000.0
 
     @cached_property
     def joint_torque_unit_N_m(self) -> float:

@@ -16,9 +16,9 @@ states under `servo` comes first; `servo.device: none` switches the data off, an
 first column chooses others.
 
 An object is used only where the EDS file has it, and in the cycle only where it can be process
-data. `rig check` says which facts are used, what is not monitored, and which limits only the program
-holds. No drive of these makers has been on a bench of this program: compare everything with the
-drive's manual before the first run."""
+data. `rig check` says which facts are used, what is not monitored, and which limits only the
+program holds. No drive of these makers has been on a bench of this program: compare everything with
+the drive's manual before the first run."""
 
 
 def _objects(data: DeviceData) -> str:

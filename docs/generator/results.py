@@ -17,6 +17,7 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.result import MeasuredNoise
+from rig.commissioning.record import Measured
 from rig.config.descriptions import meanings
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
@@ -68,6 +69,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.config.calibration:calibration_records",
     ),
     "rig run --dry-run --json": ("rig.results.run.dry_run:dry_run_record",),
+    "rig commission: commission.json": (
+        "rig.results.commission:commission_record",
+        "rig.commissioning.commission:Commissioning.record",
+        "rig.commissioning.record:StepRecord.record",
+        "rig.wiring.teardown:SafeState.record",
+    ),
     "rig jog --json": ("rig.cli.commands.jog:_record",),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
@@ -107,6 +114,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 """Section of the table to the functions whose dictionaries are written."""
 _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig identify: identify.json": (MeasuredNoise,),
+    "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
     "rig run --faults: faults.json": (Finding,),

@@ -7,7 +7,7 @@ the drive's EDS contains them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.canopen import cia402
@@ -16,7 +16,7 @@ from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales
 
 SUPPLY_EVERY: Final = 10
-FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, SUPPLY_EVERY))
+FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (8, SUPPLY_EVERY))
 """Data bytes of each PDO and its period in cycles, for a drive with all objects and a 16-bit
 voltage object.
 """
@@ -57,6 +57,7 @@ class Cyclic:
         voltage: Motor voltage.
         supply: Supply voltage.
         temperature: Temperature.
+        torque: Torque, for a drive that tells a current as well.
     """
 
     current: ObjectAddress | None
@@ -66,6 +67,7 @@ class Cyclic:
     voltage: ObjectAddress | None
     supply: ObjectAddress | None
     temperature: ObjectAddress | None
+    torque: ObjectAddress | None = None
 
 
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
@@ -93,6 +95,7 @@ def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
         told(scales.voltage_object),
         told(scales.supply_object),
         told(scales.temperature_object),
+        told(TORQUE) if channel.latches and current not in (None, TORQUE) else None,
     )
 
 
@@ -118,6 +121,19 @@ def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
     slow = [address for address in (told.supply, told.temperature) if address is not None]
     if slow:
         layouts.append(PdoLayout(len(layouts) + 1, tuple(slow), SUPPLY_EVERY))
+    return layouts if told.torque is None else _beside(layouts, told.torque, channel)
+
+
+def _beside(
+    layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
+) -> list[PdoLayout]:
+    """Return the layouts with the torque in the last one with room for it. It is held against the
+    current and not needed otherwise, so that it takes no frame of its own.
+    """
+    for at in reversed(range(1, len(layouts))):
+        if channel.fit_together([*layouts[at].objects, torque]):
+            more = replace(layouts[at], objects=(*layouts[at].objects, torque))
+            return [*layouts[:at], more, *layouts[at + 1 :]]
     return layouts
 
 

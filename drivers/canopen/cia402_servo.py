@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -11,7 +10,7 @@ from drivers import servo_limits
 from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
-from drivers.canopen.cia402_values import CyclicValues
+from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.canopen.transitions import await_state, exchanges
@@ -20,7 +19,6 @@ from drivers.errors import (
     ConfigurationError,
     DeviceError,
     DriveFault,
-    ObjectAccessError,
     StateError,
 )
 from drivers.interfaces import (
@@ -34,7 +32,13 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import ObjectAddress, ProcessChannel, optional, read_identity, refusal
+from drivers.objects import (
+    ProcessChannel,
+    identity_doubts,
+    optional,
+    read_identity,
+    refusal,
+)
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
@@ -94,6 +98,10 @@ class Cia402Servo(Servo):
         """Read the drive's identity."""
         return read_identity(self._channel)
 
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield the numbers of 1018h that differ from the EDS file's."""
+        yield from identity_doubts(self._channel)
+
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h)."""
         return decode_state(self._channel.read(*cia402.STATUSWORD))
@@ -111,6 +119,14 @@ class Cia402Servo(Servo):
         true speed.
         """
         return velocity_unit.remedy(self._scales, factor)
+
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor of the nearest known unit to a rough factor."""
+        return velocity_unit.nearest_factor(self._scales, factor, spread)
+
+    def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
+        """Return the keys that set the unit of the speed, and their values."""
+        return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
         """Return the resolution of each limit at the joint: one unit of its object."""
@@ -139,24 +155,7 @@ class Cia402Servo(Servo):
 
     def readings(self) -> ServoReadings:
         """Read each value by SDO; NaN for values that the drive does not have."""
-        scales, told = self._scales, self._told
-        counts, speed, current, supply, temperature = map(
-            self._read_or_nan,
-            (
-                objects.POSITION,
-                objects.SPEED_ACTUAL,
-                told.current,
-                scales.supply_object,
-                scales.temperature_object,
-            ),
-        )
-        return ServoReadings(
-            counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-            speed * scales.joint_speed_unit_rad_s * scales.sign,
-            current * told.current_unit_A * scales.sign,
-            supply * scales.supply_unit_V,
-            temperature * scales.temperature_unit_C,
-        )
+        return read_once(self._channel, self._scales, self._told)
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""
@@ -340,14 +339,6 @@ class Cia402Servo(Servo):
             self._staged_in = self._channel.cycle
         self._target = counts
         self._motion.stage(self._channel, self._word, counts, self._values.observed)
-
-    def _read_or_nan(self, address: ObjectAddress | None) -> float:
-        if address is None:
-            return math.nan
-        try:
-            return self._channel.read(*address)
-        except (ConfigurationError, ObjectAccessError):
-            return math.nan
 
     def _command(self, command: Command) -> None:
         # The cyclic controlword is changed first, so that no later exchange can undo the command.

@@ -88,6 +88,11 @@ class CanopenNode:
         return f"node {self.node_id}"
 
     @property
+    def latches(self) -> bool:
+        """The values of an exchange are those of the SYNC."""
+        return True
+
+    @property
     def fresh(self) -> bool:
         """Whether all data that were due in the last exchange arrived complete."""
         if self.missing:
@@ -146,6 +151,12 @@ class CanopenNode:
         """Return whether a PDO can hold these objects. Nothing is sent."""
         found = (self._dictionary.get_variable(*address) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
+
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the default value of an object in the EDS. Sends nothing."""
+        item = self._dictionary.get_variable(index, subindex)
+        default = None if item is None else item.default
+        return default if isinstance(default, int) else None
 
     def require_watchable(self) -> None:
         """Check that the EDS contains a heartbeat consumer; the errors are those of :meth:`watch`.

@@ -107,6 +107,11 @@ class EposSerialNode(ObjectAccess):
         self._before: tuple[int, int] | None = None
 
     @property
+    def latches(self) -> bool:
+        """The values of an exchange are read one after another."""
+        return False
+
+    @property
     def fresh(self) -> bool:
         """Whether everything that was due at the last exchange was written and read."""
         return self._complete

@@ -15,8 +15,8 @@ from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
 from drivers.mock.drive_modes import CSP, CST, CSV, PP, Mover
 from drivers.mock.plant.machine import Reading
-from drivers.mock.plant.parts import constants
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
 from drivers.mock.traits import OwnObjects, Traits
 from drivers.mock.wires.bus import SimulatedBus
@@ -100,6 +100,10 @@ class SimulatedDrive(SimulatedNode):
         traits: What it differs in from other drives.
         power_state: State of the power drive system.
         entered: Function that is called with each new state at the time of the change.
+        speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
+            :meth:`use_speed_unit`.
+        deaf_to: Orders that the drive ignores.
+        current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
     """
 
     def __init__(
@@ -118,13 +122,15 @@ class SimulatedDrive(SimulatedNode):
         self._own.add_to(self.objects)
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
+        self.current_sign = 1
+        self.deaf_to: frozenset[Command] = frozenset()
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
         self._increments, self._revolutions = encoder_resolution(self._machine.constants)
         counts_per_turn = self._increments / self._revolutions
         self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
-        self._speed_unit = self.traits.speed_unit(counts_per_turn)
+        self.speed_unit = self.traits.speed_unit(counts_per_turn)
         rating = rating or Rating()
         torque_constant = self._motor.torque_constant_N_m_A
         self._rated_current_mA = round(rating.current_A * 1e3)
@@ -139,7 +145,7 @@ class SimulatedDrive(SimulatedNode):
             clock,
             self._values,
             self._counts_per_rad,
-            self._speed_unit,
+            self.speed_unit,
             1.0 / self._per_mille_torque_A,
         )
         self._period_ns = _MS
@@ -168,7 +174,7 @@ class SimulatedDrive(SimulatedNode):
             values[_ON_ABORT] = 0  # a drive without the object has no such reaction
         self._own.restore(values, self._rated_current_mA * 1e-3)
         for index in (0x6084, 0x6085):
-            values[key(index)] = round(values[key(index)] / self._speed_unit)
+            values[key(index)] = round(values[key(index)] / self.speed_unit)
         values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
         values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
         values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
@@ -176,6 +182,13 @@ class SimulatedDrive(SimulatedNode):
         self._last_word = self._flags = 0
         self._read_period()
         self._enter(State.SWITCH_ON_DISABLED)
+
+    def use_speed_unit(self, counts_per_s: float) -> None:
+        """Show and take speeds in another unit from now on, as a drive does that was made so."""
+        values = self._values
+        for address in (key(0x607F), key(0x6084), key(0x6085)):
+            values[address] = round(values[address] * self.speed_unit / counts_per_s)
+        self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
         """Switch the power off at once."""
@@ -238,9 +251,11 @@ class SimulatedDrive(SimulatedNode):
         self.stamp(self._sampler.time_ns)
         values[_POSITION] = reading.motor_counts
         speed = reading.motor_velocity_rad_s * self._counts_per_rad
-        values[_VELOCITY] = round(speed / self._speed_unit)
-        values[_CURRENT] = clamp_i16(round(reading.current_A * self._per_mille_A))
-        values[_TORQUE] = clamp_i16(round(reading.current_A * self._per_mille_torque_A))
+        values[_VELOCITY] = round(speed / self.speed_unit)
+        current = reading.current_A * self._per_mille_A
+        values[_CURRENT] = clamp_i16(self.current_sign * round(current))
+        torque = reading.current_A * self._per_mille_torque_A
+        values[_TORQUE] = clamp_i16(self.current_sign * round(torque))
         values[_DC_LINK] = round(reading.supply_V * 1e3)
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
@@ -258,6 +273,8 @@ class SimulatedDrive(SimulatedNode):
                 self.clear_errors()
             return
         order = command(word)
+        if order in self.deaf_to:
+            return
         following = TRANSITIONS.get((self.power_state, order))
         if following is None:
             return
@@ -296,7 +313,7 @@ class SimulatedDrive(SimulatedNode):
                 self._brake(self.objects.integer(0x6085))
 
     def _brake(self, units: int) -> None:
-        deceleration = units * self._speed_unit
+        deceleration = units * self.speed_unit
         now = self._clock.now_ns()
         speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
         self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)
@@ -372,19 +389,6 @@ class SimulatedDrive(SimulatedNode):
     def _check_disabled(self, _subindex: int, _value: int) -> None:
         if self.power_state in POWERED:
             raise SdoAbortError(od.DEVICE_STATE)
-
-
-def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
-    """Return a number of motor encoder increments and the motor turns that they correspond to
-    (608Fh).
-
-    With an exact sensor the machine counts microradians of the joint; with 100 turns this ratio is
-    exact to about 1e-9.
-    """
-    counts = machine.sensing.motor_counts_per_turn
-    if counts:
-        return counts, 1
-    return round(2e8 * math.pi / machine.motor.gear_ratio), 100
 
 
 def _check_quick_stop(_subindex: int, value: int) -> None:

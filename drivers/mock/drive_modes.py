@@ -60,7 +60,7 @@ class Mover:
         self._clock = clock
         self._values = values
         self._counts_per_rad = counts_per_rad
-        self._speed_unit = speed_unit
+        self.speed_unit = speed_unit
         self._current_A = current_A
         self._gear = self._machine.constants.motor.gear_ratio
         self._profile = Timer(clock, self._advance_profile)
@@ -104,7 +104,7 @@ class Mover:
 
     def _position(self, period_ns: int) -> bool:
         values, target = self._values, self._clamped()
-        reach = values[_MAX_SPEED] * self._speed_unit * period_ns / NS
+        reach = values[_MAX_SPEED] * self.speed_unit * period_ns / NS
         step = target - self.demand
         if step > reach or step < -reach:
             target = self.demand + math.copysign(reach, step)
@@ -116,14 +116,14 @@ class Mover:
     def _spin(self, _period_ns: int) -> bool:
         values = self._values
         speed = min(max(values[_TARGET_SPEED], -values[_MAX_SPEED]), values[_MAX_SPEED])
-        self._machine.spin(speed * self._speed_unit / self._counts_per_rad / self._gear)
+        self._machine.spin(speed * self.speed_unit / self._counts_per_rad / self._gear)
         return speed != values[_TARGET_SPEED]
 
     def _push(self, _period_ns: int) -> bool:
         values = self._values
         torque = values[_TARGET_TORQUE]
         motor_rad_s = self._sampler.peek(self._clock.now_ns()).motor_velocity_rad_s
-        speed = motor_rad_s * self._counts_per_rad / self._speed_unit
+        speed = motor_rad_s * self._counts_per_rad / self.speed_unit
         if abs(speed) > values[_MAX_SPEED] and torque * speed > 0.0:
             torque = 0
         self._machine.feed(torque * self._current_A)
@@ -142,7 +142,7 @@ class Mover:
     def _advance_profile(self) -> None:
         """Take one step of a profile with constant accelerations to the set-point."""
         self._sampler.advance(self._clock.now_ns())
-        values, unit, dt = self._values, self._speed_unit, _PROFILE_NS / NS
+        values, unit, dt = self._values, self.speed_unit, _PROFILE_NS / NS
         acceleration = values[_PROFILE_ACCELERATION] * unit
         deceleration = values[_PROFILE_DECELERATION] * unit
         greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * unit

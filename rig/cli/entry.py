@@ -33,6 +33,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.watch:command",
         "Show a recording live in Foxglove or PlotJuggler.",
     ),
+    "commission": (
+        "rig.cli.commands.commission:command",
+        "Go through a new bench with the operator, step by step.",
+    ),
     "check": (
         "rig.cli.commands.check:command",
         "Connect to a bench and read it back; nothing moves.",

@@ -75,6 +75,8 @@ class ServoSection(Schema):
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
         sign: 1 if the drive counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the drive's position reads zero.
+        current_sign: -1 where the drive's current is negative while it drives its own count up,
+            else 1.
         rated_current_A: Rated motor current; the unit of the drive's current objects is a
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
@@ -120,6 +122,7 @@ class ServoSection(Schema):
     counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
     sign: Sign = 1
     offset_deg: float = 0.0
+    current_sign: Sign = 1
     rated_current_A: Positive = 15.0
     rated_torque_N_m: Positive = 0.45
     velocity_unit: Literal["counts_per_s", "rpm"] | None = None

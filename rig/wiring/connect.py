@@ -33,7 +33,7 @@ from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
 from rig.config.serial_bus import Amt21Section, SerialBus
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, Nominal
 from rig.wiring.guard import Guard
 from rig.wiring.resources import resources
 from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
@@ -108,6 +108,7 @@ def connect(
                 pressure=wired.pressure,
                 ignite=wired.ignite,
                 lock=lock,
+                nominal=nominal_of(bench),
             )
         finally:
             link.close()
@@ -280,6 +281,24 @@ def _simulated_dbc(
         raise InputError(document.problem(("servo", "simulated_drive"), text))
     bench = simulated_can_bench(kind, machine, seed, bitrate, encoder.node)
     return bench, bench.clock
+
+
+def nominal_of(bench: Bench) -> Nominal:
+    """Return the constants of a bench that its motions are held against.
+
+    Rated values that the file leaves to their defaults say nothing of this motor.
+    """
+    machine, servo = bench.machine, bench.servo
+    stated = servo.model_fields_set
+    own = isinstance(servo, ServoSection) and {"rated_current_A", "rated_torque_N_m"} <= stated
+    return Nominal(
+        machine.torque_constant_N_m_A,
+        machine.gear_ratio,
+        servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
+        servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
+        bench.encoder.sign,
+        machine.back_emf_constant_V_s_rad,
+    )
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:

@@ -60,6 +60,7 @@ def servo_scales(
         rated_torque_N_m=servo.rated_torque_N_m,
         sign=servo.sign,
         offset_rad=math.radians(servo.offset_deg),
+        current_sign=servo.current_sign,
         velocity_unit_rad_s=servo.motor_speed_unit_rad_s(data),
         torque_constant_N_m_A=machine.torque_constant_N_m_A,
         known_objects=tuple(known),

@@ -12,10 +12,10 @@ import pytest
 
 from drivers.errors import DeviceError, DriveFault, ObjectAccessError
 from drivers.interfaces import ServoState
-from drivers.mock.drive import encoder_resolution
 from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
 
 from .host import SCALES, Host, enabled, make_host, prepared

@@ -282,7 +282,7 @@ def test_values_that_do_not_fit_beside_each_other_travel_in_the_next_frame() -> 
         ((0x6041, 0), (0x6064, 0)),
         ((0x60F4, 0), (0x606C, 0)),
         ((0x1013, 0), (0x6064, 0)),
-        ((0x6079, 0), (0x2101, 0)),
+        ((0x6079, 0), (0x2101, 0), (0x6077, 0)),
     ]
     assert [layout.mean for layout in layouts] == [None, (0x60F4, 0), None, None]
     assert link.cycle == 0
