@@ -10,6 +10,7 @@ from enum import Enum
 from typing import Protocol
 
 from drivers.clock import NS, Clock, RealClock
+from rig.terminal.control_socket import ControlSocket, Topic
 from rig.terminal.prompt import Asker, InputEndedError, Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
@@ -20,6 +21,7 @@ LEAST_TOLERANCE_KG = 0.001
 """Difference that is always allowed: the resolution of a balance; also needed for an empty lever.
 """
 _LOOK_NS = NS // 20
+_PAUSE_QUESTION = "What now (go on, repeat, abort) [go on]: "
 _ROUNDING = 1e-9
 _MASS = re.compile(r"([+-]?\d+(?:[.,]\d*)?|[+-]?[.,]\d+)\s*(kg|g)?", re.IGNORECASE)
 _UNIT_KG = {"kg": 1.0, "g": 1e-3}
@@ -73,6 +75,7 @@ class AutomaticOperator:
             planned mass: a simulated mistake.
         clock: Clock for waiting while paused.
         screen: Where messages go.
+        control: Socket on which messages are shown and answers may arrive; None for none.
     """
 
     def __init__(
@@ -80,7 +83,9 @@ class AutomaticOperator:
         hung: Mapping[str, float] | None = None,
         clock: Clock | None = None,
         screen: Screen | None = None,
+        control: ControlSocket | None = None,
     ) -> None:
+        self._control = control
         self._hung = hung or {}
         self._clock = clock or RealClock()
         self._screen = screen or Screen()
@@ -94,22 +99,44 @@ class AutomaticOperator:
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the next pause signal."""
+        """Wait for the next pause signal, or for an answer on the control socket.
+
+        Raises:
+            OperatorStopError: A stop arrived on the control socket.
+        """
         self.tell(
             f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press "
             f"Ctrl-C to stop"
         )
+        control = self._control
+        if control is not None:
+            control.topic = Topic.PAUSE
+            control.ask(_PAUSE_QUESTION)
+        verb = Verb.GO_ON
         while stop.pausing:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
             self._screen.pump()
-        return Verb.GO_ON
+            if control is None or (answer := control.answered()) is None:
+                continue
+            known = _verb_of(answer)
+            if known is None:
+                control.ask(_PAUSE_QUESTION)
+            else:
+                verb, stop.pausing = known, False
+        if control is not None:
+            control.close_prompt()
+        return verb
 
     def tell(self, words: str) -> None:
-        """Show the message on stderr."""
+        """Show the message on stderr, and keep it for who watches."""
         self._screen.say(words)
+        if self._control is not None:
+            self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if good, else on stderr."""
+        """Show how a run ended: on stdout if good, else on stderr; and to who watches."""
+        if self._control is not None:
+            self._control.ended(words, good)
         self._screen.say(words, err=not good)
 
 
@@ -122,6 +149,7 @@ class ConsoleOperator(AutomaticOperator):
             terminal.
         patience_s: How long an answer is waited for; None for ever.
         tolerance: Share of the planned mass by which the typed one may differ.
+        control: Socket on which answers may arrive as well; None for none.
     """
 
     def __init__(
@@ -130,8 +158,9 @@ class ConsoleOperator(AutomaticOperator):
         asker: Asker | None = None,
         patience_s: float | None = None,
         tolerance: float = WEIGHT_TOLERANCE,
+        control: ControlSocket | None = None,
     ) -> None:
-        super().__init__(screen=screen)
+        super().__init__(screen=screen, control=control)
         self._asker = asker or Prompt(self._screen, patience_s=patience_s)
         self._tolerance = tolerance
 
@@ -156,6 +185,8 @@ class ConsoleOperator(AutomaticOperator):
         self.tell(
             "Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`."
         )
+        if self._control is not None:
+            self._control.topic = Topic.WEIGHT
         allowed_kg = max(self._tolerance * weight_kg, LEAST_TOLERANCE_KG) * (1.0 + _ROUNDING)
         while True:
             try:
@@ -187,6 +218,8 @@ class ConsoleOperator(AutomaticOperator):
             OperatorStopError: Nobody answered in time.
         """
         self.tell(f"Paused after stage {stage}; the drive is off.")
+        if self._control is not None:
+            self._control.topic = Topic.PAUSE
         try:
             answer = self._verb()
         except (InputEndedError, KeyboardInterrupt):
@@ -195,18 +228,26 @@ class ConsoleOperator(AutomaticOperator):
         return answer
 
     def _verb(self) -> Verb:
-        names = {verb.value: verb for verb in Verb}
         while True:
-            typed = self._asker.ask("What now (go on, repeat, abort) [go on]: ").lower()
-            if not typed:
-                return Verb.GO_ON
-            if typed in names:
-                return names[typed]
+            typed = self._asker.ask(_PAUSE_QUESTION).lower()
+            verb = _verb_of(typed)
+            if verb is not None:
+                return verb
             self.tell(f"{typed!r} is not one of `go on`, `repeat`, `abort`")
 
 
+def _verb_of(typed: str) -> Verb | None:
+    """Return the verb that was typed, `go on` for nothing; None if it is none."""
+    return {"": Verb.GO_ON, **{verb.value: verb for verb in Verb}}.get(typed.lower())
+
+
 def operator_for(
-    yes: bool, screen: Screen, patience_s: float | None, tolerance: float
+    yes: bool,
+    screen: Screen,
+    patience_s: float | None,
+    tolerance: float,
+    control: ControlSocket | None = None,
+    only_there: bool = False,
 ) -> AutomaticOperator:
     """Return the operator object that answers the prompts of a run.
 
@@ -215,10 +256,13 @@ def operator_for(
         screen: Where questions and messages go.
         patience_s: How long an answer is waited for; None for ever.
         tolerance: Share of the planned mass by which the typed one may differ.
+        control: Socket on which answers may arrive as well; None for none.
+        only_there: Whether there is no terminal, so that they can arrive there only.
     """
     if yes:
-        return AutomaticOperator(screen=screen)
-    return ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+        return AutomaticOperator(screen=screen, control=control)
+    asker = Prompt(screen, patience_s=patience_s, control=control, only_there=only_there)
+    return ConsoleOperator(screen, asker, tolerance=tolerance, control=control)
 
 
 def parse_mass_kg(text: str) -> float | None:

@@ -16,6 +16,7 @@ from rig.common.provenance import utc_now
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
+from rig.control.remote import observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
@@ -103,7 +104,11 @@ def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path
     bench = inputs.bench
     screen = Screen()
     screen.silence()
-    with closing(screen), StopButton(screen.say) as stop:
+    with (
+        closing(screen),
+        StopButton(screen.say) as stop,
+        reachable(stop, screen, inputs, plan, run) as control,
+    ):
         offset = inputs.feedforward is not None
         with connected(
             stop,
@@ -115,7 +120,8 @@ def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path
         ) as devices:
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
-            operator = operator_for(yes, screen, patience_s, tolerance)
+            operator = operator_for(yes, screen, patience_s, tolerance, control)
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
+                devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)
