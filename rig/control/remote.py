@@ -83,6 +83,11 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
         "torque_per_ampere": plan.limits.torque_per_ampere,
         "gear_ratio": plan.limits.gear_ratio,
         "limits": limit_records(plan.limits),
+        "written": {
+            name: value
+            for name, value in dataclasses.asdict(plan.servo_limits).items()
+            if isinstance(value, float) and math.isfinite(value)
+        },
         "watched_by": watcher_of(bench).words,
         "stages": [stage.name for stage in plan.stages],
     }

@@ -12,6 +12,7 @@ import json
 import os
 import stat
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -29,6 +30,7 @@ LONGEST_TEXT: Final = 200
 """Longest answer to a prompt, characters."""
 STALE_NS: Final = 5 * NS
 """Age from which a command other than `stop` is refused: its sender may have been frozen."""
+RECEIVED_BEFORE: Final = "this command, or one sent after it, was received before"
 PREFIX: Final = "run-"
 SUFFIX: Final = ".sock"
 _FOLDER_MODE: Final = 0o700
@@ -128,7 +130,7 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
     if order.run != run:
         return "this command is meant for another run"
     if order.number <= last:
-        return "this command, or one sent after it, was received before"
+        return RECEIVED_BEFORE
     if order.number > now_ns:
         return "this command is numbered in the future"
     age_ns = now_ns - order.number
@@ -157,10 +159,8 @@ def require_own_folder(folder: Path) -> None:
         SocketFolderError: It belongs to another user, is a link, or is open to others.
         OSError: It cannot be made.
     """
-    try:
+    with suppress(FileExistsError):
         os.mkdir(folder, _FOLDER_MODE)
-    except FileExistsError:
-        pass
     status = os.lstat(folder)
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
         raise SocketFolderError(
