@@ -90,8 +90,8 @@ class View:
         """Return the new intervals of the charts, or None.
 
         A header of JSON after its length, then for each channel the minima and the maxima as 32-bit
-        floats. The last interval of each message is sent again with the next one, as it may not have
-        been complete.
+        floats. The last interval of each message is sent again with the next one, as it may not
+        have been complete.
         """
         run = self._hub.run_of(self._page)
         if run is None or run.key != self._run:

@@ -104,13 +104,14 @@ class AutomaticOperator:
         Raises:
             OperatorStopError: A stop arrived on the control socket.
         """
+        control = self._control
+        if control is not None:
+            control.begin(Topic.PAUSE)
         self.tell(
             f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press "
             f"Ctrl-C to stop"
         )
-        control = self._control
         if control is not None:
-            control.topic = Topic.PAUSE
             control.ask(_PAUSE_QUESTION)
         verb = Verb.GO_ON
         while stop.pausing:
@@ -173,6 +174,8 @@ class ConsoleOperator(AutomaticOperator):
         Raises:
             OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
         """
+        if self._control is not None:
+            self._control.begin(Topic.WEIGHT)
         action = (
             "Hang the weight that is planned for it"
             if weight_kg
@@ -185,8 +188,6 @@ class ConsoleOperator(AutomaticOperator):
         self.tell(
             "Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`."
         )
-        if self._control is not None:
-            self._control.topic = Topic.WEIGHT
         allowed_kg = max(self._tolerance * weight_kg, LEAST_TOLERANCE_KG) * (1.0 + _ROUNDING)
         while True:
             try:
@@ -217,9 +218,9 @@ class ConsoleOperator(AutomaticOperator):
         Raises:
             OperatorStopError: Nobody answered in time.
         """
-        self.tell(f"Paused after stage {stage}; the drive is off.")
         if self._control is not None:
-            self._control.topic = Topic.PAUSE
+            self._control.begin(Topic.PAUSE)
+        self.tell(f"Paused after stage {stage}; the drive is off.")
         try:
             answer = self._verb()
         except (InputEndedError, KeyboardInterrupt):

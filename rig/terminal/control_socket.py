@@ -65,8 +65,8 @@ class ControlSocket:
         clock: Clock that commands are numbered by.
 
     Attributes:
+        run: Value that identifies this run in commands.
         left_s: Returns the expected remaining time in motion, s.
-        topic: What the next prompt asks for.
 
     Raises:
         OSError: The socket cannot be made.
@@ -86,7 +86,7 @@ class ControlSocket:
         self.run = secrets.token_hex(16)
         self._about = {"version": VERSION, "run": self.run, "pid": os.getpid(), **about}
         self.left_s: Callable[[], float] = lambda: 0.0
-        self.topic = Topic.PAUSE
+        self._topic, self._since = Topic.PAUSE, 0
         self._state: dict[str, Any] = {
             "stage": None,
             "phase": "connecting",
@@ -133,6 +133,10 @@ class ControlSocket:
         for peer in self._peers:
             self._send(self._status(), peer)
 
+    def begin(self, topic: Topic) -> None:
+        """Note that messages which explain the next prompts follow, and what these ask for."""
+        self._topic, self._since = topic, self._count
+
     def ask(self, words: str) -> None:
         """Open a prompt; answers to earlier ones are not taken any more."""
         # What waits in the socket was sent before the question was asked.
@@ -141,7 +145,8 @@ class ControlSocket:
         self._answer = None
         self._state["prompt"] = {
             "number": self._prompts,
-            "topic": self.topic.value,
+            "topic": self._topic.value,
+            "since": self._since,
             "words": words,
         }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -50,10 +51,10 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     shown = frozenset(load_bench(bench).value.name for bench in benches)
     serve = _server()
     click.echo("STOP in the page is a software stop, not an emergency stop.")
-    try:
-        serve(Starter(benches or tuple(names("benches")), runs), shown, port, _announce)
-    except KeyboardInterrupt:
-        pass  # the ordinary end
+    starter = Starter(benches or tuple(names("benches")), runs)
+    # Ctrl-C is the ordinary end.
+    with suppress(KeyboardInterrupt):
+        serve(starter, shown, port, _announce)
     return DONE
 
 

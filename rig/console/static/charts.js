@@ -169,10 +169,19 @@ export class Charts {
     });
   }
 
-  values(values) {
+  // Empties the charts: another run is shown.
+  clear() {
+    this.reset();
+    for (const chart of this.list) {
+      chart.plot.setData([[], [], []]);
+      chart.now.textContent = "";
+    }
+  }
+
+  values(values, when) {
     this.list.forEach((chart, c) => {
       const value = values[c];
-      chart.now.textContent = `now ${shownNumber(value, chart.channel.unit)}${share(value, chart.channel)}`;
+      chart.now.textContent = `${when} ${shownNumber(value, chart.channel.unit)}${share(value, chart.channel)}`;
     });
   }
 }

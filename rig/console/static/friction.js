@@ -14,6 +14,7 @@ export class Friction {
   reset() {
     this.rows = [];
     this.curves = null;
+    this.schedule();
   }
 
   take(points) {

@@ -9,6 +9,7 @@ import { HELD, PHASES, timeWords } from "./words.js";
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
 const EVENTS = 200;
+const TOLD = 6;
 const DEG = 180 / Math.PI;
 
 const at = (id) => document.getElementById(id);
@@ -47,7 +48,7 @@ function takeState(changed, fresh) {
     return;
   }
   if ("run" in changed) {
-    charts.reset();
+    charts.clear();
     friction.reset();
     at("events").replaceChildren();
   }
@@ -120,7 +121,8 @@ function showRun() {
   const place = about.stages.indexOf(status?.stage) + 1;
   at("stage").textContent = status?.stage ? `${status.stage} (${place} of ${about.stages.length})` : "-";
   at("left").textContent = over ? "-" : timeWords(status?.left_s);
-  at("drive").textContent = record?.drive_state && over ? `${record.drive_state} (read back)` : live?.drive || "-";
+  at("drive").textContent = record?.drive_state && over
+    ? `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)` : live?.drive || "-";
   showEnding();
   showPrompt();
   alertOnce("silent", live?.silent
@@ -128,7 +130,7 @@ function showRun() {
   alertOnce("gone", live?.gone
     ? "The program of the run is gone without an ending. Look at the bench: the state of the drive is not known here. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
-  if (live?.values) charts.values(live.values);
+  if (live?.values) charts.values(live.values, going() ? "now" : "last");
 }
 
 function showEnding() {
@@ -155,7 +157,8 @@ function showPrompt() {
     box.dataset.number = "";
     return;
   }
-  const told = (state.status.told || []).slice(-3).map(([, words]) => words);
+  const told = (state.status.told || []).filter(([number]) => number > prompt.since)
+    .slice(-TOLD).map(([, words]) => words);
   const shown = at("told");
   if (shown.dataset.words !== told.join("\n")) {
     shown.dataset.words = told.join("\n");
