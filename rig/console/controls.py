@@ -49,10 +49,14 @@ class Controls:
         return page
 
     def close(self, page: Page) -> None:
-        """Note that a page is gone; the controls are then free. Nothing else changes."""
+        """Note that a page is gone. Its controls go to the other page with the token, such as the
+        same one that was loaded again, if there is only one; else they are free. Nothing else
+        changes.
+        """
         self._pages.pop(page.key, None)
         if self.holder is page:
-            self.holder = None
+            able = [other for other in self._pages.values() if other.may]
+            self.holder = able[0] if len(able) == 1 else None
 
     def admit(self, page: Page) -> None:
         """Note that a page has the token; the first such page gets the controls."""

@@ -141,6 +141,7 @@ function showEnding() {
   line.className = `ending${ended.good ? " good" : ""}`;
   if (line.textContent !== ended.words) line.textContent = ended.words;
   const record = state.record;
+  alertOnce("stop", "");
   alertOnce("unverified", record?.de_energised === false
     ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
   if (stopSent === state.run && record?.de_energised !== null) {
