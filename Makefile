@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime console fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -37,6 +37,7 @@ help:
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
+	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
 	@echo "make fuzz      a million frames or bytes for every decoder"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
@@ -160,6 +161,11 @@ terminal: $(VENV)/.dev
 
 realtime: $(VENV)/.dev
 	$(BIN)/python -m tests.long.realtime
+
+console: $(VENV)/.dev
+	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
+	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
+	$(BIN)/python benchmarks/console.py lateness
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py

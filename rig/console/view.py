@@ -32,6 +32,7 @@ class View:
         self._run: str | None = None
         self._level: tuple[int, float] | None = None
         self._next = 0
+        self._latest_s = 0.0
         self._points = (0, 0)
 
     def state(self) -> dict[str, Any]:
@@ -99,17 +100,15 @@ class View:
         decimation, page = run.decimation, self._page
         window_s = page.window_s or max(decimation.latest_s, 1.0)
         level = decimation.level(window_s, page.pixels)
-        if self._level != (level, page.window_s):
-            self._level = (level, page.window_s)
+        fresh = self._level != (level, page.window_s)
+        if fresh:
             interval_s = decimation.interval_s(level)
             self._next = max(0, int((decimation.latest_s - window_s) / interval_s))
-            fresh = True
-        else:
-            fresh = False
         found = decimation.since(level, self._next)
         count = found.low.shape[1]
-        if not count or (not fresh and found.first + count == self._next + 1 and run.over):
+        if not count or (not fresh and decimation.latest_s == self._latest_s):
             return None
+        self._level, self._latest_s = (level, page.window_s), decimation.latest_s
         self._next = found.first + count - 1
         head = json.dumps(
             {

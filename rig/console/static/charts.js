@@ -169,6 +169,17 @@ export class Charts {
     });
   }
 
+  // Returns the least and the greatest value of each chart, by name.
+  extremes() {
+    const found = {};
+    (this.channels || []).forEach((channel, c) => {
+      const low = (this.low[c] || []).filter((value) => value !== null);
+      const high = (this.high[c] || []).filter((value) => value !== null);
+      if (low.length) found[channel.name] = [Math.min(...low), Math.max(...high)];
+    });
+    return found;
+  }
+
   // Empties the charts: another run is shown.
   clear() {
     this.reset();

@@ -4,7 +4,7 @@ import { Charts, limitWords, shownNumber } from "./charts.js";
 import { Friction } from "./friction.js";
 import { Link } from "./link.js";
 import { setUpStart } from "./start.js";
-import { HELD, PHASES, timeWords } from "./words.js";
+import { HELD, OFF, PHASES, timeWords } from "./words.js";
 
 const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
 const AGAIN_MS = 400; // a second STOP within this time is the same press
@@ -121,8 +121,7 @@ function showRun() {
   const place = about.stages.indexOf(status?.stage) + 1;
   at("stage").textContent = status?.stage ? `${status.stage} (${place} of ${about.stages.length})` : "-";
   at("left").textContent = over ? "-" : timeWords(status?.left_s);
-  at("drive").textContent = record?.drive_state && over
-    ? `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)` : live?.drive || "-";
+  at("drive").textContent = driveWords(phase, over, live, record);
   showEnding();
   showPrompt();
   alertOnce("silent", live?.silent
@@ -131,6 +130,15 @@ function showRun() {
     ? "The program of the run is gone without an ending. Look at the bench: the state of the drive is not known here. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
   if (live?.values) charts.values(live.values, going() ? "now" : "last");
+}
+
+// Outside the phases with power the run has read the drive back as off; the last sample is older.
+function driveWords(phase, over, live, record) {
+  if (over && record?.drive_state) {
+    return `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)`;
+  }
+  if (phase === "connecting") return "not read yet";
+  return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
 }
 
 function showEnding() {
@@ -330,3 +338,6 @@ addEventListener("keydown", (event) => {
 addEventListener("keyup", (event) => {
   if (isSpaceOfStop(event)) event.preventDefault();
 }, { capture: true });
+
+// For tests and the browser's console: what the charts show.
+window.rigConsole = { extremes: () => charts.extremes() };

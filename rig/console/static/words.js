@@ -16,6 +16,9 @@ export const PHASES = {
   finished: "The run is finished.",
 };
 
+// Phases in which the run has verified that the drive is off.
+export const OFF = ["load", "prepare", "between stages", "finished"];
+
 export function timeWords(seconds) {
   if (seconds === null || seconds === undefined) return "-";
   const whole = Math.max(0, Math.round(seconds));

@@ -7,6 +7,7 @@ import io
 import socket
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from rig.terminal.control_socket import ControlSocket
 from rig.terminal.prompt import Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
+
 from .sockets import Peer, only_socket, short_folder
 
 IN_MOTION = (Phase.APPROACH, Phase.SETTLE, Phase.EXCITE, Phase.HOLD)
@@ -135,10 +137,11 @@ def test_the_end_is_told_to_who_asked_before(bound: Bound) -> None:
 def test_neither_a_flood_nor_a_frozen_receiver_blocks(bound: Bound) -> None:
     bound.peer.socket.setblocking(False)
     sent = 0
-    with pytest.raises(BlockingIOError):
-        while True:
+    with suppress(BlockingIOError):
+        while sent < 100_000:
             bound.peer.put({"ask": "status"})
             sent += 1
+    assert sent < 100_000
     began = time.monotonic()
     # The receiver reads none of the answers.
     for _ in range(sent):

@@ -33,9 +33,7 @@ class Page:
         self.wire = WSConnection(ConnectionType.CLIENT)
         sent = given.pop("host", host)
         extra = [(name.encode(), value.encode()) for name, value in given.items() if value]
-        self.socket.sendall(
-            self.wire.send(Request(host=sent, target="/live", extra_headers=extra))
-        )
+        self.socket.sendall(self.wire.send(Request(host=sent, target="/live", extra_headers=extra)))
         self.events: list[Any] = []
         self.accepted = isinstance(self._next(), AcceptConnection)
         if self.accepted:
