@@ -50,9 +50,16 @@ class Console:
         hub: The runs and the pages.
         token: Token of this start.
         hosts: Values of the Host header that are this console's own.
+
+    Attributes:
+        app: The routes.
+        broken: Called where following the runs breaks down.
+        failure: Why following the runs broke down; None while it goes on.
     """
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
+        self.broken: Callable[[], None] = lambda: None
+        self.failure: BaseException | None = None
         self._hub = hub
         self._token = token
         self._files = {
@@ -77,10 +84,15 @@ class Console:
     @asynccontextmanager
     async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
         following = asyncio.create_task(self._hub.follow())
+        following.add_done_callback(self._ended)
         yield
         following.cancel()
-        with suppress(asyncio.CancelledError):
-            await following
+        await asyncio.wait([following])
+
+    def _ended(self, following: asyncio.Task[None]) -> None:
+        if not following.cancelled():
+            self.failure = following.exception()
+            self.broken()
 
     async def _index(self, request: Request) -> Response:
         return self._file("index.html")
@@ -172,22 +184,24 @@ class Console:
     async def _live(self, socket: WebSocket) -> None:
         """Send a page what it shows, until it is closed."""
         await socket.accept()
-        page = self._hub.controls.open()
         try:
             hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
-            if self._token.fits(str(hello.get("token", ""))):
-                self._hub.controls.admit(page)
-            await socket.send_json({"hello": {"page": page.key, "name": page.name}})
-            reading = asyncio.create_task(_read_views(socket, page))
-            try:
+            token = str(hello.get("token", ""))
+        except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
+            with suppress(RuntimeError):
+                await socket.close(1008, "a page begins with its token")
+            return
+        page = self._hub.controls.open()
+        if self._token.fits(token):
+            self._hub.controls.admit(page)
+        reading = asyncio.create_task(_read_views(socket, page))
+        try:
+            with suppress(WebSocketDisconnect):
+                await socket.send_json({"hello": {"page": page.key, "name": page.name}})
                 await self._push(socket, page, reading)
-            finally:
-                reading.cancel()
-                with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError):
-                    await reading
-        except (WebSocketDisconnect, TimeoutError, ValueError, AttributeError, RuntimeError):
-            pass
         finally:
+            reading.cancel()
+            await asyncio.wait([reading])
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
@@ -203,14 +217,17 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Take what a page wants to see, until it is closed."""
+    """Take what a page wants to see, until it is closed or sends what no page sends."""
     while True:
-        message = await socket.receive_json()
+        try:
+            message = dict(await socket.receive_json())
+        except (WebSocketDisconnect, ValueError, KeyError, TypeError):
+            return
         run, window_s, pixels = message.get("run"), message.get("window_s"), message.get("pixels")
         page.run = run if isinstance(run, str) else None
-        if isinstance(window_s, int | float) and 0 <= window_s <= _LONGEST_WINDOW_S:
+        if type(window_s) in (int, float) and 0 <= window_s <= _LONGEST_WINDOW_S:
             page.window_s = float(window_s)
-        if isinstance(pixels, int) and 0 < pixels <= 4096:
+        if type(pixels) is int and 0 < pixels <= 4096:
             page.pixels = pixels
 
 

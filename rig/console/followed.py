@@ -50,6 +50,8 @@ class Followed:
         decimation: The channels.
         torque_speed: Torque against speed.
         curves: Friction of the newest identification.
+        values: Latest value of each channel; None where it is not known.
+        drive: State of the drive in the latest sample, as text.
         trouble: Why the recording cannot be read; None if it can.
     """
 
@@ -69,6 +71,8 @@ class Followed:
         self.values: list[float | None] = [None] * len(CHANNELS)
         self.drive = "not read yet"
         self.trouble: str | None = None
+        self._channels = channel_records(about)
+        self._answers = 0
         self._stamp: tuple[int, int] | None = None
         self._masses: object = None
         self._growing: tuple[str, Growing] | None = None
@@ -84,13 +88,33 @@ class Followed:
         """Whether the run has ended, in order or not."""
         return self.gone or bool(self.status and self.status["ended"])
 
-    def channels(self) -> list[dict[str, Any]]:
-        """Return the channels with their limits."""
-        return channel_records(self.about)
+    def parts(self) -> dict[str, tuple[object, Any]]:
+        """Return what a page shows of the run: name of the part to its version and its JSON
+        value.
+        """
+        return {
+            "about": (self.key, {key: v for key, v in self.about.items() if key != "run"}),
+            "channels": (self.key, self._channels),
+            "status": (self._answers, self.status),
+            "live": (object(), self._live()),
+            "curves": (self._masses, self.curves),
+            "record": (self._stamp, None if self.record is None else _shown_record(self.record)),
+        }
+
+    def _live(self) -> dict[str, Any]:
+        return {
+            "values": self.values,
+            "drive": self.drive,
+            "silent": self.silent and not self.over,
+            "gone": self.gone and not (self.status and self.status["ended"]),
+            "trouble": self.trouble,
+            "time_s": round(self.decimation.latest_s, 1),
+        }
 
     def hear(self, status: dict[str, Any]) -> None:
         """Take the state that the run tells."""
         self.status, self.heard_s = status, time.monotonic()
+        self._answers += 1
 
     def read(self) -> bool:
         """Read what is new in the run folder; return whether there is more to read at once."""
@@ -143,3 +167,20 @@ class Followed:
         word = int(news.samples["statusword"][-1])
         state = word & _STATE_MASK
         self.drive = DRIVE_STATES.get(state, DRIVE_STATES.get(word & 0x4F, f"{word:04X}h"))
+
+
+def _shown_record(record: RunRecord) -> dict[str, Any]:
+    """Return what a page shows of ``run.json``."""
+    held = record.parts[-1].devices.get("limits")
+    return {
+        "state": record.state,
+        "message": record.message,
+        "de_energised": record.de_energised,
+        "drive_state": record.drive_state,
+        "warnings": record.warnings,
+        "stages": [
+            {"name": s.name, "load": s.stage, "state": s.state, "mass_kg": s.confirmed_kg}
+            for s in record.stages
+        ],
+        "held": dict(held) if isinstance(held, dict) else {},
+    }

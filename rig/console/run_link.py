@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
-import socket
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any, Final
@@ -19,10 +18,12 @@ from rig.terminal.control_messages import (
     Command,
     MessageError,
     Order,
+    bound_socket,
     decode,
     encode,
+    remove_left,
     require_own_folder,
-    socket_folder,
+    socket_folders,
 )
 
 REPLY_S: Final = 0.25
@@ -47,16 +48,11 @@ class Links:
     ) -> None:
         self._heard = heard
         self._clock = clock or RealClock()
-        self._folder = socket_folder()
-        require_own_folder(self._folder)
-        self._path = self._folder / f"console-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
-        old = os.umask(0o177)
-        try:
-            self._socket.bind(str(self._path))
-        finally:
-            os.umask(old)
+        folder = socket_folders()[0]
+        require_own_folder(folder)
+        remove_left(folder)
+        self._path = folder / f"console-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
+        self._socket = bound_socket(self._path)
         self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
         self._last = 0
 
@@ -74,7 +70,13 @@ class Links:
 
     def runs(self) -> list[str]:
         """Return the sockets of all runs of this user."""
-        return sorted(map(str, self._folder.glob(f"{PREFIX}*{SUFFIX}")))
+        found: list[str] = []
+        for folder in socket_folders():
+            with suppress(OSError):
+                if folder.is_dir():
+                    require_own_folder(folder)
+                    found += map(str, folder.glob(f"{PREFIX}*{SUFFIX}"))
+        return sorted(found)
 
     def ask(self, path: str, what: str) -> None:
         """Ask a run for its ``status`` or ``about``; the answer goes to ``heard``.

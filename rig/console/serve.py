@@ -48,7 +48,15 @@ def serve(
             date_header=False,
         )
         announce(f"http://{HOST}:{port}/#token={token.text}")
-        uvicorn.Server(config).run(sockets=[listener])
+        server = uvicorn.Server(config)
+
+        def end() -> None:
+            server.should_exit = True
+
+        console.broken = end
+        server.run(sockets=[listener])
+        if console.failure is not None:
+            raise console.failure
 
 
 def _listening(port: int) -> socket.socket:

@@ -95,17 +95,18 @@ class Starter:
         benches: Benches that may be chosen.
         runs: Where run folders are made.
         command: Start of the command line of ``rig``.
+        choices: What can be chosen, as JSON value.
     """
 
     benches: Sequence[str]
     runs: Path = Path("runs")
     command: Sequence[str] = COMMAND
+    choices: dict[str, list[str]] = field(init=False)
     _shown: dict[str, Shown] = field(default_factory=dict)
     _children: list[tuple[subprocess.Popen[bytes], Path]] = field(default_factory=list)
 
-    def choices(self) -> dict[str, list[str]]:
-        """Return what can be chosen."""
-        return {"benches": list(self.benches), "sequences": names("sequences")}
+    def __post_init__(self) -> None:
+        self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
 
     async def dry_run(self, wish: Wish) -> dict[str, Any]:
         """Run ``rig run --dry-run`` and keep the files' digests for the start.

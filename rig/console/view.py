@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import math
 import struct
 from typing import Any, Final
 
@@ -27,7 +27,7 @@ class View:
     def __init__(self, hub: Hub, page: Page) -> None:
         self._hub = hub
         self._page = page
-        self._sent: dict[str, str] = {}
+        self._sent: dict[str, object] = {}
         self._events = self._notes = 0
         self._run: str | None = None
         self._level: tuple[int, float] | None = None
@@ -44,24 +44,24 @@ class View:
             self._run, self._events, self._level, self._points = key, 0, None, (0, 0)
             self._sent.clear()
         holder = hub.controls.holder
-        parts: dict[str, Any] = {
-            "runs": [_listed(each) for each in hub.runs.values()],
-            "controls": {
-                "holder": None if holder is None else holder.name,
-                "yours": holder is page,
-                "may": page.may,
-            },
-            "choices": hub.starter.choices(),
+        parts: dict[str, tuple[object, Any]] = {
+            "runs": _same([_listed(each) for each in hub.runs.values()]),
+            "controls": _same(
+                {
+                    "holder": None if holder is None else holder.name,
+                    "yours": holder is page,
+                    "may": page.may,
+                }
+            ),
+            "choices": (0, hub.starter.choices),
+            "run": (key, key),
         }
-        if run is None:
-            parts["run"] = None
-        else:
-            parts |= _parts(run)
+        if run is not None:
+            parts |= run.parts()
         changed = {}
-        for name, value in parts.items():
-            text = json.dumps(value)
-            if self._sent.get(name) != text:
-                self._sent[name] = text
+        for name, (version, value) in parts.items():
+            if name not in self._sent or self._sent[name] != version:
+                self._sent[name] = version
                 changed[name] = value
         self._add_new(changed, run)
         return changed
@@ -98,7 +98,8 @@ class View:
         if run is None or run.key != self._run:
             return None
         decimation, page = run.decimation, self._page
-        window_s = page.window_s or max(decimation.latest_s, 1.0)
+        # A recording shorter than the window fills the chart.
+        window_s = min(page.window_s or math.inf, max(decimation.latest_s, 1.0))
         level = decimation.level(window_s, page.pixels)
         fresh = self._level != (level, page.window_s)
         if fresh:
@@ -137,44 +138,6 @@ def _listed(run: Followed) -> dict[str, Any]:
     }
 
 
-def _parts(run: Followed) -> dict[str, Any]:
-    """Return what a page shows of a run, in parts that change at different times."""
-    record = run.record
-    return {
-        "run": run.key,
-        "about": {key: value for key, value in run.about.items() if key != "run"},
-        "channels": run.channels(),
-        "status": run.status,
-        "live": {
-            "values": run.values,
-            "drive": run.drive,
-            "silent": run.silent and not run.over,
-            "gone": run.gone and not (run.status and run.status["ended"]),
-            "trouble": run.trouble,
-            "time_s": round(run.decimation.latest_s, 1),
-        },
-        "curves": run.curves,
-        "record": None
-        if record is None
-        else {
-            "state": record.state,
-            "message": record.message,
-            "de_energised": record.de_energised,
-            "drive_state": record.drive_state,
-            "warnings": record.warnings,
-            "stages": [
-                {"name": s.name, "load": s.stage, "state": s.state, "mass_kg": s.confirmed_kg}
-                for s in record.stages
-            ],
-            "weights": record.weights,
-            "held": _held(run),
-            "segments": [dataclasses.asdict(s)["stage"] for s in record.segments],
-        },
-    }
-
-
-def _held(run: Followed) -> dict[str, Any]:
-    """Return the limits that the drive held before the run."""
-    assert run.record is not None
-    limits = run.record.parts[-1].devices.get("limits")
-    return dict(limits) if isinstance(limits, dict) else {}
+def _same(value: Any) -> tuple[object, Any]:
+    """Return a small part, whose content is its version."""
+    return value, value

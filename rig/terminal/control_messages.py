@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import stat
 from collections.abc import Mapping
 from contextlib import suppress
@@ -142,14 +143,45 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
     return None
 
 
-def socket_folder() -> Path:
-    """Return the folder of the control sockets of this user: in ``XDG_RUNTIME_DIR`` where that is
-    set, else in ``/tmp``.
+def socket_folders() -> list[Path]:
+    """Return the folders that control sockets of this user can be in, the one for new sockets
+    first: in ``XDG_RUNTIME_DIR`` where that is set, and in ``/tmp``.
     """
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    if os.path.isabs(runtime) and os.path.isdir(runtime):
-        return Path(runtime) / "loadrig"
-    return Path(f"/tmp/loadrig-{os.geteuid()}")
+    session = [Path(runtime) / "loadrig"] if os.path.isabs(runtime) else []
+    return [*(f for f in session if f.parent.is_dir()), Path(f"/tmp/loadrig-{os.geteuid()}")]
+
+
+def remove_left(folder: Path) -> None:
+    """Remove sockets whose program is gone."""
+    for path in folder.glob(f"*{SUFFIX}"):
+        probe = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        with probe, suppress(OSError):
+            try:
+                probe.connect(str(path))
+            except ConnectionRefusedError:
+                path.unlink()
+
+
+def bound_socket(path: Path) -> socket.socket:
+    """Return a datagram socket at a path, for this user only, which does not block.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        made.setblocking(False)
+        # The mode is in force before any message can arrive.
+        old = os.umask(0o177)
+        try:
+            made.bind(str(path))
+        finally:
+            os.umask(old)
+    except BaseException:
+        made.close()
+        raise
+    return made
 
 
 def require_own_folder(folder: Path) -> None:

@@ -28,12 +28,14 @@ from rig.terminal.control_messages import (
     Command,
     MessageError,
     Order,
+    bound_socket,
     decode,
     encode,
     objection,
     order_of,
+    remove_left,
     require_own_folder,
-    socket_folder,
+    socket_folders,
 )
 from rig.terminal.stop_button import StopButton
 
@@ -41,6 +43,8 @@ _AT_ONCE: Final = 8
 """Most messages taken between two cycles."""
 _TOLD: Final = 40
 """Messages to the operator that are kept."""
+_LONGEST_TOLD: Final = 800
+"""Characters of a message that are kept, so that all of them fit into one datagram."""
 _PEERS: Final = 8
 """Programs that are informed of the end."""
 
@@ -60,8 +64,8 @@ class ControlSocket:
             read.
         about: What does not change during the run: bench, limits, folder.
         say: Shows the operator at the terminal what was commanded from elsewhere.
-        folder: Folder of the socket; :func:`rig.terminal.control_messages.socket_folder` by
-            default.
+        folder: Folder of the socket; :func:`rig.terminal.control_messages.socket_folders`
+            by default.
         clock: Clock that commands are numbered by.
 
     Attributes:
@@ -97,7 +101,7 @@ class ControlSocket:
         self._count = self._prompts = self._last = 0
         self._answer: str | None = None
         self._peers: dict[str, None] = {}
-        self._path, self._socket = _bound(folder or socket_folder())
+        self._path, self._socket = _bound(folder or socket_folders()[0])
         self._ready = select.poll()
         self._ready.register(self._socket, select.POLLIN)
 
@@ -124,7 +128,7 @@ class ControlSocket:
     def tell(self, words: str) -> None:
         """Note a message to the operator."""
         self._count += 1
-        self._told.append((self._count, words))
+        self._told.append((self._count, words[:_LONGEST_TOLD]))
         del self._told[:-_TOLD]
 
     def ended(self, words: str, good: bool) -> None:
@@ -251,27 +255,4 @@ def _bound(folder: Path) -> tuple[Path, socket.socket]:
     require_own_folder(folder)
     remove_left(folder)
     path = folder / f"{PREFIX}{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
-    made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        made.setblocking(False)
-        # The folder is closed to others; the mode is set before any message can arrive.
-        old = os.umask(0o177)
-        try:
-            made.bind(str(path))
-        finally:
-            os.umask(old)
-    except BaseException:
-        made.close()
-        raise
-    return path, made
-
-
-def remove_left(folder: Path) -> None:
-    """Remove sockets whose program is gone."""
-    for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        probe = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        with probe, suppress(OSError):
-            try:
-                probe.connect(str(path))
-            except ConnectionRefusedError:
-                path.unlink()
+    return path, bound_socket(path)

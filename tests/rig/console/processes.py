@@ -45,7 +45,7 @@ stages:
   - {{name: heavy, stage: loaded, weight_kg: 20, tones: [{{amplitude_deg: 4, frequency_Hz: 1}}],
      duration_s: {duration_s}, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.1}}
 """
-WAIT_S = 60.0
+WAIT_S = 150.0
 
 
 @dataclass

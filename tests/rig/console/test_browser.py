@@ -222,6 +222,7 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     size = growth(where)
     wait_until(lambda: growth(where) > size)
     console.process.send_signal(signal.SIGCONT)
+    lost.context.set_offline(False)
     expect(lost.locator("#contact")).to_contain_text("live")
     in_phase(frozen, "excite")
     assert len([r for r in where.records() if r["state"] == "running"]) == 1
@@ -281,7 +282,7 @@ def test_the_charts_hold_the_extremes_of_the_recording(
 ) -> None:
     page = opened()
     page.select_option("#window", "0")
-    child = where.run(where.sequence("drawn", SHORT_S), "--yes", "--realtime")
+    child = where.run(where.sequence("drawn", SHORT_S), "--yes")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
     child.wait(WAIT_S)
     found = page.evaluate("window.rigConsole.extremes()")

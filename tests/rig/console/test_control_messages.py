@@ -20,7 +20,7 @@ from rig.terminal.control_messages import (
     objection,
     order_of,
     require_own_folder,
-    socket_folder,
+    socket_folders,
 )
 
 NOW = 1000 * NS
@@ -100,6 +100,8 @@ def test_a_link_is_no_folder_for_sockets(tmp_path: Path) -> None:
 
 def test_the_folder_follows_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert socket_folder() == tmp_path / "loadrig"
-    monkeypatch.setenv("XDG_RUNTIME_DIR", "nowhere")
-    assert socket_folder() == Path(f"/tmp/loadrig-{os.geteuid()}")
+    without = Path(f"/tmp/loadrig-{os.geteuid()}")
+    assert socket_folders() == [tmp_path / "loadrig", without]
+    for missing in ("nowhere", str(tmp_path / "nowhere"), ""):
+        monkeypatch.setenv("XDG_RUNTIME_DIR", missing)
+        assert socket_folders() == [without]

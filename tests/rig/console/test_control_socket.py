@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import io
+import os
 import socket
 import time
 from collections.abc import Iterator
@@ -262,3 +263,23 @@ def test_a_pause_of_a_run_without_prompts_can_be_answered(bound: Bound, screen: 
     Answers(bound, "nonsense", "repeat")
     found = AutomaticOperator(screen=screen, control=bound.control).paused("empty", bound.stop)
     assert found is Verb.REPEAT
+
+
+@pytest.mark.parametrize("typed", [b"30.6\n", b""])
+def test_a_run_at_a_terminal_is_answered_in_either_place(
+    bound: Bound, screen: Screen, typed: bytes
+) -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as stream:
+        os.write(writing, typed)
+        if not typed:
+            Answers(bound, "30.5")
+        prompt = Prompt(screen, stream, control=bound.control, patience_s=20.0)
+        found = ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 30.6)
+        assert found == (30.6 if typed else 30.5)
+        os.close(writing)
+        if not typed:
+            # Without a person at either end the run does not wait for ever.
+            bound.control.ask = lambda words: None  # type: ignore[method-assign]
+            with pytest.raises(OperatorStopError, match="the input has ended"):
+                ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 1.0)

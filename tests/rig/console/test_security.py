@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from wsproto import ConnectionType, WSConnection
-from wsproto.events import AcceptConnection, Message, RejectConnection, Request, TextMessage
+from wsproto.events import AcceptConnection, Message, Ping, RejectConnection, Request, TextMessage
 
 from .processes import Served, place, served
 from .sockets import Peer
@@ -41,11 +41,16 @@ class Page:
             self.key = self.read()["hello"]["page"]
 
     def _next(self) -> Any:
-        while not self.events:
-            data = self.socket.recv(65536)
-            self.wire.receive_data(data or None)
-            self.events += list(self.wire.events())
-        return self.events.pop(0)
+        while True:
+            while not self.events:
+                data = self.socket.recv(65536)
+                assert data, "the console closed the page"
+                self.wire.receive_data(data)
+                self.events += list(self.wire.events())
+            event = self.events.pop(0)
+            if not isinstance(event, Ping):
+                return event
+            self.socket.sendall(self.wire.send(event.response()))
 
     def read(self) -> dict[str, Any]:
         """Return the next message that is text."""
