@@ -67,7 +67,7 @@ SPREAD_S = 1.2
 """A press comes at a random moment of this length after the first excitation began."""
 UNKNOWN = "no such run"
 """Part of the answer until the console has found the run."""
-WATCHED_S = 10.0
+WATCHED_S = 5.0
 """Length of each part with and without pages."""
 PAGES = 3
 POINTS = (50.0, 99.0, 99.9)
@@ -198,8 +198,8 @@ class Console:
         connection.close()
         return pressed, answered, words
 
-    def watch(self, ending: threading.Event) -> int:
-        """Read all that a page is sent until the event; return its bytes."""
+    def watch(self, ending: threading.Event, counts: list[int]) -> None:
+        """Read all that a page is sent until the event; add its bytes to ``counts``."""
         host = f"127.0.0.1:{self.port}"
         with socket.create_connection(("127.0.0.1", self.port)) as page:
             key = base64.b64encode(os.urandom(16)).decode()
@@ -215,7 +215,7 @@ class Console:
             while not ending.is_set():
                 if select.select([page], [], [], 0.5)[0]:
                     count += len(page.recv(1 << 16))
-        return count
+        counts.append(count)
 
 
 def _frame(data: bytes) -> bytes:
@@ -279,11 +279,13 @@ def lateness(seconds: float) -> None:
         run = next(lines)["run"]
         next(lines)
         watched, load = [], []
+        counts: list[int] = []
         process = psutil.Process(console.process.pid)
         for _ in range(max(1, round(seconds / 2 / WATCHED_S))):
             time.sleep(WATCHED_S)
             ending = threading.Event()
-            pages = [threading.Thread(target=console.watch, args=(ending,)) for _ in range(PAGES)]
+            given = (ending, counts)
+            pages = [threading.Thread(target=console.watch, args=given) for _ in range(PAGES)]
             for page in pages:
                 page.start()
             time.sleep(1.0)
@@ -315,6 +317,7 @@ def lateness(seconds: float) -> None:
         rows.append([f"p{point:g}", f"{without:.0f}", f"{with_pages:.0f}", f"{ratio:.2f}"])
     print(table(["lateness", "no page, us", f"{PAGES} pages, us", "ratio"], rows, right=[1, 2, 3]))
     print(f"cycles: {before.sum()} without, {inside.sum()} with {PAGES} pages")
+    print(f"sent to each page: {np.mean(counts) / (WATCHED_S + 1.0) / 1e3:.0f} kB/s")
     print(f"load of the console with {PAGES} pages: {100 * float(np.mean(load)):.1f} % of a core")
     print(f"load of the computer (1 min): {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores")
 

@@ -101,7 +101,7 @@ export class Charts {
       cursor: { show: false },
       scales: { x: { time: false }, y: { range: (plot, low, high) => range(low, high) } },
       axes: [{ ...axis, size: 28, values: (plot, ticks) => ticks.map((t) => `${t} s`) },
-        { ...axis, size: 56 }],
+        { ...axis, size: 56, space: 24 }],
       series: [{},
         { stroke: colour("--chart"), width: 1, points: { show: false } },
         { stroke: colour("--chart"), width: 1, points: { show: false } }],

@@ -174,6 +174,25 @@ def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Plac
     assert record["operator"] == "A. Person"
 
 
+def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Place) -> None:
+    page, before = opened(), len(where.records())
+    where.run(where.sequence("asked", SHORT_S), "--console", "--realtime")
+    page.fill("#mass", " ")  # in a text field the space bar types
+    page.locator("#mass").blur()
+    expect(page.locator("#stop")).to_be_enabled()
+    page.keyboard.press("Space")
+    expect(page.locator("#ending")).to_contain_text("STOP by the console")
+    assert ended(where, before + 1)["de_energised"]
+    where.run(where.sequence("paused", SHORT_S), "--yes", "--realtime")
+    in_phase(page, "excite")
+    page.click("#pause")
+    expect(page.locator("#go-on")).to_be_visible()
+    expect(page.locator("#drive")).to_have_text("off")
+    page.click("#stop")
+    expect(page.locator("#ending")).to_contain_text("phase between stages: stopped by the operator")
+    assert ended(where, before + 2)["de_energised"]
+
+
 def test_a_phone_in_the_dark_and_without_the_token(
     opened: Callable[..., Page], where: Place, console: Served
 ) -> None:
