@@ -129,7 +129,7 @@ function showRun() {
   alertOnce("gone", live?.gone
     ? "The program of the run is gone without an ending. Look at the bench: the state of the drive is not known here. `rig recover` repairs the recording." : "");
   alertOnce("trouble", live?.trouble || "");
-  if (live?.values) charts.values(live.values, going() ? "now" : "last");
+  if (live?.values) charts.values(live.values, going() && !OFF.includes(phase) ? "now" : "last");
 }
 
 // Outside the phases with power the run has read the drive back as off; the last sample is older.
