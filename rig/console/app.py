@@ -225,7 +225,7 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
             return
         run, window_s, pixels = message.get("run"), message.get("window_s"), message.get("pixels")
         page.run = run if isinstance(run, str) else None
-        if type(window_s) in (int, float) and 0 <= window_s <= _LONGEST_WINDOW_S:
+        if isinstance(window_s, int | float) and 0 <= window_s <= _LONGEST_WINDOW_S:
             page.window_s = float(window_s)
         if type(pixels) is int and 0 < pixels <= 4096:
             page.pixels = pixels
