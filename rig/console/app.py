@@ -75,6 +75,7 @@ class Console:
                 Route("/controls", self._posted(self._controls), methods=["POST"]),
                 Route("/dry-run", self._posted(self._dry_run), methods=["POST"]),
                 Route("/start", self._posted(self._start), methods=["POST"]),
+                Route("/resume", self._posted(self._resume), methods=["POST"]),
                 WebSocketRoute("/live", self._live),
             ],
             middleware=[Middleware(Gate, hosts=hosts)],
@@ -174,6 +175,18 @@ class Console:
         assert page is not None
         page.run = None
         return {"words": f"started; the run folder is {folder}"}
+
+    async def _resume(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        self._require_controls(page)
+        run = self._hub.runs.get(str(message.get("run")))
+        if run is None or not run.over:
+            raise Refusal("there is no such run that has ended")
+        if not run.closed:
+            raise Refusal("the program of the run still writes its page; wait a few seconds")
+        self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
+        assert page is not None
+        page.run = None
+        return {"words": "the run goes on at its first unfinished stage"}
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder

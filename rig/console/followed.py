@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -88,6 +89,11 @@ class Followed:
         """Whether the run has ended, in order or not."""
         return self.gone or bool(self.status and self.status["ended"])
 
+    @property
+    def closed(self) -> bool:
+        """Whether the program of the run has ended: after the run it still writes its page."""
+        return self.gone or not os.path.exists(self.path)
+
     def parts(self) -> dict[str, tuple[object, Any]]:
         """Return what a page shows of the run: name of the part to its version and its JSON
         value.
@@ -107,6 +113,7 @@ class Followed:
             "drive": self.drive,
             "silent": self.silent and not self.over,
             "gone": self.gone and not (self.status and self.status["ended"]),
+            "closed": self.closed,
             "trouble": self.trouble,
             "time_s": round(self.decimation.latest_s, 1),
         }

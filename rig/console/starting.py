@@ -188,6 +188,20 @@ class Starter:
         self._spawn(arguments)
         return folder
 
+    def resume(self, about: Mapping[str, Any], typed_bench: str) -> None:
+        """Go on with a run that stopped, into the same folder, with the prompts on the page.
+
+        Args:
+            about: What the run stated of itself.
+            typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
+
+        Raises:
+            StartError: The name is wrong.
+        """
+        if about["real"] and typed_bench.strip() != about["bench"]:
+            raise StartError(f"type the name of the REAL bench, {about['bench']}, to go on with it")
+        self._spawn(["resume", str(about["folder"]), "--console"])
+
     def failures(self) -> list[str]:
         """Return the last words of started runs that have ended with bad input or a crash."""
         words = []

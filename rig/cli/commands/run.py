@@ -84,12 +84,7 @@ from rig.wiring.preflight import require_startable
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
     "the bench file]",
 )
-@click.option(
-    "--console",
-    "in_console",
-    is_flag=True,
-    help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
-)
+@shared.in_console
 @shared.record_file("Also write run.json to this file, or what --dry-run finds.")
 def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.

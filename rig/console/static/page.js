@@ -108,6 +108,7 @@ function showRun() {
     for (const id of ["phase", "stage", "left", "drive"]) at(id).textContent = "-";
     at("phase-words").textContent = "";
     at("ending").hidden = true;
+    at("resume-box").hidden = true;
     at("prompt").hidden = true;
     return;
   }
@@ -143,6 +144,10 @@ function driveWords(phase, over, live, record) {
 
 function showEnding() {
   const ended = state.status?.ended;
+  const open = Boolean((ended || state.live?.gone)
+    && state.record?.stages.some((stage) => stage.state !== "done"));
+  at("resume-box").hidden = !open;
+  at("resume-real").hidden = !state.about?.real;
   const line = at("ending");
   line.hidden = !ended;
   if (!ended) return;
@@ -255,6 +260,7 @@ function showControls() {
   at("pause").setAttribute("aria-pressed", String(Boolean(status?.pausing)));
   at("pause").textContent = status?.pausing ? "Pause is asked for: take it back"
     : "Pause at the end of the stage";
+  at("resume").disabled = !mine || !state.live?.closed;
   for (const id of ["mass", "go-on", "repeat", "abort"]) at(id).disabled = !on;
   at("mass-form").querySelector("button").disabled = !on;
   const stop = at("stop");
@@ -316,6 +322,16 @@ at("mass-form").addEventListener("submit", (event) => {
 for (const [id, text] of [["go-on", "go on"], ["repeat", "repeat"], ["abort", "abort"]]) {
   at(id).addEventListener("click", (event) => answerPrompt(event, text));
 }
+at("resume").addEventListener("click", async (event) => {
+  if (!fresh(event)) return;
+  const answer = await link.post("/resume", { run: state.run, typed_bench: at("resume-bench").value });
+  say(answer.ok ? answer.words : `Refused: ${answer.words}`);
+  if (answer.ok) {
+    at("resume-bench").value = "";
+    at("runs").value = "";
+    ask();
+  }
+});
 at("take").addEventListener("click", async () => {
   const answer = await link.post("/controls", {});
   say(answer.words);

@@ -191,6 +191,12 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     page.click("#stop")
     expect(page.locator("#ending")).to_contain_text("phase between stages: stopped by the operator")
     assert ended(where, before + 2)["de_energised"]
+    page.click("#resume")
+    expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")
+    page.fill("#mass", "20")
+    page.press("#mass", "Enter")
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    expect(page.locator("#resume")).to_be_hidden()
 
 
 def test_a_phone_in_the_dark_and_without_the_token(

@@ -149,7 +149,7 @@ def test_a_command_of_another_site_is_refused(console: Served, origin: str | Non
 
 
 @pytest.mark.parametrize("authorization", [None, "", "Bearer", "Bearer wrong", "Basic {token}"])
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
 def test_no_command_without_the_token(
     console: Served, path: str, authorization: str | None
 ) -> None:
@@ -159,7 +159,7 @@ def test_no_command_without_the_token(
     assert "read only" in text
 
 
-@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
 @pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "OPTIONS"])
 def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
     origin = f"http://127.0.0.1:{console.port}"

@@ -94,6 +94,15 @@ def test_a_real_bench_is_started_by_its_name(real: Path, sequence: Path, tmp_pat
     assert "--realtime" not in given
 
 
+def test_a_stopped_run_goes_on_with_the_prompts_on_the_page(tmp_path: Path) -> None:
+    starter = Starter(["practical"], tmp_path / "runs", ECHO)
+    about = {"folder": str(tmp_path / "runs" / "stopped"), "bench": "practical", "real": True}
+    with pytest.raises(StartError, match="REAL bench, practical"):
+        starter.resume(about, "another")
+    starter.resume(about, "practical")
+    assert arguments(starter) == ["resume", about["folder"], "--console"]
+
+
 def test_what_cannot_run_cannot_be_started(sequence: Path, tmp_path: Path) -> None:
     starter = Starter(["practical"], tmp_path / "runs", REFUSED)
     found = shown(starter, Wish("practical", str(sequence)))
