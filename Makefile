@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units console
 .DEFAULT_GOAL := help
 
 help:
@@ -41,6 +41,7 @@ help:
 	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
+	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
 	@echo "make fuzz      a million frames or bytes for every decoder; 100 000 random logs of each format"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
@@ -180,6 +181,11 @@ terminal: $(VENV)/.dev
 
 realtime: $(VENV)/.dev
 	$(BIN)/python -m tests.long.realtime
+
+console: $(VENV)/.dev
+	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
+	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
+	$(BIN)/python benchmarks/console.py lateness
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py

@@ -62,6 +62,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "look": ("rig.cli.commands.look:command", "Show what is in a log made elsewhere."),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),
+    "console": (
+        "rig.cli.commands.console:command",
+        "Watch, stop and start runs on a page in the browser.",
+    ),
     "schema": (
         "rig.cli.commands.schema:command",
         "Write JSON Schemas, by which editors complete and check files.",

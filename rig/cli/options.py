@@ -71,6 +71,16 @@ def yes(command: Any) -> Any:
     )(command)
 
 
+def in_console(command: Any) -> Any:
+    """Add ``--console`` to a command, as ``in_console``."""
+    return click.option(
+        "--console",
+        "in_console",
+        is_flag=True,
+        help="Ask the weight prompts in `rig console` only, for a run without a terminal.",
+    )(command)
+
+
 def operator_name(command: Any) -> Any:
     """Add ``--operator`` to a command, as ``operator_name``."""
     return click.option(

@@ -8,6 +8,7 @@ from enum import Enum
 from typing import Protocol
 
 from drivers.clock import NS, Clock, RealClock
+from rig.terminal.control_socket import ControlSocket, Topic
 from rig.terminal.prompt import Asker, InputEndedError, Prompt
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
@@ -19,6 +20,7 @@ LEAST_TOLERANCE_KG = 0.001
 relative tolerance is zero.
 """
 _LOOK_NS = NS // 20
+_PAUSE_QUESTION = "What now (go on, repeat, abort) [go on]: "
 _ROUNDING = 1e-9
 _MASS = re.compile(r"([+-]?\d+(?:[.,]\d*)?|[+-]?[.,]\d+)\s*(kg|g)?", re.IGNORECASE)
 _UNIT_KG = {"kg": 1.0, "g": 1e-3}
@@ -73,6 +75,7 @@ class AutomaticOperator:
             simulated mistake.
         clock: Clock for waiting while paused.
         screen: Terminal for the messages.
+        control: Socket on which messages are shown and answers may arrive; None for none.
     """
 
     def __init__(
@@ -80,7 +83,9 @@ class AutomaticOperator:
         hung: Mapping[str, float] | None = None,
         clock: Clock | None = None,
         screen: Screen | None = None,
+        control: ControlSocket | None = None,
     ) -> None:
+        self._control = control
         self._hung = hung or {}
         self._clock = clock or RealClock()
         self._screen = screen or Screen()
@@ -94,22 +99,45 @@ class AutomaticOperator:
         return self._hung.get(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait for the next pause signal."""
+        """Wait for the next pause signal, or for an answer on the control socket.
+
+        Raises:
+            OperatorStopError: A stop arrived on the control socket.
+        """
+        control = self._control
+        if control is not None:
+            control.begin(Topic.PAUSE)
         self.tell(
             f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press "
             f"Ctrl-C to stop"
         )
+        if control is not None:
+            control.ask(_PAUSE_QUESTION)
+        verb = Verb.GO_ON
         while stop.pausing:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
             self._screen.pump()
-        return Verb.GO_ON
+            if control is None or (answer := control.answered()) is None:
+                continue
+            known = _verb_of(answer)
+            if known is None:
+                control.ask(_PAUSE_QUESTION)
+            else:
+                verb, stop.pausing = known, False
+        if control is not None:
+            control.close_prompt()
+        return verb
 
     def tell(self, words: str) -> None:
-        """Show the message on stderr."""
+        """Show the message on stderr, and keep it for who watches."""
         self._screen.say(words)
+        if self._control is not None:
+            self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if good, else on stderr."""
+        """Show how a run ended: on stdout if good, else on stderr; and to who watches."""
+        if self._control is not None:
+            self._control.ended(words, good)
         self._screen.say(words, err=not good)
 
 
@@ -122,6 +150,7 @@ class ConsoleOperator(AutomaticOperator):
             terminal.
         patience_s: Longest wait for an answer, s; None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
+        control: Socket on which answers may arrive as well; None for none.
     """
 
     def __init__(
@@ -130,8 +159,9 @@ class ConsoleOperator(AutomaticOperator):
         asker: Asker | None = None,
         patience_s: float | None = None,
         tolerance: float = WEIGHT_TOLERANCE,
+        control: ControlSocket | None = None,
     ) -> None:
-        super().__init__(screen=screen)
+        super().__init__(screen=screen, control=control)
         self._asker = asker or Prompt(self._screen, patience_s=patience_s)
         self._tolerance = tolerance
 
@@ -145,6 +175,8 @@ class ConsoleOperator(AutomaticOperator):
             OperatorStopError: The operator pressed Ctrl-C or typed ``abort``, the input ended, or
                 there was no answer in time.
         """
+        if self._control is not None:
+            self._control.begin(Topic.WEIGHT)
         action = (
             "Hang the weight that is planned for it"
             if weight_kg
@@ -187,6 +219,8 @@ class ConsoleOperator(AutomaticOperator):
         Raises:
             OperatorStopError: There was no answer in time.
         """
+        if self._control is not None:
+            self._control.begin(Topic.PAUSE)
         self.tell(f"Paused after stage {stage}; the drive is off.")
         try:
             answer = self._verb()
@@ -196,18 +230,26 @@ class ConsoleOperator(AutomaticOperator):
         return answer
 
     def _verb(self) -> Verb:
-        names = {verb.value: verb for verb in Verb}
         while True:
-            typed = self._asker.ask("What now (go on, repeat, abort) [go on]: ").lower()
-            if not typed:
-                return Verb.GO_ON
-            if typed in names:
-                return names[typed]
+            typed = self._asker.ask(_PAUSE_QUESTION).lower()
+            verb = _verb_of(typed)
+            if verb is not None:
+                return verb
             self.tell(f"{typed!r} is not one of `go on`, `repeat`, `abort`")
 
 
+def _verb_of(typed: str) -> Verb | None:
+    """Return the verb that was typed, `go on` for nothing; None if it is none."""
+    return {"": Verb.GO_ON, **{verb.value: verb for verb in Verb}}.get(typed.lower())
+
+
 def operator_for(
-    yes: bool, screen: Screen, patience_s: float | None, tolerance: float
+    yes: bool,
+    screen: Screen,
+    patience_s: float | None,
+    tolerance: float,
+    control: ControlSocket | None = None,
+    only_there: bool = False,
 ) -> AutomaticOperator:
     """Return the operator object that answers the prompts of a run.
 
@@ -216,10 +258,13 @@ def operator_for(
         screen: Terminal for questions and messages.
         patience_s: Longest wait for an answer, s; None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
+        control: Socket on which answers may arrive as well; None for none.
+        only_there: Whether there is no terminal, so that they can arrive there only.
     """
     if yes:
-        return AutomaticOperator(screen=screen)
-    return ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+        return AutomaticOperator(screen=screen, control=control)
+    asker = Prompt(screen, patience_s=patience_s, control=control, only_there=only_there)
+    return ConsoleOperator(screen, asker, tolerance=tolerance, control=control)
 
 
 def parse_mass_kg(text: str) -> float | None:

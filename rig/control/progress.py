@@ -32,6 +32,11 @@ class RunProgress:
     def __enter__(self) -> Self:
         return self
 
+    @property
+    def left_s(self) -> float:
+        """Expected remaining time in motion, s."""
+        return self._total_s - self._done_s
+
     def __exit__(self, *exception: object) -> None:
         """Clear the status line for other output."""
 

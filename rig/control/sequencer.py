@@ -92,7 +92,7 @@ class Sequencer:
             self._cycle.watch,
             self._plan.cycle_ns,
             brake=ending is not Ending.DONE,
-            hurry=lambda: self._stop.presses > presses,
+            hurry=lambda: self._stop.presses_now() > presses,
             watched=self._devices.link.has_watchdog,
         )
         if ending is Ending.DONE and not safe.verified:

@@ -90,6 +90,7 @@ class FaultInjector:
         self._off_ns: int | None = 0
         self._weight_kg: float | None = None
         self._answer_after_s: float | None = None
+        self._observer: Callable[[str, Phase], None] | None = None
         self._file: _DyingFile | None = None
         self._disk = FileLimit()
 
@@ -114,7 +115,7 @@ class FaultInjector:
         progress: Progress,
     ) -> tuple[RunFolder, Outcome]:
         """Run as :func:`rig.control.session.execute` does, with the faults of this schedule."""
-        self._stop, self._folder = stop, path
+        self._stop, self._folder, self._observer = stop, path, devices.observer
         devices = dataclasses.replace(devices, hang=self._hang, observer=self._observe)
         operator = _Unreliable(operator, self._answer)
         try:
@@ -126,6 +127,8 @@ class FaultInjector:
 
     def _observe(self, stage: str, phase: Phase) -> None:
         """Note the start of a phase, and trigger the faults that wait for it."""
+        if self._observer is not None:
+            self._observer(stage, phase)
         name = _PHASES.get(phase, phase.value)
         for number in sorted(self._waiting):
             row = self._rows[number]

@@ -13,6 +13,7 @@ import sys
 from typing import Protocol, TextIO
 
 from drivers.clock import NS, Clock, RealClock
+from rig.terminal.control_socket import ControlSocket
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError
 
@@ -62,6 +63,9 @@ class Prompt:
         stream: Input stream, by default ``sys.stdin``; None if the program has none.
         patience_s: Time to wait for an answer, s; None for ever.
         clock: Clock for this time.
+        control: Socket on which an answer may arrive as well; None for none.
+        only_there: Whether the input has nobody at it, so that an answer can only arrive on
+            ``control``.
     """
 
     def __init__(
@@ -70,7 +74,11 @@ class Prompt:
         stream: TextIO | None = None,
         patience_s: float | None = None,
         clock: Clock | None = None,
+        control: ControlSocket | None = None,
+        only_there: bool = False,
     ) -> None:
+        self._control = control
+        self._only_there = only_there
         self._screen = screen
         self._stream = stream if stream is not None else sys.stdin
         self._patience_s = patience_s
@@ -86,12 +94,16 @@ class Prompt:
         self._flush()
         self._screen.ask(words)
         self._screen.drain()
+        if self._control is not None:
+            self._control.ask(words)
         try:
-            if self._descriptor is None:
-                return self._from_stream()
-            return self._from_descriptor(self._descriptor)
+            if self._only_there or self._descriptor is not None:
+                return self._from_descriptor(None if self._only_there else self._descriptor)
+            return self._from_stream()
         finally:
             self._screen.listened()
+            if self._control is not None:
+                self._control.close_prompt()
 
     def _flush(self) -> None:
         """Drop what was typed before the question."""
@@ -112,10 +124,18 @@ class Prompt:
             raise InputEndedError("the input has ended")
         return line.strip()
 
-    def _from_descriptor(self, descriptor: int) -> str:
+    def _from_descriptor(self, descriptor: int | None) -> str:
+        """Return the first answer, of the input or of the control socket.
+
+        Args:
+            descriptor: Of the input; None to take none from there.
+        """
         began_ns = self._clock.now_ns()
-        while b"\n" not in self._rest:
-            self._wait(descriptor, began_ns)
+        while b"\n" not in self._rest or descriptor is None:
+            answer = self._wait(descriptor, began_ns)
+            if answer is not None:
+                return answer
+            assert descriptor is not None
             try:
                 data = os.read(descriptor, _CHUNK)
             except OSError as error:
@@ -130,8 +150,13 @@ class Prompt:
             self._screen.answered()
         return line.decode(errors="replace").strip()
 
-    def _wait(self, descriptor: int, began_ns: int) -> None:
-        """Wait for input; meanwhile write the queued output of a stalled terminal."""
+    def _wait(self, descriptor: int | None, began_ns: int) -> str | None:
+        """Wait for input; meanwhile write the queued output of a stalled terminal.
+
+        Returns:
+            None if the input can be read; the answer if one arrived on the control socket.
+        """
+        sources = [source for source in (descriptor, self._control) if source is not None]
         while True:
             wait_s = _LONGEST_WAIT_S
             if self._patience_s is not None:
@@ -140,8 +165,10 @@ class Prompt:
                     raise unanswered(self._patience_s)
                 wait_s = min(wait_s, left_s)
             try:
-                if select.select([descriptor], [], [], wait_s)[0]:
-                    return
+                ready = select.select(sources, [], [], wait_s)[0]
             except (OSError, ValueError) as error:
                 raise InputEndedError(f"the input cannot be read: {error}") from error
+            answer = None if self._control is None else self._control.answered()
+            if answer is not None or descriptor in ready:
+                return answer
             self._screen.pump()

@@ -61,6 +61,8 @@ class StopButton:
         presses: Number of stop requests.
         cause: Source of the first request, as text.
         pausing: Whether a pause at the next stage boundary was requested.
+        listen: Takes commands that arrived from elsewhere and acts on this button, without waiting;
+            called whenever the button is read. None if there is no such source.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda words: None) -> None:
@@ -68,6 +70,7 @@ class StopButton:
         self.presses = 0
         self.cause = ""
         self.pausing = False
+        self.listen: Callable[[], None] | None = None
         self._tell = tell
         self._raise_at_once = False
         self._previous: dict[signal.Signals, signal._HANDLER] = {}
@@ -114,6 +117,17 @@ class StopButton:
         )
 
     def check(self) -> None:
+        """Take what arrived from elsewhere, and raise if a stop was requested.
+
+        Raises:
+            OperatorStopError: The button was pressed.
+        """
+        if self.listen is not None:
+            self.listen()
+        if self.pressed:
+            raise OperatorStopError(self.words)
+
+    def raise_if_pressed(self) -> None:
         """Raise if a stop was requested.
 
         Raises:
@@ -121,6 +135,12 @@ class StopButton:
         """
         if self.pressed:
             raise OperatorStopError(self.words)
+
+    def presses_now(self) -> int:
+        """Take what arrived from elsewhere, and return the number of stop requests."""
+        if self.listen is not None:
+            self.listen()
+        return self.presses
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:

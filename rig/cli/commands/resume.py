@@ -16,6 +16,7 @@ from rig.common.provenance import utc_now
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
+from rig.control.remote import observed, reachable
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
@@ -40,6 +41,7 @@ from rig.wiring.preflight import require_startable
 @shared.reset_fault(
     " Always done where the writer died, as the drive's own watch has then tripped."
 )
+@shared.in_console
 @shared.record_file("Also write run.json to this file.")
 def command(
     run: Path,
@@ -48,6 +50,7 @@ def command(
     identification: Path | None,
     first_pass: bool | None,
     reset_fault: bool,
+    in_console: bool,
     json_file: Path | None,
 ) -> int:
     """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same
@@ -94,16 +97,22 @@ def command(
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    require_attendance(plan, resumed.bench, yes, at_terminal())
-    return _carry_out(inputs, plan, run, yes, json_file)
+    require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
+    return _carry_out(inputs, plan, run, yes, in_console, json_file)
 
 
-def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path | None) -> int:
+def _carry_out(
+    inputs: Inputs, plan: Plan, run: Path, yes: bool, in_console: bool, json_file: Path | None
+) -> int:
     """Connect, continue in the run's folder, and report the outcome; return the exit status."""
     bench = inputs.bench
     screen = Screen()
     screen.silence()
-    with closing(screen), StopButton(screen.say) as stop:
+    with (
+        closing(screen),
+        StopButton(screen.say) as stop,
+        reachable(stop, screen, inputs, plan, run, in_console) as control,
+    ):
         offset = inputs.feedforward is not None
         with connected(
             stop,
@@ -115,7 +124,8 @@ def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path
         ) as devices:
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
-            operator = operator_for(yes, screen, patience_s, tolerance)
+            operator = operator_for(yes, screen, patience_s, tolerance, control, in_console)
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
+                devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, inputs.reference, json_file, screen)

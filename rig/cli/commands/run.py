@@ -22,6 +22,7 @@ from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
+from rig.control.remote import observed, reachable
 from rig.control.session import Inputs, execute
 from rig.fault_injection.inject import FaultInjector, fault_injector
 from rig.fault_injection.inject import describe as describe_findings
@@ -83,6 +84,7 @@ from rig.wiring.preflight import require_startable
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
     "the bench file]",
 )
+@shared.in_console
 @shared.record_file("Also write run.json to this file, or what --dry-run finds.")
 def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
@@ -123,6 +125,7 @@ class _Options:
     first_pass: bool | None
     reset_fault: bool
     prompt_timeout_s: float | None
+    in_console: bool
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
@@ -166,7 +169,8 @@ def _run(options: _Options) -> int:
         else fault_injector(options.fault_file, bench, sequence, options.patience_s(bench.value))
     )
     require_startable(bench, utc_now().date(), lambda words: click.echo(words, err=True))
-    require_attendance(plan, bench, options.yes, options.dry_run or at_terminal())
+    asked = options.dry_run or options.in_console or at_terminal()
+    require_attendance(plan, bench, options.yes, asked)
     for words in (
         of_another_bench(file, constants) for file in (identification, feedforward_file) if file
     ):
@@ -185,7 +189,13 @@ def _carry_out(
     bench = inputs.bench
     screen = Screen()
     screen.silence()
-    with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
+    only_there = options.in_console
+    with (
+        noting_folder(path),
+        closing(screen),
+        StopButton(screen.say) as stop,
+        reachable(stop, screen, inputs, plan, path, only_there) as control,
+    ):
         attach = None if injector is None else injector.attach
         offset = inputs.feedforward is not None
         with connected(
@@ -193,10 +203,11 @@ def _carry_out(
         ) as devices:
             say_taken_over(devices.lock, screen)
             until_the_end(create_folder(path, "rig run"))
-            patience_s = options.patience_s(bench.value)
-            operator = operator_for(options.yes, screen, patience_s, bench.value.weight_tolerance)
+            patience_s, tolerance = options.patience_s(bench.value), bench.value.weight_tolerance
+            operator = operator_for(options.yes, screen, patience_s, tolerance, control, only_there)
             carry_out = execute if injector is None else injector.execute
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
+                devices = observed(devices, control, progress)
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if injector is not None:

@@ -11,7 +11,7 @@ import click
 
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
-from rig.live import HOST, Offer, layout, sdk, serve
+from rig.runs.live import HOST, Offer, layout, sdk, serve
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 

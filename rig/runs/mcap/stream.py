@@ -138,7 +138,7 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         if opcode == Opcode.DATA_END:
             break
         if opcode == Opcode.CHUNK:
-            sorted_out, among = _messages(chunk(content), wanted)
+            sorted_out, among = chunk_messages(chunk(content), wanted)
             count += among
             yield from (
                 (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
@@ -150,7 +150,7 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         raise DamageError("messages are missing")
 
 
-def _messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
+def chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
     """Return the contents of a chunk's messages by channel, those that are wanted, and how many
     messages there are.
     """

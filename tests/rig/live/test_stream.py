@@ -24,7 +24,7 @@ from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.serial_port import SERIAL_FLAG
 from rig.common.sample import Sample
-from rig.live import HOST, Offer, serve
+from rig.runs.live import HOST, Offer, serve
 from rig.runs.mcap.layout import FRAMES_TOPIC, SAMPLE_TOPIC, decode_frames
 from rig.runs.mcap.reader import Log, read_run
 from rig.runs.recorder import Recorder, open_recorder
@@ -255,8 +255,8 @@ def test_a_finished_recording_is_sent_from_its_start_to_each_client(whole: Path)
 
 
 def test_a_slow_client_loses_nothing(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.live.session.BACKLOG_MESSAGES", 600)
-    monkeypatch.setattr("rig.live.session.IN_FLIGHT_BYTES", 20_000)
+    monkeypatch.setattr("rig.runs.live.session.BACKLOG_MESSAGES", 600)
+    monkeypatch.setattr("rig.runs.live.session.IN_FLIGHT_BYTES", 20_000)
     with served(whole) as address, client(address) as got:
         got.subscribe("/sample")
         got.until(lambda: got.count("/sample") == 12_000)

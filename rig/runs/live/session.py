@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from rig.common.errors import InputError
-from rig.live.topics import TOPICS, Outgoing, outgoing
+from rig.runs.live.topics import TOPICS, Outgoing, outgoing
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.tail import START, Piece, Tail
 

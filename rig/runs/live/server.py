@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.live.gate import END, HEAD_BYTES, Gate, RefusedError, refusal
-from rig.live.session import Session
+from rig.runs.live.gate import END, HEAD_BYTES, Gate, RefusedError, refusal
+from rig.runs.live.session import Session
 from rig.runs.mcap.tail import Tail
 
 HOST = "127.0.0.1"

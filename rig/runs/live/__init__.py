@@ -3,8 +3,8 @@
 Everything here reads; nothing can command a bench.
 """
 
-from rig.live.layout_files import layout
-from rig.live.server import HOST, Offer, serve
-from rig.live.session import sdk
+from rig.runs.live.layout_files import layout
+from rig.runs.live.server import HOST, Offer, serve
+from rig.runs.live.session import sdk
 
 __all__ = ["HOST", "Offer", "layout", "sdk", "serve"]

@@ -1,0 +1,77 @@
+"""``rig console``: watch and command runs in a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from rig.cli.entry import DONE
+from rig.common.errors import InputError
+from rig.common.places import require_folder
+from rig.config.bench import load_bench
+from rig.config.packaged import names
+from rig.console.starting import Starter
+
+PORT = 8736
+
+
+@click.command("console")
+@click.argument("benches", metavar="[BENCH]...", nargs=-1)
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=PORT,
+    show_default=True,
+    help="Port on this computer; 0 for a free one.",
+)
+@click.option(
+    "--runs",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("runs"),
+    show_default=True,
+    help="Where runs that are started in the page are recorded.",
+)
+def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
+    """Watch runs on a page, stop, pause and answer them, and start new ones on BENCH, a file or the
+    name of a packaged one; without BENCH, on any packaged bench.
+
+    Prints the address of the page, which only this computer can open, until Ctrl-C. The address
+    holds a token of this start; without it the page can only be read. Runs go on when the page or
+    this command ends. STOP in the page is a stop function in software, not an emergency stop.
+
+    \b
+    Example:
+      rig console
+      rig console bench.yaml --runs runs
+    """
+    require_folder(runs, "--runs")
+    shown = frozenset(load_bench(bench).value.name for bench in benches)
+    serve = _server()
+    click.echo("STOP in the page is a software stop, not an emergency stop.")
+    starter = Starter(benches or tuple(names("benches")), runs)
+    # Ctrl-C is the ordinary end.
+    with suppress(KeyboardInterrupt):
+        serve(starter, shown, port, _announce)
+    return DONE
+
+
+def _announce(address: str) -> None:
+    click.echo(f"console: {address}")
+
+
+def _server() -> Callable[[Starter, frozenset[str], int, Callable[[str], None]], None]:
+    """Return the server.
+
+    Raises:
+        InputError: The extra is not installed.
+    """
+    try:
+        from rig.console.serve import serve
+    except ModuleNotFoundError as error:
+        raise InputError(
+            f"`rig console` needs {error.name}; install the extra: pip install 'loadrig[console]'"
+        ) from error
+    return serve

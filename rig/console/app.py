@@ -1,0 +1,248 @@
+"""The routes of the console.
+
+Reading needs no token. Commands are POST requests with the token in their header, JSON as their
+content and a number that rises from one command of a page to the next.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from starlette.applications import Starlette
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route, WebSocketRoute
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from rig.console.controls import Page
+from rig.console.gate import Gate, Token
+from rig.console.hub import Hub, Refusal
+from rig.console.starting import StartError, Wish
+from rig.console.view import View
+from rig.terminal.control_messages import Command
+
+STATIC: Final = Path(__file__).parent / "static"
+LONGEST_BODY: Final = 8192
+HELLO_S: Final = 10.0
+_KINDS: Final = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".txt": "text/plain; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_PUSH_EVERY: Final = 2
+"""Ticks between two messages to a page."""
+_COMMANDS: Final = {command.value: command for command in Command}
+_LONGEST_WINDOW_S: Final = 86_400.0
+
+
+class Console:
+    """The application.
+
+    Args:
+        hub: The runs and the pages.
+        token: Token of this start.
+        hosts: Values of the Host header that are this console's own.
+
+    Attributes:
+        app: The routes.
+        broken: Called where following the runs breaks down.
+        failure: Why following the runs broke down; None while it goes on.
+    """
+
+    def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
+        self.broken: Callable[[], None] = lambda: None
+        self.failure: BaseException | None = None
+        self._hub = hub
+        self._token = token
+        self._files = {
+            path.name: (path.read_bytes(), _KINDS[path.suffix])
+            for path in STATIC.iterdir()
+            if path.suffix in _KINDS
+        }
+        self.app = Starlette(
+            routes=[
+                Route("/", self._index, methods=["GET"]),
+                Route("/static/{name}", self._static, methods=["GET"]),
+                Route("/command", self._posted(self._command), methods=["POST"]),
+                Route("/controls", self._posted(self._controls), methods=["POST"]),
+                Route("/dry-run", self._posted(self._dry_run), methods=["POST"]),
+                Route("/start", self._posted(self._start), methods=["POST"]),
+                Route("/resume", self._posted(self._resume), methods=["POST"]),
+                WebSocketRoute("/live", self._live),
+            ],
+            middleware=[Middleware(Gate, hosts=hosts)],
+            lifespan=self._lifespan,
+        )
+
+    @asynccontextmanager
+    async def _lifespan(self, app: Starlette) -> AsyncIterator[None]:
+        following = asyncio.create_task(self._hub.follow())
+        following.add_done_callback(self._ended)
+        yield
+        following.cancel()
+        await asyncio.wait([following])
+
+    def _ended(self, following: asyncio.Task[None]) -> None:
+        if not following.cancelled():
+            self.failure = following.exception()
+            self.broken()
+
+    async def _index(self, request: Request) -> Response:
+        return self._file("index.html")
+
+    async def _static(self, request: Request) -> Response:
+        return self._file(request.path_params["name"])
+
+    def _file(self, name: str) -> Response:
+        if name not in self._files:
+            return _refused(404, "no such file")
+        content, kind = self._files[name]
+        return Response(content, media_type=kind)
+
+    def _posted(
+        self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
+    ) -> Callable[[Request], Awaitable[Response]]:
+        """Return the endpoint of a command: checks token, content and number, then acts."""
+
+        async def endpoint(request: Request) -> Response:
+            scheme, _, given = request.headers.get("authorization", "").partition(" ")
+            if scheme != "Bearer" or not self._token.fits(given):
+                return _refused(401, "read only: the token is missing or of another start")
+            kind = request.headers.get("content-type", "").partition(";")[0].strip()
+            if kind != "application/json":
+                return _refused(415, "a command is JSON")
+            body = b""
+            async for part in request.stream():
+                body += part
+                if len(body) > LONGEST_BODY:
+                    return _refused(413, f"longer than {LONGEST_BODY} bytes")
+            try:
+                message = json.loads(body)
+                page_key, number = message.pop("page"), message.pop("number")
+            except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
+                return _refused(400, "no command: page and number are needed")
+            if not isinstance(page_key, str) or type(number) is not int:
+                return _refused(400, "page must be a text, number a whole number")
+            page = self._hub.controls.page(page_key)
+            if page is not None and self._hub.controls.replayed(page, number):
+                return _refused(409, "this command was received before")
+            try:
+                return JSONResponse(await act(page, message))
+            except (Refusal, StartError) as error:
+                return _refused(409, str(error))
+
+        return endpoint
+
+    async def _command(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        """Send a command to a run. A stop needs no controls, and no open page."""
+        command = _COMMANDS.get(str(message.get("command")))
+        if command is None:
+            raise Refusal(f"unknown command; known are {', '.join(_COMMANDS)}")
+        if command is not Command.STOP:
+            self._require_controls(page)
+        prompt, text = message.get("prompt", 0), message.get("text", "")
+        if type(prompt) is not int or not isinstance(text, str):
+            raise Refusal("prompt must be a whole number, text a text")
+        who = f"the console, {page.name}" if page is not None else "the console"
+        words = await self._hub.command(str(message.get("run")), command, who, prompt, text)
+        return {"words": words}
+
+    async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        if page is None:
+            raise Refusal("this page has no contact with the console; wait until it has")
+        before = self._hub.controls.holder
+        self._hub.controls.take(page)
+        if before is not None and before is not page:
+            self._hub.note(f"{page.name} took the controls from {before.name}")
+        return {"words": "this page holds the controls"}
+
+    async def _dry_run(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        self._require_controls(page)
+        return await self._hub.starter.dry_run(Wish.of(message))
+
+    async def _start(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        self._require_controls(page)
+        typed = str(message.get("typed_bench", ""))
+        folder = self._hub.starter.start(str(message.get("shown")), typed)
+        assert page is not None
+        page.run = None
+        return {"words": f"started; the run folder is {folder}"}
+
+    async def _resume(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        self._require_controls(page)
+        run = self._hub.runs.get(str(message.get("run")))
+        if run is None or not run.over:
+            raise Refusal("there is no such run that has ended")
+        if not run.closed:
+            raise Refusal("the program of the run still writes its page; wait a few seconds")
+        self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
+        assert page is not None
+        page.run = None
+        return {"words": "the run goes on at its first unfinished stage"}
+
+    def _require_controls(self, page: Page | None) -> None:
+        holder = self._hub.controls.holder
+        if page is None or page is not holder:
+            who = "no page" if holder is None else holder.name
+            raise Refusal(f"{who} holds the controls; take them first")
+
+    async def _live(self, socket: WebSocket) -> None:
+        """Send a page what it shows, until it is closed."""
+        await socket.accept()
+        try:
+            hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
+            token = str(hello.get("token", ""))
+        except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
+            with suppress(RuntimeError):
+                await socket.close(1008, "a page begins with its token")
+            return
+        page = self._hub.controls.open()
+        if self._token.fits(token):
+            self._hub.controls.admit(page)
+        reading = asyncio.create_task(_read_views(socket, page))
+        try:
+            with suppress(WebSocketDisconnect):
+                await socket.send_json({"hello": {"page": page.key, "name": page.name}})
+                await self._push(socket, page, reading)
+        finally:
+            reading.cancel()
+            await asyncio.wait([reading])
+            self._hub.controls.close(page)
+
+    async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
+        """Send state and charts every few ticks. A page that takes nothing holds up only itself."""
+        view = View(self._hub, page)
+        while not reading.done():
+            await socket.send_json({"state": view.state()})
+            charts = view.charts()
+            if charts is not None:
+                await socket.send_bytes(charts)
+            for _ in range(_PUSH_EVERY):
+                await self._hub.ticked.wait()
+
+
+async def _read_views(socket: WebSocket, page: Page) -> None:
+    """Take what a page wants to see, until it is closed or sends what no page sends."""
+    while True:
+        try:
+            message = dict(await socket.receive_json())
+        except (WebSocketDisconnect, ValueError, KeyError, TypeError):
+            return
+        run, window_s, pixels = message.get("run"), message.get("window_s"), message.get("pixels")
+        page.run = run if isinstance(run, str) else None
+        if isinstance(window_s, int | float) and 0 <= window_s <= _LONGEST_WINDOW_S:
+            page.window_s = float(window_s)
+        if type(pixels) is int and 0 < pixels <= 4096:
+            page.pixels = pixels
+
+
+def _refused(status: int, words: str) -> Response:
+    return JSONResponse({"words": words}, status_code=status)

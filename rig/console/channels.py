@@ -1,0 +1,96 @@
+"""Channels that the page shows, in the units of an operator."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from identification.recording import Array
+
+DEG = 180.0 / math.pi
+
+
+class Channel(NamedTuple):
+    """One chart.
+
+    Attributes:
+        name: Name in the recording, or of a derived value.
+        label: Title.
+        unit: Unit that is shown.
+        scale: Factor from SI to that unit.
+    """
+
+    name: str
+    label: str
+    unit: str
+    scale: float = 1.0
+
+
+CHANNELS = (
+    Channel("angle", "Joint angle", "deg", DEG),
+    Channel("command", "Commanded angle", "deg", DEG),
+    Channel("error", "Tracking error", "deg", DEG),
+    Channel("velocity", "Joint speed", "deg/s", DEG),
+    Channel("torque", "Joint torque", "N m"),
+    Channel("current", "Motor current", "A"),
+    Channel("following_error", "Following error of the drive", "deg", DEG),
+    Channel("disagreement", "Encoder against drive", "deg", DEG),
+    Channel("voltage", "Motor voltage", "V"),
+    Channel("supply_voltage", "Supply voltage", "V"),
+    Channel("temperature", "Temperature of the drive", "deg C"),
+    Channel("pressure", "Chamber pressure", "MPa", 1e-6),
+)
+"""In the order of the page."""
+FIELDS = (
+    "time",
+    "command",
+    "motor_angle",
+    "angle",
+    "velocity",
+    "current",
+    "voltage",
+    "supply_voltage",
+    "temperature",
+    "following_error",
+    "pressure",
+    "segment",
+    "statusword",
+)
+"""Fields of a sample that the channels need."""
+
+
+def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
+    """Return the channels of samples, shape (channels, n), in the units that are shown.
+
+    Args:
+        samples: Field to array, shape (n,).
+        about: What the run states of itself: gear ratio and torque constant.
+    """
+    derived = {
+        "error": samples["angle"] - samples["command"],
+        "torque": samples["current"] * about["torque_per_ampere"],
+        "disagreement": samples["motor_angle"] / about["gear_ratio"] - samples["angle"],
+    }
+    return np.stack([(derived | {**samples})[c.name] * c.scale for c in CHANNELS])
+
+
+def channel_records(about: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return the channels with their limits in the shown units, JSON values only."""
+    limits = {row["channel"]: row for row in about["limits"]}
+    return [
+        {
+            "name": channel.name,
+            "label": channel.label,
+            "unit": channel.unit,
+            "low": _scaled(limits.get(channel.name, {}).get("low"), channel.scale),
+            "high": _scaled(limits.get(channel.name, {}).get("high"), channel.scale),
+        }
+        for channel in CHANNELS
+    ]
+
+
+def _scaled(value: float | None, scale: float) -> float | None:
+    return None if value is None else value * scale

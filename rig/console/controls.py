@@ -1,0 +1,80 @@
+"""Which page holds the controls, and which commands of a page were received before."""
+
+from __future__ import annotations
+
+import secrets
+from dataclasses import dataclass, field
+
+
+@dataclass
+class Page:
+    """One open page.
+
+    Attributes:
+        name: Name for the operators.
+        may: Whether it has the token of this start.
+        key: Value that identifies it in commands.
+        last: Number of its last command.
+        run: The run that it shows; None for the newest.
+        window_s: Width of its charts, s; 0 for the whole run.
+        pixels: The same in pixels.
+    """
+
+    name: str
+    may: bool = False
+    key: str = field(default_factory=lambda: secrets.token_hex(16))
+    last: int = 0
+    run: str | None = None
+    window_s: float = 30.0
+    pixels: int = 400
+
+
+class Controls:
+    """All open pages. At most one of them holds the controls.
+
+    Attributes:
+        holder: The page with the controls, or None.
+    """
+
+    def __init__(self) -> None:
+        self._pages: dict[str, Page] = {}
+        self._count = 0
+        self.holder: Page | None = None
+
+    def open(self) -> Page:
+        """Note a new page."""
+        self._count += 1
+        page = Page(f"page {self._count}")
+        self._pages[page.key] = page
+        return page
+
+    def close(self, page: Page) -> None:
+        """Note that a page is gone. Its controls go to the other page with the token, such as the
+        same one that was loaded again, if there is only one; else they are free. Nothing else
+        changes.
+        """
+        self._pages.pop(page.key, None)
+        if self.holder is page:
+            able = [other for other in self._pages.values() if other.may]
+            self.holder = able[0] if len(able) == 1 else None
+
+    def admit(self, page: Page) -> None:
+        """Note that a page has the token; the first such page gets the controls."""
+        page.may = True
+        if self.holder is None:
+            self.holder = page
+
+    def take(self, page: Page) -> None:
+        """Give the controls to a page, whoever has them: that page may be frozen."""
+        self.holder = page
+
+    def page(self, key: str) -> Page | None:
+        """Return an open page."""
+        return self._pages.get(key)
+
+    def replayed(self, page: Page, number: int) -> bool:
+        """Return whether a command of this or a later number was received before, and note it."""
+        if number <= page.last:
+            return True
+        page.last = number
+        return False

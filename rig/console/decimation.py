@@ -1,0 +1,146 @@
+"""Minimum and maximum of every channel over intervals of 2^k cycles, kept up to date as samples
+arrive.
+
+A page draws one interval per pixel or two, so that no peak is lost however many samples a pixel
+stands for.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.recording import Array
+
+KEPT = 4096
+"""Intervals of each length that can be read back."""
+_ROOM = 2 * KEPT
+
+
+@dataclass(frozen=True)
+class Slice:
+    """Consecutive intervals.
+
+    Attributes:
+        level: Each is 2^level cycles long.
+        first: Number of the first; it begins at ``first`` times its length.
+        low: Minima, shape (channels, n); not a number where no sample lies in the interval.
+        high: Maxima, likewise.
+    """
+
+    level: int
+    first: int
+    low: Array
+    high: Array
+
+
+class Decimation:
+    """Intervals of all lengths.
+
+    Args:
+        channels: Number of channels.
+        cycle_s: Control cycle, s.
+    """
+
+    def __init__(self, channels: int, cycle_s: float) -> None:
+        self._channels = channels
+        self._cycle_s = cycle_s
+        self._levels: list[_Level] = []
+        self.latest_s = 0.0
+
+    def interval_s(self, level: int) -> float:
+        """Return the length of an interval, s."""
+        return self._cycle_s * 2.0**level
+
+    def level(self, window_s: float, pixels: int) -> int:
+        """Return the level with at least one interval, and at most two, per pixel.
+
+        Args:
+            window_s: Width of a chart, s.
+            pixels: The same in pixels.
+        """
+        pixels = min(max(pixels, 1), KEPT // 2)
+        return max(0, math.floor(math.log2(max(window_s / pixels / self._cycle_s, 1.0))))
+
+    def add(self, times: Array, values: Array) -> None:
+        """Add samples.
+
+        Args:
+            times: Times, s, not decreasing, shape (n,).
+            values: Channels, shape (channels, n).
+        """
+        if not len(times):
+            return
+        self.latest_s = float(times[-1])
+        cycles = np.floor(times / self._cycle_s + 1e-6).astype(np.int64)
+        while not self._levels or int(cycles[-1]) >> (len(self._levels) - 1) > 1:
+            self._grow()
+        for number, level in enumerate(self._levels):
+            level.add(cycles >> number, values)
+
+    def since(self, level: int, first: int) -> Slice:
+        """Return the intervals of a level from number ``first`` on, as far as they are kept."""
+        if level >= len(self._levels):
+            empty = np.empty((self._channels, 0))
+            return Slice(level, first, empty, empty)
+        return self._levels[level].since(level, first)
+
+    def _grow(self) -> None:
+        """Add the next level, from the intervals of the one below."""
+        grown = _Level(self._channels)
+        if self._levels:
+            below = self._levels[-1].since(0, 0)
+            if below.low.shape[1]:
+                numbers = (below.first + np.arange(below.low.shape[1])) >> 1
+                grown.add(numbers, below.low)
+                grown.add(numbers, below.high)
+        self._levels.append(grown)
+
+
+class _Level:
+    """Intervals of one length; the oldest are dropped."""
+
+    def __init__(self, channels: int) -> None:
+        self._first = 0
+        self._count = 0
+        self._low = np.full((channels, _ROOM), np.nan)
+        self._high = np.full((channels, _ROOM), np.nan)
+
+    def add(self, numbers: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Array) -> None:
+        """Merge samples into the intervals of these numbers, which do not decrease."""
+        starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
+        held = numbers[starts]
+        low = np.fmin.reduceat(values, starts, axis=1)
+        high = np.fmax.reduceat(values, starts, axis=1)
+        self._make_room(int(held[0]), int(held[-1]))
+        places = held - self._first
+        inside = places >= 0
+        places, low, high = places[inside], low[:, inside], high[:, inside]
+        self._low[:, places] = np.fmin(self._low[:, places], low)
+        self._high[:, places] = np.fmax(self._high[:, places], high)
+        if len(places):
+            self._count = max(self._count, int(places[-1]) + 1)
+
+    def since(self, level: int, first: int) -> Slice:
+        """Return the intervals from number ``first`` on, the newest :data:`KEPT` at most."""
+        start = max(first - self._first, self._count - KEPT, 0)
+        kept = slice(start, self._count)
+        return Slice(level, self._first + start, self._low[:, kept], self._high[:, kept])
+
+    def _make_room(self, first: int, last: int) -> None:
+        """Drop the oldest intervals where number ``last`` would not fit."""
+        if not self._count:
+            self._first = max(first, last - KEPT + 1)
+        surplus = last - self._first + 1 - _ROOM
+        if surplus <= 0:
+            return
+        drop = min(surplus + KEPT, self._count)
+        for array in (self._low, self._high):
+            array[:, : self._count - drop] = array[:, drop : self._count]
+            array[:, self._count - drop :] = np.nan
+        self._first += drop
+        self._count -= drop
+        if last - self._first + 1 > _ROOM:
+            self._first, self._count = last - KEPT + 1, 0

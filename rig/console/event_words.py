@@ -1,0 +1,36 @@
+"""Events of a recording as text for the operator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+_WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
+    "prompt": lambda e: f"{e['stage']}: the weight is asked for; the drive is off",
+    "answer": lambda e: f"{e['stage']}: {e['weight_kg']:g} kg confirmed",
+    "repeat": lambda e: f"{e['stage']}: begins again",
+    "stage start": lambda e: f"{e['stage']}: the stage begins",
+    "first pass": lambda e: f"{e['stage']}: first pass at {100 * e['amplitude']:.0f} % amplitude",
+    "weight check": lambda e: f"{e['stage']}: weight check: {e['verdict']}. {e['message']}",
+    "segment": lambda e: f"{e['stage']}: excitation {e['number']} begins",
+    "stage end": lambda e: f"{e['stage']}: the stage is done; the drive is off",
+    "paused": lambda e: f"{e['stage']}: pause; the drive is off",
+    "go on": lambda e: f"{e['stage']}: the run goes on",
+    "abort": lambda e: f"{e['stage']}: aborted",
+    "ignition": lambda e: f"{e['stage']}: ignition",
+    "fault reset": lambda e: f"{e['stage']}: the fault of the drive is cleared; it is still off",
+}
+
+
+def event_words(event: Mapping[str, Any]) -> str:
+    """Return an event with its time as one line; unknown events by their name and details."""
+    name = str(event.get("event"))
+    try:
+        words = _WORDS[name](event)
+    except (KeyError, TypeError, ValueError):
+        details = ", ".join(
+            f"{key} {value}" for key, value in event.items() if key not in ("time", "event")
+        )
+        words = f"{name}: {event['message']}" if "message" in event else f"{name} {details}".strip()
+    time = event.get("time")
+    return f"{time:.1f} s  {words}" if isinstance(time, float | int) else words

@@ -1,0 +1,193 @@
+"""One run as the console follows it: what it states of itself, its record and its recording."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from rig.common.errors import InputError
+from rig.console.channels import CHANNELS, channel_records, shown
+from rig.console.decimation import Decimation
+from rig.console.event_words import event_words
+from rig.console.growing import Growing, News
+from rig.console.torque_speed import TorqueSpeed, curves
+from rig.runs.mcap.records import DamageError
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RUN_FILE, RunRecord
+
+EVENTS: Final = 200
+"""Events that are shown."""
+SILENT_S: Final = 1.0
+"""Time without an answer after which a run counts as silent."""
+DRIVE_STATES: Final = {
+    0x00: "not ready",
+    0x40: "off (switch on disabled)",
+    0x21: "off (ready to switch on)",
+    0x23: "switched on, no torque",
+    0x27: "ENERGISED (operation enabled)",
+    0x07: "quick stop: braking",
+    0x0F: "fault reaction",
+    0x08: "FAULT",
+}
+_STATE_MASK: Final = 0x6F
+
+
+class Followed:
+    """A run that the console follows.
+
+    Args:
+        path: Its control socket.
+        about: What it states of itself.
+
+    Attributes:
+        status: Newest state that it told; None until it has.
+        gone: Whether its program is gone.
+        record: ``run.json``; None until it is there.
+        events: Number and words of the newest events.
+        decimation: The channels.
+        torque_speed: Torque against speed.
+        curves: Friction of the newest identification.
+        values: Latest value of each channel; None where it is not known.
+        drive: State of the drive in the latest sample, as text.
+        trouble: Why the recording cannot be read; None if it can.
+    """
+
+    def __init__(self, path: str, about: Mapping[str, Any]) -> None:
+        self.path = path
+        self.about = about
+        self.key: str = about["run"]
+        self.folder = Path(about["folder"])
+        self.status: dict[str, Any] | None = None
+        self.heard_s = time.monotonic()
+        self.gone = False
+        self.record: RunRecord | None = None
+        self.events: list[tuple[int, str]] = []
+        self.decimation = Decimation(len(CHANNELS), about["cycle_s"])
+        self.torque_speed = TorqueSpeed()
+        self.curves: dict[str, Any] | None = None
+        self.values: list[float | None] = [None] * len(CHANNELS)
+        self.drive = "not read yet"
+        self.trouble: str | None = None
+        self._channels = channel_records(about)
+        self._answers = 0
+        self._stamp: tuple[int, int] | None = None
+        self._masses: object = None
+        self._growing: tuple[str, Growing] | None = None
+        self._count = 0
+
+    @property
+    def silent(self) -> bool:
+        """Whether the run has not answered for a while, though its program is there."""
+        return time.monotonic() - self.heard_s > SILENT_S
+
+    @property
+    def over(self) -> bool:
+        """Whether the run has ended, in order or not."""
+        return self.gone or bool(self.status and self.status["ended"])
+
+    @property
+    def closed(self) -> bool:
+        """Whether the program of the run has ended: after the run it still writes its page."""
+        return self.gone or not os.path.exists(self.path)
+
+    def parts(self) -> dict[str, tuple[object, Any]]:
+        """Return what a page shows of the run: name of the part to its version and its JSON
+        value.
+        """
+        return {
+            "about": (self.key, {key: v for key, v in self.about.items() if key != "run"}),
+            "channels": (self.key, self._channels),
+            "status": (self._answers, self.status),
+            "live": (object(), self._live()),
+            "curves": (self._masses, self.curves),
+            "record": (self._stamp, None if self.record is None else _shown_record(self.record)),
+        }
+
+    def _live(self) -> dict[str, Any]:
+        return {
+            "values": self.values,
+            "drive": self.drive,
+            "silent": self.silent and not self.over,
+            "gone": self.gone and not (self.status and self.status["ended"]),
+            "closed": self.closed,
+            "trouble": self.trouble,
+            "time_s": round(self.decimation.latest_s, 1),
+        }
+
+    def hear(self, status: dict[str, Any]) -> None:
+        """Take the state that the run tells."""
+        self.status, self.heard_s = status, time.monotonic()
+        self._answers += 1
+
+    def read(self) -> bool:
+        """Read what is new in the run folder; return whether there is more to read at once."""
+        self._read_record()
+        return self._read_recording()
+
+    def _read_record(self) -> None:
+        try:
+            found = (self.folder / RUN_FILE).stat()
+            stamp = (found.st_mtime_ns, found.st_ino)
+            if stamp == self._stamp:
+                return
+            record = read_record(self.folder)
+        except (OSError, InputError):
+            return
+        self.record, self._stamp = record, stamp
+        masses = [stage.confirmed_kg for stage in record.stages]
+        if masses != self._masses:
+            self._masses = masses
+            self.curves = curves(record, self.folder)
+
+    def _read_recording(self) -> bool:
+        if self.record is None:
+            return False
+        file = self.record.parts[-1].file
+        if self._growing is None or self._growing[0] != file:
+            self._growing = (file, Growing(self.folder / file))
+        try:
+            news = self._growing[1].read()
+        except FileNotFoundError:
+            return False
+        except (OSError, DamageError, json.JSONDecodeError) as error:
+            self.trouble = f"the recording cannot be read: {error}"
+            return False
+        self._take(news)
+        return news.more
+
+    def _take(self, news: News) -> None:
+        for event in news.events:
+            self._count += 1
+            self.events.append((self._count, event_words(event)))
+        del self.events[:-EVENTS]
+        if not news.samples:
+            return
+        values = shown(news.samples, self.about)
+        self.decimation.add(news.samples["time"], values)
+        self.torque_speed.add(news.samples, self.about["torque_per_ampere"])
+        # NaN is no JSON.
+        self.values = [None if v != v else round(v, 5) for v in values[:, -1].tolist()]
+        word = int(news.samples["statusword"][-1])
+        state = word & _STATE_MASK
+        self.drive = DRIVE_STATES.get(state, DRIVE_STATES.get(word & 0x4F, f"{word:04X}h"))
+
+
+def _shown_record(record: RunRecord) -> dict[str, Any]:
+    """Return what a page shows of ``run.json``."""
+    held = record.parts[-1].devices.get("limits")
+    return {
+        "state": record.state,
+        "message": record.message,
+        "de_energised": record.de_energised,
+        "drive_state": record.drive_state,
+        "warnings": record.warnings,
+        "stages": [
+            {"name": s.name, "load": s.stage, "state": s.state, "mass_kg": s.confirmed_kg}
+            for s in record.stages
+        ],
+        "held": dict(held) if isinstance(held, dict) else {},
+    }

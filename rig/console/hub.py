@@ -1,0 +1,145 @@
+"""Follows all runs of this user, and carries the commands of pages to them."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from typing import Any, Final
+
+from rig.console.controls import Controls, Page
+from rig.console.followed import Followed
+from rig.console.run_link import Links, Unreachable
+from rig.console.starting import Starter
+from rig.terminal.control_messages import VERSION, Command
+
+TICK_S: Final = 0.1
+_LOOK_S: Final = 0.5
+_ENDED: Final = 5
+"""Runs that are kept after their end."""
+_READS: Final = 4
+"""Blocks of a recording that are read in one tick."""
+_NOTES: Final = 20
+
+
+class Refusal(Exception):
+    """A command is refused; the message states why."""
+
+
+class Hub:
+    """The runs and the pages.
+
+    Args:
+        starter: Starts runs.
+        only: Names of the benches whose runs are shown; empty for all.
+
+    Attributes:
+        runs: Runs by key, in the order in which they were found.
+        controls: The pages.
+        notes: Number and text of messages to all pages.
+        ticked: Set at every tick, after which pages are informed.
+    """
+
+    def __init__(self, starter: Starter, only: frozenset[str] = frozenset()) -> None:
+        self.starter = starter
+        self._only = only
+        self.runs: dict[str, Followed] = {}
+        self.controls = Controls()
+        self.notes: list[tuple[int, str]] = []
+        self.ticked = asyncio.Event()
+        self._links = Links(self._heard)
+        self._by_path: dict[str, Followed] = {}
+        self._ignored: set[str] = set()
+        self._looked_s = 0.0
+        self._noted = 0
+
+    async def follow(self) -> None:
+        """Follow the runs until cancelled."""
+        self._links.open()
+        try:
+            while True:
+                self._tick()
+                ticked, self.ticked = self.ticked, asyncio.Event()
+                ticked.set()
+                await asyncio.sleep(TICK_S)
+        finally:
+            self._links.close()
+
+    def note(self, words: str) -> None:
+        """Show a message on all pages."""
+        self._noted += 1
+        self.notes.append((self._noted, words))
+        del self.notes[:-_NOTES]
+
+    def run_of(self, page: Page) -> Followed | None:
+        """Return the run that a page shows: the one that was chosen, else the newest that goes on,
+        else the newest.
+        """
+        if page.run in self.runs:
+            return self.runs[page.run]
+        runs = list(self.runs.values())
+        return next((run for run in reversed(runs) if not run.over), runs[-1] if runs else None)
+
+    async def command(
+        self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""
+    ) -> str:
+        """Send a command to a run; return what the run answered.
+
+        Raises:
+            Refusal: The run refused it, did not answer, or is over.
+        """
+        run = self.runs.get(key)
+        if run is None:
+            raise Refusal("there is no such run")
+        try:
+            answer = await self._links.command(run.path, run.key, command, who, prompt, text)
+        except Unreachable as error:
+            raise Refusal(str(error)) from error
+        if not answer["taken"]:
+            raise Refusal(answer["words"])
+        self._ask(run)
+        return "taken"
+
+    def _tick(self) -> None:
+        now = time.monotonic()
+        if now - self._looked_s >= _LOOK_S:
+            self._looked_s = now
+            self._look()
+        for run in list(self.runs.values()):
+            if not run.over:
+                self._ask(run)
+            for _ in range(_READS):
+                if not run.read():
+                    break
+        for words in self.starter.failures():
+            self.note(words)
+
+    def _look(self) -> None:
+        """Find new runs, and forget the oldest that have ended."""
+        for path in self._links.runs():
+            if path not in self._by_path and path not in self._ignored:
+                try:
+                    self._links.ask(path, "about")
+                except Unreachable:
+                    self._ignored.add(path)
+        over = [key for key, run in self.runs.items() if run.over]
+        for key in over[:-_ENDED]:
+            self._by_path.pop(self.runs.pop(key).path, None)
+
+    def _ask(self, run: Followed) -> None:
+        try:
+            self._links.ask(run.path, "status")
+        except Unreachable:
+            run.gone = True
+
+    def _heard(self, path: str, message: dict[str, Any]) -> None:
+        """Take a message from a run."""
+        known = self._by_path.get(path)
+        about = message.get("about")
+        if known is None and isinstance(about, dict):
+            if about.get("version") != VERSION or (self._only and about["bench"] not in self._only):
+                self._ignored.add(path)
+                return
+            known = self._by_path[path] = Followed(path, about)
+            self.runs[known.key] = known
+        elif known is not None and isinstance(message.get("status"), dict):
+            known.hear(message["status"])

@@ -1,0 +1,162 @@
+"""The console's side of the control sockets: finds runs, asks for their state, sends commands."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from typing import Any, Final
+
+from drivers.clock import Clock, RealClock
+from rig.terminal.control_messages import (
+    PREFIX,
+    RECEIVED_BEFORE,
+    REPLY_BYTES,
+    SUFFIX,
+    Command,
+    MessageError,
+    Order,
+    bound_socket,
+    decode,
+    encode,
+    remove_left,
+    require_own_folder,
+    socket_folders,
+)
+
+REPLY_S: Final = 0.25
+"""How long an answer to a command is waited for before it is sent again."""
+ATTEMPTS: Final = 4
+
+
+class Unreachable(Exception):
+    """The program of a run is gone, or does not take messages."""
+
+
+class Links:
+    """One socket for all runs of this user.
+
+    Args:
+        heard: Called with the path of a run's socket and each message from there.
+        clock: Clock that commands are numbered by.
+    """
+
+    def __init__(
+        self, heard: Callable[[str, dict[str, Any]], None], clock: Clock | None = None
+    ) -> None:
+        self._heard = heard
+        self._clock = clock or RealClock()
+        folder = socket_folders()[0]
+        require_own_folder(folder)
+        remove_left(folder)
+        self._path = folder / f"console-{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
+        self._socket = bound_socket(self._path)
+        self._waiting: dict[int, asyncio.Future[dict[str, Any]]] = {}
+        self._last = 0
+
+    def open(self) -> None:
+        """Take messages in the running event loop."""
+        asyncio.get_running_loop().add_reader(self._socket, self._read)
+
+    def close(self) -> None:
+        """Close and remove the socket."""
+        with suppress(RuntimeError):
+            asyncio.get_running_loop().remove_reader(self._socket)
+        self._socket.close()
+        with suppress(OSError):
+            self._path.unlink()
+
+    def runs(self) -> list[str]:
+        """Return the sockets of all runs of this user."""
+        found: list[str] = []
+        for folder in socket_folders():
+            with suppress(OSError):
+                if folder.is_dir():
+                    require_own_folder(folder)
+                    found += map(str, folder.glob(f"{PREFIX}*{SUFFIX}"))
+        return sorted(found)
+
+    def ask(self, path: str, what: str) -> None:
+        """Ask a run for its ``status`` or ``about``; the answer goes to ``heard``.
+
+        Raises:
+            Unreachable: The program is gone.
+        """
+        self._send(path, {"ask": what})
+
+    async def command(
+        self, path: str, run: str, command: Command, who: str, prompt: int = 0, text: str = ""
+    ) -> dict[str, Any]:
+        """Send a command until the run has answered.
+
+        It is sent again under the same number, so that the run carries it out once. Where another
+        program's command came in between, it gets a new number.
+
+        Returns:
+            The answer: ``taken`` and, if it was refused, ``words``.
+
+        Raises:
+            Unreachable: The program is gone, or did not answer.
+        """
+        order = self._order(run, command, who, prompt, text)
+        sent_before = False
+        for _ in range(ATTEMPTS):
+            answer = await self._once(path, order)
+            if answer is None:
+                sent_before = True
+            elif answer["taken"] or answer["words"] != RECEIVED_BEFORE:
+                return answer
+            elif sent_before:
+                # It was carried out when it was sent first; that answer was lost.
+                return {"taken": True, "words": ""}
+            else:
+                order = self._order(run, command, who, prompt, text)
+        raise Unreachable(
+            f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; it takes the command when it "
+            "goes on"
+        )
+
+    async def _once(self, path: str, order: Order) -> dict[str, Any] | None:
+        """Send a command once; return the answer, or None if there is none in time.
+
+        Raises:
+            Unreachable: The program is gone.
+        """
+        future = asyncio.get_running_loop().create_future()
+        self._waiting[order.number] = future
+        try:
+            self._send(path, {**order.__dict__, "command": order.command.value})
+            answer: dict[str, Any] = await asyncio.wait_for(future, REPLY_S)
+        except TimeoutError:
+            return None
+        finally:
+            self._waiting.pop(order.number, None)
+        return answer
+
+    def _order(self, run: str, command: Command, who: str, prompt: int, text: str) -> Order:
+        self._last = max(self._clock.now_ns(), self._last + 1)
+        return Order(command, run, self._last, who, prompt, text)
+
+    def _send(self, path: str, message: Mapping[str, Any]) -> None:
+        try:
+            self._socket.sendto(encode(message), path)
+        except BlockingIOError:
+            # The run's queue is full: it is busy, and is asked again later.
+            return
+        except OSError as error:
+            raise Unreachable(f"the program of the run is gone ({error.strerror})") from error
+
+    def _read(self) -> None:
+        while True:
+            try:
+                data, peer = self._socket.recvfrom(REPLY_BYTES)
+                message = decode(data)
+            except (OSError, MessageError):
+                return
+            waiting = self._waiting.get(message.get("to", 0))
+            if waiting is not None and not waiting.done():
+                waiting.set_result(message)
+            elif isinstance(peer, str):
+                self._heard(peer, message)

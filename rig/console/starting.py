@@ -1,0 +1,247 @@
+"""Starts runs: first the dry run is shown, then the same files are run."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file, utc_now
+from rig.common.text import valid
+from rig.config.bench import load_bench
+from rig.config.packaged import names, resolve
+
+COMMAND: Final = (sys.executable, "-c", "from rig.cli.entry import main; main()")
+DRY_RUN_S: Final = 180.0
+"""Longest time of a dry run."""
+_SHOWN: Final = 4000
+"""Characters of a failed start that are shown."""
+_NOT_STARTABLE: Final = frozenset({0, 1})
+_KEPT: Final = 20
+
+
+class StartError(Exception):
+    """A run cannot be started; the message states why and what to do."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """A run as it was asked for.
+
+    Attributes:
+        bench: Bench, as given on the command line or packaged.
+        sequence: Packaged name or path of a sequence.
+        operator: Who runs it; empty for nobody.
+        realtime: Whether a simulated bench is held to real time.
+        yes: Whether the prompts of a simulated bench are answered as planned.
+    """
+
+    bench: str
+    sequence: str
+    operator: str = ""
+    realtime: bool = True
+    yes: bool = False
+
+    @staticmethod
+    def of(message: Mapping[str, Any]) -> Wish:
+        """Read a wish.
+
+        Raises:
+            StartError: A field is missing or of the wrong type.
+        """
+        try:
+            wish = Wish(**message)
+        except TypeError as error:
+            raise StartError(f"no run to start: {error}") from error
+        texts = (wish.bench, wish.sequence, wish.operator)
+        if not all(isinstance(text, str) and len(text) < 500 for text in texts):
+            raise StartError("bench, sequence and operator must be short texts")
+        if not isinstance(wish.realtime, bool) or not isinstance(wish.yes, bool):
+            raise StartError("realtime and yes must be true or false")
+        if wish.sequence.startswith("-") or wish.bench.startswith("-"):
+            raise StartError("a bench or sequence does not begin with a minus")
+        return wish
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A dry run that was shown.
+
+    Attributes:
+        wish: The run.
+        digests: SHA-256 of bench and sequence file.
+        real: Whether the bench is a real one.
+        name: Name of the bench.
+    """
+
+    wish: Wish
+    digests: tuple[str, str]
+    real: bool
+    name: str
+
+
+@dataclass
+class Starter:
+    """Starts runs on some benches.
+
+    Attributes:
+        benches: Benches that may be chosen.
+        runs: Where run folders are made.
+        command: Start of the command line of ``rig``.
+        choices: What can be chosen, as JSON value.
+    """
+
+    benches: Sequence[str]
+    runs: Path = Path("runs")
+    command: Sequence[str] = COMMAND
+    choices: dict[str, list[str]] = field(init=False)
+    _shown: dict[str, Shown] = field(default_factory=dict)
+    _children: list[tuple[subprocess.Popen[bytes], Path]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
+
+    async def dry_run(self, wish: Wish) -> dict[str, Any]:
+        """Run ``rig run --dry-run`` and keep the files' digests for the start.
+
+        Returns:
+            ``shown``, the key that a start needs, or None where nothing can be started; ``words``,
+            what the terminal shows; ``status``, the exit status; ``real`` and ``bench``.
+
+        Raises:
+            StartError: The bench is not one of this console's, or the dry run takes too long.
+        """
+        if wish.bench not in self.benches:
+            raise StartError(f"{wish.bench}: not a bench of this console; start it with that bench")
+        try:
+            bench = load_bench(wish.bench)
+            digests = _digests(wish)
+        except (InputError, OSError) as error:
+            return _refused(str(error))
+        arguments = ["run", wish.sequence, "--bench", wish.bench, "--dry-run", "--console"]
+        child = await asyncio.create_subprocess_exec(
+            *self.command,
+            *arguments,
+            *(["--yes"] if wish.yes else []),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+        )
+        try:
+            output, _ = await asyncio.wait_for(child.communicate(), DRY_RUN_S)
+        except TimeoutError as error:
+            child.kill()
+            await child.wait()
+            raise StartError(f"the dry run took more than {DRY_RUN_S:g} s") from error
+        words = output.decode(errors="replace")
+        if child.returncode not in _NOT_STARTABLE:
+            return _refused(words)
+        key = secrets.token_hex(16)
+        self._shown[key] = Shown(wish, digests, not bench.value.simulated, bench.value.name)
+        for old in list(self._shown)[:-_KEPT]:
+            del self._shown[old]
+        return {
+            "shown": key,
+            "words": words,
+            "status": child.returncode,
+            "real": not bench.value.simulated,
+            "bench": bench.value.name,
+        }
+
+    def start(self, key: str, typed_bench: str) -> Path:
+        """Start the run of a dry run that was shown; return its folder.
+
+        Args:
+            key: Of the dry run.
+            typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
+
+        Raises:
+            StartError: There is no such dry run, a file changed since, or the name is wrong.
+        """
+        shown = self._shown.pop(key, None)
+        if shown is None:
+            raise StartError("look at the dry run first; each is good for one start")
+        wish = shown.wish
+        if shown.real and typed_bench.strip() != shown.name:
+            self._shown[key] = shown
+            raise StartError(f"type the name of the REAL bench, {shown.name}, to start it")
+        try:
+            changed = _digests(wish) != shown.digests
+        except (InputError, OSError) as error:
+            raise StartError(str(error)) from error
+        if changed:
+            raise StartError("a file changed since the dry run; look at a new one")
+        name = Path(wish.sequence).stem
+        folder = self.runs / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}"
+        arguments = ["run", wish.sequence, "--bench", wish.bench, "--console", "--out", str(folder)]
+        if not shown.real:
+            arguments += ["--realtime"] * wish.realtime + ["--yes"] * wish.yes
+        if wish.operator.strip():
+            arguments += ["--operator", valid(wish.operator).strip()]
+        self._spawn(arguments)
+        return folder
+
+    def resume(self, about: Mapping[str, Any], typed_bench: str) -> None:
+        """Go on with a run that stopped, into the same folder, with the prompts on the page.
+
+        Args:
+            about: What the run stated of itself.
+            typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
+
+        Raises:
+            StartError: The name is wrong.
+        """
+        if about["real"] and typed_bench.strip() != about["bench"]:
+            raise StartError(f"type the name of the REAL bench, {about['bench']}, to go on with it")
+        self._spawn(["resume", str(about["folder"]), "--console"])
+
+    def failures(self) -> list[str]:
+        """Return the last words of started runs that have ended with bad input or a crash."""
+        words = []
+        for child, log in list(self._children):
+            status = child.poll()
+            if status is None:
+                continue
+            self._children.remove((child, log))
+            if status not in (0, 1, 3):
+                text = log.read_text(errors="replace")[-_SHOWN:]
+                words.append(f"a run ended with status {status}:\n{text}")
+            log.unlink(missing_ok=True)
+        return words
+
+    def _spawn(self, arguments: list[str]) -> None:
+        """Start ``rig`` in a session of its own: it goes on when this console ends."""
+        handle, name = tempfile.mkstemp(prefix="loadrig-console-", suffix=".log")
+        with open(handle, "wb") as log:
+            child = subprocess.Popen(
+                [*self.command, *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+        self._children.append((child, Path(name)))
+
+
+def _digests(wish: Wish) -> tuple[str, str]:
+    """Return the SHA-256 of bench and sequence file.
+
+    Raises:
+        InputError: There is no such file.
+        OSError: One cannot be read.
+    """
+    return (
+        sha256_file(resolve(wish.bench, "benches")),
+        sha256_file(resolve(wish.sequence, "sequences")),
+    )
+
+
+def _refused(words: str) -> dict[str, Any]:
+    return {"shown": None, "words": words, "status": 2, "real": False, "bench": ""}

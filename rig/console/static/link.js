@@ -1,0 +1,104 @@
+// Contact with the console: state and charts arrive on a WebSocket, commands go as POST.
+
+const KEPT = "loadrig-token";
+const REPLY_MS = 4000;
+const RETRY_MS = 500;
+const SILENT_MS = 1500;
+
+// The fragment of an address is not sent to anyone by the browser. It is taken off the address.
+function readToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem(KEPT, given);
+    history.replaceState(null, "", location.pathname);
+  }
+  return sessionStorage.getItem(KEPT) || "";
+}
+
+export class Link {
+  constructor(onState, onCharts, onContact) {
+    this.token = readToken();
+    this.onState = onState;
+    this.onCharts = onCharts;
+    this.onContact = onContact;
+    this.page = "";
+    this.name = "";
+    this.number = 0;
+    this.wanted = {};
+    this.heard = 0;
+    this.open();
+    setInterval(() => this.watch(), 250);
+  }
+
+  open() {
+    const socket = new WebSocket(`ws://${location.host}/live`);
+    socket.binaryType = "arraybuffer";
+    socket.onopen = () => {
+      socket.send(JSON.stringify({ token: this.token }));
+      socket.send(JSON.stringify(this.wanted));
+    };
+    socket.onmessage = (message) => this.take(message.data);
+    socket.onclose = () => {
+      if (this.socket === socket) {
+        this.page = "";
+        setTimeout(() => this.open(), RETRY_MS);
+      }
+    };
+    this.socket = socket;
+  }
+
+  take(data) {
+    this.heard = performance.now();
+    if (typeof data !== "string") {
+      this.onCharts(data);
+      return;
+    }
+    const message = JSON.parse(data);
+    if (message.hello) {
+      this.page = message.hello.page;
+      this.name = message.hello.name;
+      this.onState({}, true);
+    } else if (message.state) {
+      this.onState(message.state, false);
+    }
+  }
+
+  watch() {
+    const silent = this.heard ? performance.now() - this.heard : Infinity;
+    const closed = this.socket.readyState !== WebSocket.OPEN;
+    this.onContact(closed || silent > SILENT_MS ? silent : 0);
+  }
+
+  want(view) {
+    this.wanted = { ...this.wanted, ...view };
+    if (this.socket.readyState === WebSocket.OPEN) {
+      this.socket.send(JSON.stringify(this.wanted));
+    }
+  }
+
+  // Returns {ok, words, ...}; never throws.
+  async post(path, content) {
+    this.number = Math.max(this.number + 1, Date.now());
+    const waiting = new AbortController();
+    const timer = setTimeout(() => waiting.abort(), path === "/dry-run" ? 200000 : REPLY_MS);
+    try {
+      const answer = await fetch(path, {
+        method: "POST",
+        headers: {
+          "Content-Type": "application/json",
+          Authorization: `Bearer ${this.token}`,
+        },
+        body: JSON.stringify({ page: this.page, number: this.number, ...content }),
+        signal: waiting.signal,
+        cache: "no-store",
+        credentials: "omit",
+      });
+      const found = await answer.json();
+      return { ...found, ok: answer.ok };
+    } catch (error) {
+      return { ok: false, lost: true, words: "the console did not answer" };
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+}

@@ -1,0 +1,359 @@
+// The page: shows the state of a run, and sends the operator's commands.
+
+import { Charts, limitWords, shownNumber } from "./charts.js";
+import { Friction } from "./friction.js";
+import { Link } from "./link.js";
+import { setUpStart } from "./start.js";
+import { HELD, OFF, PHASES, timeWords } from "./words.js";
+
+const FROZEN_MS = 2000; // a click that waited longer in a frozen page is not carried out
+const AGAIN_MS = 400; // a second STOP within this time is the same press
+const EVENTS = 200;
+const TOLD = 6;
+const DEG = 180 / Math.PI;
+
+const at = (id) => document.getElementById(id);
+const state = {};
+let lastStop = -Infinity;
+let stopSent = null; // key of the run that a STOP was sent to
+
+const charts = new Charts(at("charts"));
+const friction = new Friction(at("friction"), at("friction-words"));
+const link = new Link(takeState, takeCharts, showContact);
+const start = setUpStart(link, () => state, say);
+
+function say(words) {
+  at("outcome").textContent = words;
+}
+
+function alertOnce(key, words) {
+  const box = at("alerts");
+  let line = box.querySelector(`[data-key="${key}"]`);
+  if (!words) {
+    line?.remove();
+    return;
+  }
+  if (!line) {
+    line = document.createElement("p");
+    line.dataset.key = key;
+    box.append(line);
+  }
+  if (line.textContent !== words) line.textContent = words;
+}
+
+function takeState(changed, fresh) {
+  if (fresh) {
+    at("events").replaceChildren();
+    ask();
+    return;
+  }
+  if ("run" in changed) {
+    charts.clear();
+    friction.reset();
+    at("events").replaceChildren();
+  }
+  for (const name of ["status", "about", "record", "channels", "live", "curves"]) {
+    if ("run" in changed && !(name in changed)) state[name] = null;
+  }
+  Object.assign(state, changed);
+  if (changed.channels) charts.use(changed.channels);
+  if (changed.points) friction.take(changed.points);
+  if ("curves" in changed) friction.use(changed.curves);
+  if (changed.events) addEvents(changed.events);
+  for (const words of changed.notes || []) say(words);
+  if (changed.choices) start.choices(changed.choices);
+  if (changed.runs) showRuns();
+  showRun();
+  if (changed.record || changed.live || changed.about) showTables(changed);
+  showControls();
+}
+
+function takeCharts(buffer) {
+  charts.take(buffer, Number(at("window").value));
+}
+
+function ask() {
+  link.want({ window_s: Number(at("window").value), pixels: charts.pixels(),
+    run: at("runs").value || null });
+}
+
+function showContact(silentMs) {
+  const lost = silentMs > 0;
+  at("contact").textContent = lost ? "NO CONTACT" : link.token ? "live" : "live, read only";
+  const since = Number.isFinite(silentMs) ? ` for ${Math.round(silentMs / 1000)} s` : "";
+  alertOnce("contact", lost
+    ? `No contact with the console${since}: what is shown is old. The bench goes on without this page. If STOP does not work, use the emergency stop.`
+    : "");
+}
+
+function going() {
+  return Boolean(state.run && state.status && !state.status.ended && !state.live?.gone);
+}
+
+function showRuns() {
+  const select = at("runs");
+  const wanted = select.value;
+  const options = [new Option("newest", "")].concat((state.runs || []).map((run) =>
+    new Option(`${run.name} on ${run.bench}${run.over ? ", ended" : ""}`, run.key)));
+  select.replaceChildren(...options);
+  select.value = options.some((option) => option.value === wanted) ? wanted : "";
+}
+
+function showRun() {
+  const { about, status, live, record } = state;
+  const badge = at("bench");
+  if (!state.run || !about) {
+    badge.className = "badge";
+    badge.textContent = "no run: start one below, or with `rig run`";
+    for (const id of ["phase", "stage", "left", "drive"]) at(id).textContent = "-";
+    at("phase-words").textContent = "";
+    at("ending").hidden = true;
+    at("resume-box").hidden = true;
+    at("prompt").hidden = true;
+    return;
+  }
+  badge.className = `badge ${about.real ? "real" : "simulated"}`;
+  badge.textContent = `${about.real ? "REAL" : "SIMULATED"} bench ${about.bench}`;
+  document.title = `${about.name} on ${about.bench} - rig console`;
+  const phase = status?.phase || "connecting";
+  const over = status?.ended;
+  at("phase").textContent = over ? "ended" : phase;
+  at("phase-words").textContent = over ? "" : PHASES[phase] || "";
+  const place = about.stages.indexOf(status?.stage) + 1;
+  at("stage").textContent = status?.stage ? `${status.stage} (${place} of ${about.stages.length})` : "-";
+  at("left").textContent = over ? "-" : timeWords(status?.left_s);
+  at("drive").textContent = driveWords(phase, over, live, record);
+  showEnding();
+  showPrompt();
+  alertOnce("silent", live?.silent
+    ? "The run does not answer: its program is busy or hangs. What takes the power off then is named below. If in doubt, use the emergency stop." : "");
+  alertOnce("gone", live?.gone
+    ? "The program of the run is gone without an ending. Look at the bench: the state of the drive is not known here. `rig recover` repairs the recording." : "");
+  alertOnce("trouble", live?.trouble || "");
+  if (live?.values) charts.values(live.values, going() && !OFF.includes(phase) ? "now" : "last");
+}
+
+// Outside the phases with power the run has read the drive back as off; the last sample is older.
+function driveWords(phase, over, live, record) {
+  if (over && record?.drive_state) {
+    return `${record.de_energised ? "off: " : ""}${record.drive_state} (read back)`;
+  }
+  if (phase === "connecting") return "not read yet";
+  return !over && OFF.includes(phase) ? "off" : live?.drive || "-";
+}
+
+function showEnding() {
+  const ended = state.status?.ended;
+  const open = Boolean((ended || state.live?.gone)
+    && state.record?.stages.some((stage) => stage.state !== "done"));
+  at("resume-box").hidden = !open;
+  at("resume-real").hidden = !state.about?.real;
+  const line = at("ending");
+  line.hidden = !ended;
+  if (!ended) return;
+  line.className = `ending${ended.good ? " good" : ""}`;
+  if (line.textContent !== ended.words) line.textContent = ended.words;
+  const record = state.record;
+  alertOnce("stop", "");
+  alertOnce("unverified", record?.de_energised === false
+    ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
+  if (stopSent === state.run && record?.de_energised !== null) {
+    say(record?.de_energised ? "The run has ended; the drive is off (read back)" : "The run has ended");
+    stopSent = null;
+  }
+}
+
+function showPrompt() {
+  const prompt = state.status?.prompt;
+  const box = at("prompt");
+  box.hidden = !prompt;
+  if (!prompt) {
+    box.dataset.number = "";
+    return;
+  }
+  const told = (state.status.told || []).filter(([number]) => number > prompt.since)
+    .slice(-TOLD).map(([, words]) => words);
+  const shown = at("told");
+  if (shown.dataset.words !== told.join("\n")) {
+    shown.dataset.words = told.join("\n");
+    shown.replaceChildren(...told.map((words) => {
+      const line = document.createElement("p");
+      line.textContent = words;
+      return line;
+    }));
+  }
+  const weight = prompt.topic === "weight";
+  at("mass-form").hidden = !weight;
+  at("go-on").hidden = weight;
+  at("repeat").textContent = weight ? "Repeat the stage before" : "Repeat this stage";
+  if (box.dataset.number !== String(prompt.number)) {
+    box.dataset.number = String(prompt.number);
+    at("mass").value = "";
+  }
+}
+
+function addEvents(events) {
+  const list = at("events");
+  for (const words of events) {
+    const line = document.createElement("li");
+    line.textContent = words;
+    list.prepend(line);
+  }
+  while (list.children.length > EVENTS) list.lastChild.remove();
+}
+
+function row(cells) {
+  const line = document.createElement("tr");
+  cells.forEach((words, i) => {
+    const cell = document.createElement(i ? "td" : "th");
+    if (!i) cell.scope = "row";
+    cell.textContent = words;
+    line.append(cell);
+  });
+  return line;
+}
+
+function showTables(changed) {
+  const { about, record, live, channels } = state;
+  if (!about) return;
+  at("watched-by").textContent = about.watched_by;
+  if (record && changed.record) {
+    at("stages").replaceChildren(...record.stages.map((stage) => row([stage.name,
+      stage.load.replace("_", " "),
+      stage.mass_kg === null ? "not yet" : `${stage.mass_kg} kg`, stage.state])));
+    at("warnings").replaceChildren(...record.warnings.map((words) => {
+      const line = document.createElement("li");
+      line.textContent = words;
+      return line;
+    }));
+  }
+  const limited = (channels || []).map((channel, i) => [channel, live?.values?.[i]])
+    .filter(([channel]) => channel.low !== null || channel.high !== null);
+  at("limits").replaceChildren(...limited.map(([channel, value]) =>
+    row([channel.label, shownNumber(value, channel.unit), limitWords(channel), held(channel)])));
+}
+
+// Whether the drive holds a limit itself: the run writes it before each stage, and reads it back.
+function held(channel) {
+  const names = HELD[channel.name];
+  if (!names) return "no";
+  const had = state.record?.held || {};
+  if (!names.some((name) => name in had)) return "not read yet";
+  const written = state.about.written;
+  if (names.some((name) => had[name] === null || !(name in written))) return "no";
+  const scale = channel.unit.startsWith("deg") ? DEG : 1;
+  return `yes: ${names.map((name) => shownNumber(written[name] * scale, channel.unit)).join(" to ")}`;
+}
+
+function showControls() {
+  const { controls, status } = state;
+  const may = Boolean(controls?.may);
+  const mine = may && controls.yours;
+  at("holder").textContent = !link.token ? "Read only: open the address that `rig console` printed."
+    : !may ? "Read only: the token is of another start of the console."
+      : mine ? `This page (${link.name}) holds the controls.`
+        : `${controls.holder || "No page"} holds the controls; STOP works here too.`;
+  at("take").hidden = !may || mine;
+  const on = mine && going() && !status.stopping;
+  at("pause").hidden = may && !mine;
+  at("pause").disabled = !on || Boolean(status?.prompt);
+  at("pause").setAttribute("aria-pressed", String(Boolean(status?.pausing)));
+  at("pause").textContent = status?.pausing ? "Pause is asked for: take it back"
+    : "Pause at the end of the stage";
+  at("resume").disabled = !mine || !state.live?.closed;
+  for (const id of ["mass", "go-on", "repeat", "abort"]) at(id).disabled = !on;
+  at("mass-form").querySelector("button").disabled = !on;
+  const stop = at("stop");
+  stop.disabled = !may || !going();
+  const again = going() && status.stopping;
+  stop.classList.toggle("again", again);
+  at("stop-label").textContent = again ? "STOP again: power off at once, without the ramp" : "STOP";
+  start.allow(mine);
+}
+
+async function pressStop() {
+  const now = performance.now();
+  if (at("stop").disabled || now - lastStop < AGAIN_MS) return;
+  lastStop = now;
+  stopSent = state.run;
+  const run = state.run;
+  say("STOP is sent");
+  const answer = await link.post("/command", { run, command: "stop" });
+  const took = Math.round(performance.now() - now);
+  alertOnce("stop", answer.ok ? ""
+    : `STOP was NOT confirmed (${answer.words}). Use the emergency stop.`);
+  if (answer.ok && !state.status?.ended) say(`STOP was taken after ${took} ms; the drive's state is read back`);
+  if (!answer.ok) say("STOP was NOT confirmed");
+}
+
+// A click that waited in a frozen page was meant for what was shown then.
+function fresh(event) {
+  const age = performance.now() - event.timeStamp;
+  if (age <= FROZEN_MS) return true;
+  say(`Not sent: this page was frozen for ${(age / 1000).toFixed(1)} s after it. Do it again if it is still meant.`);
+  return false;
+}
+
+async function command(event, content, done) {
+  event.preventDefault();
+  if (!fresh(event)) return;
+  const answer = await link.post("/command", { run: state.run, ...content });
+  say(answer.ok ? done : `Refused: ${answer.words}`);
+}
+
+function answerPrompt(event, text) {
+  const prompt = state.status?.prompt;
+  if (!prompt) return;
+  command(event, { command: "answer", prompt: prompt.number, text }, `Answered: ${text}`);
+}
+
+at("stop").addEventListener("click", pressStop);
+at("pause").addEventListener("click", (event) => {
+  const pausing = state.status?.pausing;
+  command(event, { command: pausing ? "no pause" : "pause" },
+    pausing ? "No pause" : "The run pauses at the end of this stage");
+});
+at("mass-form").addEventListener("submit", (event) => {
+  const text = at("mass").value.trim();
+  event.preventDefault();
+  if (text) answerPrompt(event, text);
+  else say("Type the mass that the scales show; 0 for an empty lever.");
+});
+for (const [id, text] of [["go-on", "go on"], ["repeat", "repeat"], ["abort", "abort"]]) {
+  at(id).addEventListener("click", (event) => answerPrompt(event, text));
+}
+at("resume").addEventListener("click", async (event) => {
+  if (!fresh(event)) return;
+  const answer = await link.post("/resume", { run: state.run, typed_bench: at("resume-bench").value });
+  say(answer.ok ? answer.words : `Refused: ${answer.words}`);
+  if (answer.ok) {
+    at("resume-bench").value = "";
+    at("runs").value = "";
+    ask();
+  }
+});
+at("take").addEventListener("click", async () => {
+  const answer = await link.post("/controls", {});
+  say(answer.words);
+});
+at("runs").addEventListener("change", ask);
+at("window").addEventListener("change", ask);
+addEventListener("resize", () => ask());
+document.addEventListener("visibilitychange", () => charts.draw());
+
+function isSpaceOfStop(event) {
+  const typing = event.target instanceof HTMLInputElement && event.target.type === "text";
+  return event.code === "Space" && !typing && !at("stop").disabled;
+}
+addEventListener("keydown", (event) => {
+  if (!isSpaceOfStop(event)) return;
+  event.preventDefault();
+  if (!event.repeat) pressStop();
+}, { capture: true });
+// A button is clicked when the space bar is let go.
+addEventListener("keyup", (event) => {
+  if (isSpaceOfStop(event)) event.preventDefault();
+}, { capture: true });
+
+// For tests and the browser's console: what the charts show.
+window.rigConsole = { extremes: () => charts.extremes() };

@@ -1,0 +1,34 @@
+// Words for what the run states.
+
+export const PHASES = {
+  connecting: "The run connects to the bench. Nothing is energised.",
+  load: "The drive is off. The weight is hung and its mass is asked for.",
+  prepare: "The drive is off. Its limits are written and read back.",
+  enable: "The drive is being energised.",
+  "first pass": "The joint moves at low amplitude, under tighter limits.",
+  "weight check": "The drive holds. The friction is compared with the mass.",
+  approach: "The joint moves to the start of the stage.",
+  settle: "The drive holds at the start of the stage.",
+  excite: "The joint follows the planned motion.",
+  hold: "The drive holds at the end of the motion.",
+  release: "The power is being taken off.",
+  "between stages": "The drive is off, between two stages.",
+  finished: "The run is finished.",
+};
+
+// Phases in which the run has verified that the drive is off.
+export const OFF = ["load", "prepare", "between stages", "finished"];
+
+export function timeWords(seconds) {
+  if (seconds === null || seconds === undefined) return "-";
+  const whole = Math.max(0, Math.round(seconds));
+  return whole >= 60 ? `${Math.floor(whole / 60)} min ${whole % 60} s` : `${whole} s`;
+}
+
+export const HELD = {
+  angle: ["angle_min_rad", "angle_max_rad"],
+  velocity: ["speed_rad_s"],
+  torque: ["torque_N_m"],
+  current: ["current_A"],
+  following_error: ["following_error_rad"],
+};

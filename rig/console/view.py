@@ -1,0 +1,143 @@
+"""What one page is sent: state as JSON, only what changed, and the new part of its charts."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+from typing import Any, Final
+
+import numpy as np
+
+from rig.console.controls import Page
+from rig.console.followed import Followed
+from rig.console.hub import Hub
+
+_HEAD: Final = struct.Struct("<I")
+
+
+class View:
+    """What a page has been sent so far.
+
+    Args:
+        hub: The runs.
+        page: The page.
+    """
+
+    def __init__(self, hub: Hub, page: Page) -> None:
+        self._hub = hub
+        self._page = page
+        self._sent: dict[str, object] = {}
+        self._events = self._notes = 0
+        self._run: str | None = None
+        self._level: tuple[int, float] | None = None
+        self._next = 0
+        self._latest_s = 0.0
+        self._points = (0, 0)
+
+    def state(self) -> dict[str, Any]:
+        """Return the state, without the parts that are as they were sent last."""
+        hub, page = self._hub, self._page
+        run = hub.run_of(page)
+        key = None if run is None else run.key
+        if key != self._run:
+            self._run, self._events, self._level, self._points = key, 0, None, (0, 0)
+            self._sent.clear()
+        holder = hub.controls.holder
+        parts: dict[str, tuple[object, Any]] = {
+            "runs": _same([_listed(each) for each in hub.runs.values()]),
+            "controls": _same(
+                {
+                    "holder": None if holder is None else holder.name,
+                    "yours": holder is page,
+                    "may": page.may,
+                }
+            ),
+            "choices": (0, hub.starter.choices),
+            "run": (key, key),
+        }
+        if run is not None:
+            parts |= run.parts()
+        changed = {}
+        for name, (version, value) in parts.items():
+            if name not in self._sent or self._sent[name] != version:
+                self._sent[name] = version
+                changed[name] = value
+        self._add_new(changed, run)
+        return changed
+
+    def _add_new(self, changed: dict[str, Any], run: Followed | None) -> None:
+        """Add events, notes and points that the page does not have yet."""
+        if notes := [words for number, words in self._hub.notes if number > self._notes]:
+            changed["notes"] = notes
+            self._notes = self._hub.notes[-1][0]
+        if run is None:
+            return
+        if run.events and run.events[-1][0] > self._events:
+            changed["events"] = [words for number, words in run.events if number > self._events]
+            self._events = run.events[-1][0]
+        version, count = self._points
+        found = run.torque_speed
+        if version != found.version:
+            version, count = found.version, 0
+        if len(found.points) > count or self._points != (version, count):
+            changed["points"] = {
+                "from": count,
+                "rows": np.round(found.points[count:], 3).tolist(),
+            }
+        self._points = (version, len(found.points))
+
+    def charts(self) -> bytes | None:
+        """Return the new intervals of the charts, or None.
+
+        A header of JSON after its length, then for each channel the minima and the maxima as 32-bit
+        floats. The last interval of each message is sent again with the next one, as it may not
+        have been complete.
+        """
+        run = self._hub.run_of(self._page)
+        if run is None or run.key != self._run:
+            return None
+        decimation, page = run.decimation, self._page
+        # A recording shorter than the window fills the chart.
+        window_s = min(page.window_s or math.inf, max(decimation.latest_s, 1.0))
+        level = decimation.level(window_s, page.pixels)
+        fresh = self._level != (level, page.window_s)
+        if fresh:
+            interval_s = decimation.interval_s(level)
+            self._next = max(0, int((decimation.latest_s - window_s) / interval_s))
+        found = decimation.since(level, self._next)
+        count = found.low.shape[1]
+        if not count or (not fresh and decimation.latest_s == self._latest_s):
+            return None
+        self._level, self._latest_s = (level, page.window_s), decimation.latest_s
+        self._next = found.first + count - 1
+        head = json.dumps(
+            {
+                "run": run.key,
+                "fresh": fresh,
+                "interval_s": decimation.interval_s(level),
+                "first": found.first,
+                "count": count,
+                "latest_s": decimation.latest_s,
+            }
+        ).encode()
+        head += b" " * (-len(head) % 4)
+        values = np.stack([found.low, found.high], axis=1).astype("<f4")
+        return _HEAD.pack(len(head)) + head + values.tobytes()
+
+
+def _listed(run: Followed) -> dict[str, Any]:
+    about = run.about
+    return {
+        "key": run.key,
+        "name": about["name"],
+        "bench": about["bench"],
+        "real": about["real"],
+        "over": run.over,
+        "folder": run.folder.name,
+    }
+
+
+def _same(value: Any) -> tuple[object, Any]:
+    """Return a small part, whose content is its version."""
+    return value, value

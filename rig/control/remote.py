@@ -1,0 +1,123 @@
+"""A run within reach of ``rig console``: its control socket, and what it states about the run."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.control.progress import RunProgress
+from rig.control.session import Inputs
+from rig.planning.limits import Limits
+from rig.planning.plan import Plan
+from rig.terminal.control_socket import ControlSocket
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
+from rig.wiring.bench_text import watcher_of
+from rig.wiring.devices import Devices
+
+
+@contextmanager
+def reachable(
+    stop: StopButton, screen: Screen, inputs: Inputs, plan: Plan, path: Path, required: bool = False
+) -> Iterator[ControlSocket | None]:
+    """Open the control socket of a run, and close it at the end.
+
+    A run at a terminal goes on without the socket where it cannot be made, with a message.
+
+    Args:
+        stop: The stop button of the run.
+        screen: Shows what was commanded through the socket.
+        inputs: The inputs of the run.
+        plan: The plan computed from the inputs.
+        path: The run folder.
+        required: Whether the prompts can only be answered through the socket.
+
+    Raises:
+        InputError: The socket is required and cannot be made.
+    """
+    try:
+        control = ControlSocket(stop, about_run(inputs, plan, path), screen.say)
+    except OSError as error:
+        words = f"`rig console` cannot reach this run: {error.strerror or error}"
+        if required:
+            raise InputError(words) from error
+        screen.say(words)
+        yield None
+        return
+    with control:
+        yield control
+
+
+def observed(devices: Devices, control: ControlSocket | None, progress: RunProgress) -> Devices:
+    """Return devices whose phases and progress a control socket states, if there is one."""
+    if control is None:
+        return devices
+    control.left_s = lambda: progress.left_s
+    return dataclasses.replace(
+        devices, observer=lambda stage, phase: control.entered(stage, phase.value)
+    )
+
+
+def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
+    """Return what a program that attaches needs to know, JSON values only.
+
+    The planned masses are not in it: the operator is to type what the scales show.
+    """
+    bench = inputs.bench.value
+    return {
+        "folder": os.path.abspath(path),
+        "name": plan.name,
+        "bench": bench.name,
+        "bench_file": os.path.abspath(inputs.bench.path),
+        "real": not bench.simulated,
+        "realtime": inputs.realtime or not bench.simulated,
+        "operator": inputs.operator,
+        "cycle_s": plan.cycle_s,
+        "total_s": plan.duration_s,
+        "torque_per_ampere": plan.limits.torque_per_ampere,
+        "gear_ratio": plan.limits.gear_ratio,
+        "limits": limit_records(plan.limits),
+        "written": {
+            name: value
+            for name, value in dataclasses.asdict(plan.servo_limits).items()
+            if isinstance(value, float) and math.isfinite(value)
+        },
+        "watched_by": watcher_of(bench).words,
+        "stages": [stage.name for stage in plan.stages],
+    }
+
+
+def limit_records(limits: Limits) -> list[dict[str, Any]]:
+    """Return the limits of the channels that every cycle is checked against, in SI units.
+
+    A side without a limit, or whose value the drive does not report, is None.
+    """
+    both: Mapping[str, tuple[float, float]] = {
+        "angle": (limits.angle_min, limits.angle_max),
+        "velocity": (-limits.speed, limits.speed),
+        "current": (-limits.current, limits.current),
+        "torque": (-limits.torque, limits.torque),
+        "following_error": (-limits.following_error, limits.following_error),
+        "disagreement": (-limits.encoder_disagreement, limits.encoder_disagreement),
+    }
+    rows = dict(both)
+    if limits.reports_temperature:
+        rows["temperature"] = (-math.inf, limits.temperature)
+    if limits.reports_supply:
+        rows["supply_voltage"] = (limits.supply_min, limits.supply_max)
+    if limits.gas is not None:
+        rows["pressure"] = (-math.inf, limits.gas.pressure)
+    return [
+        {"channel": name, "low": _finite(low), "high": _finite(high)}
+        for name, (low, high) in rows.items()
+    ]
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

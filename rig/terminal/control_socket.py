@@ -1,0 +1,258 @@
+"""The control socket of a run: where `rig console` reads the run's state and sends commands.
+
+The run owns it, in a folder that only its user can enter. Datagrams wait in the operating system,
+which bounds their number, until the control loop takes them between two cycles; a sender that is
+too fast, frozen or gone does not hold the loop up, and an answer that its receiver does not take is
+dropped. No thread is used.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import select
+import socket
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final, Self
+
+from drivers.clock import Clock, RealClock
+from rig.common.text import valid
+from rig.terminal.control_messages import (
+    LONGEST_BYTES,
+    PREFIX,
+    SUFFIX,
+    VERSION,
+    Command,
+    MessageError,
+    Order,
+    bound_socket,
+    decode,
+    encode,
+    objection,
+    order_of,
+    remove_left,
+    require_own_folder,
+    socket_folders,
+)
+from rig.terminal.stop_button import StopButton
+
+_AT_ONCE: Final = 8
+"""Most messages taken between two cycles."""
+_TOLD: Final = 40
+"""Messages to the operator that are kept."""
+_LONGEST_TOLD: Final = 800
+"""Characters of a message that are kept, so that all of them fit into one datagram."""
+_PEERS: Final = 8
+"""Programs that are informed of the end."""
+
+
+class Topic(Enum):
+    """What a prompt asks for."""
+
+    WEIGHT = "weight"
+    PAUSE = "pause"
+
+
+class ControlSocket:
+    """Receives commands for one run and answers questions on it. A context manager.
+
+    Args:
+        stop: The stop button that `stop` and `pause` act on; it asks this socket whenever it is
+            read.
+        about: What does not change during the run: bench, limits, folder.
+        say: Shows the operator at the terminal what was commanded from elsewhere.
+        folder: Folder of the socket; :func:`rig.terminal.control_messages.socket_folders`
+            by default.
+        clock: Clock that commands are numbered by.
+
+    Attributes:
+        run: Value that identifies this run in commands.
+        left_s: Returns the expected remaining time in motion, s.
+
+    Raises:
+        OSError: The socket cannot be made.
+    """
+
+    def __init__(
+        self,
+        stop: StopButton,
+        about: Mapping[str, Any],
+        say: Callable[[str], None],
+        folder: Path | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._stop = stop
+        self._say = say
+        self._clock = clock or RealClock()
+        self.run = secrets.token_hex(16)
+        self._about = {"version": VERSION, "run": self.run, "pid": os.getpid(), **about}
+        self.left_s: Callable[[], float] = lambda: 0.0
+        self._topic, self._since = Topic.PAUSE, 0
+        self._state: dict[str, Any] = {
+            "stage": None,
+            "phase": "connecting",
+            "prompt": None,
+            "ended": None,
+        }
+        self._told: list[tuple[int, str]] = []
+        self._count = self._prompts = self._last = 0
+        self._answer: str | None = None
+        self._peers: dict[str, None] = {}
+        self._path, self._socket = _bound(folder or socket_folders()[0])
+        self._ready = select.poll()
+        self._ready.register(self._socket, select.POLLIN)
+
+    def __enter__(self) -> Self:
+        """Have the stop button take commands from here."""
+        self._stop.listen = self.take
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Close and remove the socket."""
+        self._stop.listen = None
+        with suppress(OSError):
+            self._path.unlink()
+        self._socket.close()
+
+    def fileno(self) -> int:
+        """Return the descriptor, to wait for messages."""
+        return self._socket.fileno()
+
+    def entered(self, stage: str, phase: str) -> None:
+        """Note the start of a phase."""
+        self._state["stage"], self._state["phase"] = stage, phase
+
+    def tell(self, words: str) -> None:
+        """Note a message to the operator."""
+        self._count += 1
+        self._told.append((self._count, words[:_LONGEST_TOLD]))
+        del self._told[:-_TOLD]
+
+    def ended(self, words: str, good: bool) -> None:
+        """Note how the run ended, and inform everyone who asked before."""
+        self._state["ended"] = {"words": words, "good": good}
+        for peer in self._peers:
+            self._send(self._status(), peer)
+
+    def begin(self, topic: Topic) -> None:
+        """Note that messages which explain the next prompts follow, and what these ask for."""
+        self._topic, self._since = topic, self._count
+
+    def ask(self, words: str) -> None:
+        """Open a prompt; answers to earlier ones are not taken any more."""
+        # What waits in the socket was sent before the question was asked.
+        self.take()
+        self._prompts += 1
+        self._answer = None
+        self._state["prompt"] = {
+            "number": self._prompts,
+            "topic": self._topic.value,
+            "since": self._since,
+            "words": words,
+        }
+
+    def answered(self) -> str | None:
+        """Take the waiting messages, and return the answer to the open prompt, if there is one.
+
+        Raises:
+            OperatorStopError: A stop was commanded.
+        """
+        self.take()
+        self._stop.raise_if_pressed()
+        return self._answer
+
+    def close_prompt(self) -> None:
+        """Note that the prompt was answered, here or elsewhere, or given up."""
+        self._state["prompt"] = self._answer = None
+
+    def take(self) -> None:
+        """Take the messages that wait, a bounded number of them, without waiting."""
+        for _ in range(_AT_ONCE):
+            if not self._ready.poll(0):
+                return
+            try:
+                data, peer = self._socket.recvfrom(LONGEST_BYTES + 1)
+            except OSError:
+                return
+            self._handle(data, peer if isinstance(peer, str) else "")
+
+    def _handle(self, data: bytes, peer: str) -> None:
+        """Answer a question, or carry out a command."""
+        try:
+            if len(data) > LONGEST_BYTES:
+                raise MessageError(f"longer than {LONGEST_BYTES} bytes")
+            message = decode(data)
+            if "ask" in message:
+                self._tell_state(message["ask"], peer)
+                return
+            order = order_of(message)
+        except MessageError as error:
+            self._send({"taken": False, "words": str(error)}, peer)
+            return
+        refused = objection(order, self.run, self._last, self._clock.now_ns())
+        if refused is None:
+            self._last = order.number
+            refused = self._carry_out(order)
+        self._send({"to": order.number, "taken": refused is None, "words": refused or ""}, peer)
+
+    def _carry_out(self, order: Order) -> str | None:
+        """Carry out a command; returns why not, or None."""
+        who = valid(order.who).strip() or "the console"
+        if order.command is Command.STOP:
+            self._stop.press(f"STOP by {who}")
+            return None
+        if order.command in (Command.PAUSE, Command.NO_PAUSE):
+            self._stop.pausing = order.command is Command.PAUSE
+            what = "pause asked for" if self._stop.pausing else "no pause"
+            self._note(f"{what}, by {who}")
+            return None
+        prompt = self._state["prompt"]
+        if prompt is None or prompt["number"] != order.prompt or self._answer is not None:
+            return "the run does not wait for this answer any more"
+        self._answer = valid(order.text).strip()
+        self._note(f"answered by {who}: {self._answer or '(nothing)'}")
+        return None
+
+    def _note(self, words: str) -> None:
+        self._say(words)
+        self.tell(words)
+
+    def _tell_state(self, asked: object, peer: str) -> None:
+        if peer:
+            self._peers.pop(peer, None)
+            self._peers[peer] = None
+            if len(self._peers) > _PEERS:
+                del self._peers[next(iter(self._peers))]
+        self._send({"about": self._about} if asked == "about" else self._status(), peer)
+
+    def _status(self) -> dict[str, Any]:
+        state = {
+            **self._state,
+            "left_s": round(self.left_s(), 1),
+            "pausing": self._stop.pausing,
+            "stopping": self._stop.pressed,
+            "told": self._told,
+        }
+        return {"status": state, "run": self.run}
+
+    def _send(self, message: Mapping[str, Any], peer: str) -> None:
+        if not peer:
+            return
+        # A receiver that is gone, or whose queue is full, does not hold up the run.
+        with suppress(OSError):
+            self._socket.sendto(encode(message), socket.MSG_DONTWAIT, peer)
+
+
+def _bound(folder: Path) -> tuple[Path, socket.socket]:
+    """Make a socket in a folder; sockets left by programs that are gone are removed.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    require_own_folder(folder)
+    remove_left(folder)
+    path = folder / f"{PREFIX}{os.getpid()}-{secrets.token_hex(4)}{SUFFIX}"
+    return path, bound_socket(path)

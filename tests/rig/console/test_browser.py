@@ -1,0 +1,316 @@
+"""The page in a real Chromium, on runs of the simulated bench in real time.
+
+Screenshots go to the folder that ``CONSOLE_SHOTS`` names, if it is set.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from axe_playwright_python.sync_playwright import Axe
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from .processes import WAIT_S, Place, Served, place, served, wait_until
+
+CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
+ARGUMENTS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+WAIT_MS = 1000.0 * WAIT_S
+LONG_S = 120.0
+SHORT_S = 1.5
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    found = next((path for name in CHROMIUM if (path := shutil.which(name))), None)
+    if found is None:
+        pytest.skip(f"no Chromium is installed: none of {', '.join(CHROMIUM)}")
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=found, args=list(ARGUMENTS))
+        yield launched
+        launched.close()
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with place(tmp_path_factory.mktemp("browser")) as where, served(where, "practical") as made:
+        yield made
+
+
+@pytest.fixture
+def where(console: Served) -> Iterator[Place]:
+    """The place of the console; its runs end with the test."""
+    yield console.place
+    console.place.stop_all()
+
+
+@pytest.fixture
+def opened(browser: Browser, console: Served) -> Iterator[Callable[..., Page]]:
+    """Open pages, each in a context of its own, as two operators would; they log no error."""
+    pages: list[Page] = []
+    errors: list[str] = []
+
+    def opening(address: str = console.address, width: int = 1280, **options: Any) -> Page:
+        context = browser.new_context(viewport={"width": width, "height": 844}, **options)
+        context.set_default_timeout(WAIT_MS)
+        page = context.new_page()
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.goto(address)
+        pages.append(page)
+        return page
+
+    expect.set_options(timeout=WAIT_MS)
+    yield opening
+    for page in pages:
+        page.context.close()
+    assert not errors
+
+
+def shoot(page: Page, name: str) -> None:
+    folder = os.environ.get("CONSOLE_SHOTS")
+    if folder:
+        (Path(folder) / f"{name}.png").write_bytes(page.screenshot())
+
+
+def require_accessible(page: Page) -> None:
+    """Check with axe that there is no violation."""
+    found = Axe().run(page).response["violations"]
+    words = [f"{v['id']}: {[node['target'] for node in v['nodes']]}" for v in found]
+    assert not words
+
+
+def in_phase(page: Page, phase: str) -> None:
+    expect(page.locator("#phase")).to_have_text(phase)
+
+
+def start(page: Page, sequence: Path) -> None:
+    """Start a sequence from the page, after its dry run."""
+    page.select_option("#start-bench", "practical")
+    page.fill("#start-own", str(sequence))
+    page.fill("#start-operator", "A. Person")
+    page.click("#dry-run")
+    expect(page.locator("#dry-verdict")).to_have_text("The dry run found no problem.")
+    assert "peak" in page.locator("#dry-words").inner_text()
+    shoot(page, "dry-run")
+    page.click("#start")
+    expect(page.locator("#outcome")).to_contain_text("started")
+
+
+def drawn(page: Page) -> float:
+    """Return the greatest angle that is drawn, deg."""
+    found = page.evaluate("window.rigConsole.extremes()")
+    return float(found.get("angle", [0.0, 0.0])[1])
+
+
+def ended(where: Place, count: int) -> dict[str, Any]:
+    """Return the record of the newest run once ``count`` runs have ended."""
+
+    def over() -> list[dict[str, Any]]:
+        return [record for record in where.records() if record["state"] != "running"]
+
+    wait_until(lambda: len(over()) >= count)
+    return max(over(), key=lambda record: record["parts"][0]["created"])
+
+
+def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Place) -> None:
+    page, before = opened(), len(where.records())
+    expect(page.locator("#bench")).to_contain_text("no run")
+    require_accessible(page)
+    start(page, where.sequence("short", SHORT_S))
+    expect(page.locator("#bench")).to_have_text("SIMULATED bench practical")
+    expect(page.locator("#prompt")).to_be_visible()
+    expect(page.locator("#told")).to_contain_text("Take every weight off the lever")
+    require_accessible(page)
+    page.fill("#mass", "3")
+    page.press("#mass", "Enter")
+    expect(page.locator("#told")).to_contain_text("3 kg is not the planned 0 kg")
+    shoot(page, "wrong-mass")
+    page.fill("#mass", "0")
+    page.press("#mass", "Enter")
+    expect(page.locator("#prompt")).to_be_hidden()
+    page.click("#pause")
+    expect(page.locator("#pause")).to_have_text("Pause is asked for: take it back")
+    expect(page.locator("#told")).to_contain_text("Paused after stage empty; the drive is off")
+    expect(page.locator("#go-on")).to_be_visible()
+    shoot(page, "pause")
+    page.click("#repeat")
+    expect(page.locator("#told")).to_contain_text("Stage empty: the drive is off")
+    # The planned mass is not shown before the first answer.
+    page.fill("#mass", "0")
+    page.press("#mass", "Enter")
+    expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")
+    assert "20" not in page.locator("#prompt").inner_text()
+    page.fill("#mass", "20,05")
+    page.press("#mass", "Enter")
+    in_phase(page, "excite")
+    wait_until(lambda: drawn(page) > 3.0)
+    second = opened()
+    expect(second.locator("#holder")).to_contain_text("holds the controls; STOP works here too")
+    expect(second.locator("#pause")).to_be_hidden()
+    expect(second.locator("#stop")).to_be_enabled()
+    shoot(page, "excite")
+    second.keyboard.press("Space")
+    for each in (page, second):
+        expect(each.locator("#ending")).to_contain_text("the drive is de-energised (read back")
+        expect(each.locator("#stop")).to_be_disabled()
+    shoot(second, "stopped")
+    require_accessible(page)
+    record = ended(where, before + 1)
+    assert (record["state"], record["de_energised"]) == ("stopped", True)
+    assert [stage["confirmed_kg"] for stage in record["stages"]] == [0, 20.05]
+    assert record["operator"] == "A. Person"
+
+
+def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Place) -> None:
+    page, before = opened(), len(where.records())
+    where.run(where.sequence("asked", SHORT_S), "--console", "--realtime")
+    page.fill("#mass", " ")  # in a text field the space bar types
+    page.locator("#mass").blur()
+    expect(page.locator("#stop")).to_be_enabled()
+    page.keyboard.press("Space")
+    expect(page.locator("#ending")).to_contain_text("STOP by the console")
+    assert ended(where, before + 1)["de_energised"]
+    where.run(where.sequence("paused", SHORT_S), "--yes", "--realtime")
+    in_phase(page, "excite")
+    page.click("#pause")
+    expect(page.locator("#go-on")).to_be_visible()
+    expect(page.locator("#drive")).to_have_text("off")
+    page.click("#stop")
+    expect(page.locator("#ending")).to_contain_text("phase between stages: stopped by the operator")
+    assert ended(where, before + 2)["de_energised"]
+    page.click("#resume")
+    expect(page.locator("#told")).to_contain_text("Stage heavy: the drive is off")
+    page.fill("#mass", "20")
+    page.press("#mass", "Enter")
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    expect(page.locator("#resume")).to_be_hidden()
+
+
+def test_a_phone_in_the_dark_and_without_the_token(
+    opened: Callable[..., Page], where: Place, console: Served
+) -> None:
+    where.run(where.sequence("phone", LONG_S), "--yes", "--realtime")
+    address = console.address.partition("#")[0]
+    for token in ("", "#token=of-an-earlier-start"):
+        page = opened(address + token, width=390, color_scheme="dark")
+        in_phase(page, "excite")
+        expect(page.locator("#holder")).to_contain_text("Read only")
+        for button in page.locator("#stop, #pause, #dry-run").all():
+            expect(button).to_be_disabled()
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    require_accessible(page)
+    shoot(page, "phone-read-only")
+    mine = opened(width=390, color_scheme="dark", is_mobile=True, has_touch=True)
+    in_phase(mine, "excite")
+    expect(mine.locator("#stop")).to_be_in_viewport(ratio=1)
+    expect(mine.locator("#chart-angle .chart-now")).to_contain_text("% of the limit")
+    require_accessible(mine)
+    shoot(mine, "phone")
+    mine.tap("#stop")
+    expect(mine.locator("#ending")).to_contain_text("read back")
+
+
+def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
+    opened: Callable[..., Page], where: Place, console: Served
+) -> None:
+    before = len(where.records())
+    where.run(where.sequence("long", LONG_S), "--yes", "--realtime")
+    closed, frozen = opened(), opened()
+    in_phase(closed, "excite")
+    closed.close()
+    expect(frozen.locator("#holder")).to_contain_text("This page")
+    throttle = frozen.context.new_cdp_session(frozen)
+    throttle.send("Emulation.setCPUThrottlingRate", {"rate": 20})
+    lost = opened()
+    lost.context.set_offline(True)
+    lost.click("#stop")
+    expect(lost.locator("#alerts")).to_contain_text("STOP was NOT confirmed")
+    shoot(lost, "network-lost")
+    # The console itself stands still: no page hears anything, and the run goes on.
+    console.process.send_signal(signal.SIGSTOP)
+    expect(lost.locator("#contact")).to_have_text("NO CONTACT")
+    expect(lost.locator("#alerts")).to_contain_text("The bench goes on without this page")
+    shoot(lost, "no-contact")
+    size = growth(where)
+    wait_until(lambda: growth(where) > size)
+    console.process.send_signal(signal.SIGCONT)
+    lost.context.set_offline(False)
+    expect(lost.locator("#contact")).to_contain_text("live")
+    in_phase(frozen, "excite")
+    assert len([r for r in where.records() if r["state"] == "running"]) == 1
+    frozen.keyboard.press("Space")
+    expect(frozen.locator("#ending")).to_contain_text("STOP by the console")
+    assert ended(where, before + 1)["de_energised"]
+
+
+def growth(where: Place) -> int:
+    """Return the size of the newest recording."""
+    files = where.folder.glob("runs/*/recording.mcap")
+    return max(files, key=lambda path: path.stat().st_mtime).stat().st_size
+
+
+def test_a_click_in_a_frozen_page_is_not_carried_out_later(
+    opened: Callable[..., Page], where: Place
+) -> None:
+    where.run(where.sequence("late", LONG_S), "--yes", "--realtime")
+    page = opened()
+    in_phase(page, "excite")
+    stale = "new MouseEvent('click', {bubbles: true, cancelable: true})"
+    page.evaluate(
+        f"""async () => {{
+            const event = {stale};
+            await new Promise((done) => setTimeout(done, 2300));
+            document.getElementById("pause").dispatchEvent(event);
+        }}"""
+    )
+    expect(page.locator("#outcome")).to_contain_text("this page was frozen")
+    expect(page.locator("#pause")).to_have_attribute("aria-pressed", "false")
+    # A stop is carried out however late it is.
+    page.evaluate(
+        f"""async () => {{
+            const event = {stale};
+            await new Promise((done) => setTimeout(done, 2300));
+            document.getElementById("stop").dispatchEvent(event);
+        }}"""
+    )
+    expect(page.locator("#ending")).to_contain_text("read back")
+
+
+def test_a_run_whose_program_is_killed_is_said_to_be_gone(
+    opened: Callable[..., Page], where: Place
+) -> None:
+    child = where.run(where.sequence("killed", LONG_S), "--yes", "--realtime")
+    page = opened()
+    in_phase(page, "excite")
+    child.kill()
+    child.wait()
+    expect(page.locator("#alerts")).to_contain_text("The program of the run is gone")
+    expect(page.locator("#stop")).to_be_disabled()
+    require_accessible(page)
+
+
+def test_the_charts_hold_the_extremes_of_the_recording(
+    opened: Callable[..., Page], where: Place
+) -> None:
+    page = opened()
+    page.select_option("#window", "0")
+    child = where.run(where.sequence("drawn", SHORT_S), "--yes")
+    expect(page.locator("#ending")).to_contain_text("all 2 stages done")
+    child.wait(WAIT_S)
+    found = page.evaluate("window.rigConsole.extremes()")
+    assert found["angle"][0] == pytest.approx(-4.0, abs=0.1)
+    assert found["angle"][1] == pytest.approx(4.0, abs=0.1)
+    assert found["supply_voltage"] == pytest.approx([60.0, 60.0], abs=0.1)

@@ -1,0 +1,285 @@
+"""The control socket of a run: commands between cycles, answers to prompts, nothing that blocks."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import os
+import socket
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.clock import SimulatedClock
+from rig.common.phase import Phase
+from rig.control.operator import AutomaticOperator, ConsoleOperator, Verb
+from rig.control.phases import TRANSITIONS
+from rig.runs.run_record import Ending
+from rig.terminal.control_messages import LONGEST_BYTES, PREFIX, SUFFIX
+from rig.terminal.control_socket import ControlSocket
+from rig.terminal.prompt import Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import OperatorStopError, StopButton
+
+from .sockets import Peer, only_socket, short_folder
+
+IN_MOTION = (Phase.APPROACH, Phase.SETTLE, Phase.EXCITE, Phase.HOLD)
+
+
+class Bound:
+    """A control socket, its button, and a program that has attached to it."""
+
+    def __init__(self, folder: Path) -> None:
+        self.stop = StopButton()
+        self.said: list[str] = []
+        self.control = ControlSocket(self.stop, {"bench": "b"}, self.said.append, folder)
+        self.peer = Peer(folder)
+        self.peer.attach(only_socket(folder))
+        self.peer.run = self.control.run
+
+    def sent(self, message: dict[str, Any] | bytes) -> dict[str, Any]:
+        """Send a message, let the run take it, and return its answer."""
+        self.peer.put(message)
+        self.control.take()
+        return self.peer.get()
+
+
+@pytest.fixture
+def bound() -> Iterator[Bound]:
+    with short_folder() as folder:
+        made = Bound(folder)
+        with made.control, made.peer:
+            yield made
+
+
+@pytest.fixture
+def screen() -> Screen:
+    return Screen(SimulatedClock(), io.StringIO(), io.StringIO())
+
+
+def test_the_socket_is_of_this_user_only_and_goes_with_the_run() -> None:
+    with short_folder() as folder:
+        with ControlSocket(StopButton(), {}, print, folder):
+            assert only_socket(folder).stat().st_mode & 0o777 == 0o600
+        assert not list(folder.iterdir())
+
+
+def test_sockets_of_dead_programs_are_removed() -> None:
+    with short_folder() as folder:
+        left = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        left.bind(str(folder / f"{PREFIX}1{SUFFIX}"))
+        left.close()
+        with ControlSocket(StopButton(), {}, print, folder):
+            only_socket(folder)
+
+
+def test_a_stop_is_taken_when_the_button_is_read(bound: Bound) -> None:
+    bound.peer.put(bound.peer.order("stop"))
+    assert not bound.stop.pressed
+    with pytest.raises(OperatorStopError, match=r"STOP by a test"):
+        bound.stop.check()
+    assert bound.peer.get()["taken"]
+
+
+def test_a_replayed_stop_is_no_second_press(bound: Bound) -> None:
+    order = bound.peer.order("stop")
+    assert bound.sent(order)["taken"]
+    again = bound.sent(order)
+    assert not again["taken"]
+    assert "received before" in again["words"]
+    assert bound.stop.presses_now() == 1
+    assert bound.sent(bound.peer.order("stop"))["taken"]
+    assert bound.stop.presses == 2
+
+
+def test_a_stop_of_another_run_is_refused(bound: Bound) -> None:
+    assert "another run" in bound.sent(bound.peer.order("stop", run="0" * 32))["words"]
+    assert not bound.stop.pressed
+
+
+def test_pause_is_asked_for_and_taken_back(bound: Bound) -> None:
+    assert bound.sent(bound.peer.order("pause"))["taken"]
+    assert bound.sent(bound.peer.order("pause"))["taken"]
+    assert bound.stop.pausing
+    assert bound.sent(bound.peer.order("no pause"))["taken"]
+    assert not bound.stop.pausing
+    assert bound.said == ["pause asked for, by a test"] * 2 + ["no pause, by a test"]
+
+
+@pytest.mark.parametrize("data", [b"\x00", b"[]", b"{" + b" " * LONGEST_BYTES + b"}", b"{}"])
+def test_what_is_no_command_changes_nothing(bound: Bound, data: bytes) -> None:
+    assert not bound.sent(data)["taken"]
+    assert not bound.stop.pressed
+    assert not bound.stop.pausing
+
+
+def test_the_state_is_told(bound: Bound) -> None:
+    bound.control.entered("empty", "excite")
+    bound.control.tell("a message")
+    status = bound.sent({"ask": "status"})["status"]
+    assert (status["stage"], status["phase"]) == ("empty", "excite")
+    assert status["told"] == [[1, "a message"]]
+    assert bound.sent({"ask": "about"})["about"]["bench"] == "b"
+
+
+def test_the_end_is_told_to_who_asked_before(bound: Bound) -> None:
+    bound.sent({"ask": "status"})
+    bound.control.ended("stopped: the drive is off", False)
+    assert bound.peer.get()["status"]["ended"] == {
+        "words": "stopped: the drive is off",
+        "good": False,
+    }
+
+
+def test_neither_a_flood_nor_a_frozen_receiver_blocks(bound: Bound) -> None:
+    bound.peer.socket.setblocking(False)
+    sent = 0
+    with suppress(BlockingIOError):
+        while sent < 100_000:
+            bound.peer.put({"ask": "status"})
+            sent += 1
+    assert sent < 100_000
+    began = time.monotonic()
+    # The receiver reads none of the answers.
+    for _ in range(sent):
+        bound.control.take()
+    assert time.monotonic() - began < 2.0
+    bound.peer.socket.setblocking(True)
+    bound.peer.put(bound.peer.order("stop"))
+    bound.control.take()
+    assert bound.stop.pressed
+
+
+def test_few_messages_are_taken_between_two_cycles(bound: Bound) -> None:
+    for _ in range(9):
+        bound.peer.put({"ask": "status"})
+    bound.peer.put(bound.peer.order("stop"))
+    bound.control.take()
+    assert not bound.stop.pressed
+    bound.control.take()
+    assert bound.stop.pressed
+
+
+@pytest.mark.parametrize("phase", sorted({p for p, _ in TRANSITIONS}, key=lambda p: p.value))
+def test_stop_in_every_phase(
+    phase: Phase, bound: Bound, runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if phase in (Phase.FIRST_PASS, Phase.WEIGH):
+        pytest.skip("the short sequence has no first pass; the button is read there in cycles too")
+    bench = fake_bench()
+    devices = bench.devices
+
+    def observed() -> Any:
+        def observe(stage: str, entered: Phase) -> None:
+            bound.control.entered(stage, entered.value)
+            if entered is phase and not bound.stop.pressed:
+                bound.peer.put(bound.peer.order("stop"))
+
+        return dataclasses.replace(devices(), observer=observe)
+
+    monkeypatch.setattr(bench, "devices", observed)
+    _, outcome = runner(bench, AutomaticOperator(control=bound.control), bound.stop)
+    assert outcome.ending is Ending.STOPPED
+    assert outcome.safe.verified
+    if phase in IN_MOTION:
+        assert f"phase {phase.value}" in outcome.message
+    assert bound.peer.get()["taken"]
+
+
+def operator(bound: Bound, screen: Screen) -> ConsoleOperator:
+    prompt = Prompt(screen, control=bound.control, only_there=True, patience_s=20.0)
+    return ConsoleOperator(screen, prompt, control=bound.control)
+
+
+class Answers:
+    """Sends answers, each when the prompt that it is for has been opened."""
+
+    def __init__(self, bound: Bound, *texts: str, stale: bool = False) -> None:
+        self._texts = iter(texts)
+        self._bound = bound
+        self._stale = stale
+        self.asked = bound.control.ask
+        bound.control.ask = self.ask  # type: ignore[method-assign]
+
+    def ask(self, words: str) -> None:
+        self.asked(words)
+        number = self._bound.control._prompts - self._stale
+        text = next(self._texts, None)
+        order = "stop" if text is None else "answer"
+        self._bound.peer.put(self._bound.peer.order(order, prompt=number, text=text or ""))
+
+
+@pytest.mark.parametrize(
+    ("texts", "kg"),
+    [(["30,6"], 30.6), (["30600 g"], 30.6), (["20", "30.5"], 30.5), (["heavy", "30.6 kg"], 30.6)],
+)
+def test_the_mass_is_typed_by_the_rules_of_the_terminal(
+    bound: Bound, screen: Screen, texts: list[str], kg: float
+) -> None:
+    Answers(bound, *texts)
+    assert operator(bound, screen).confirm_weight("heavy", 30.6) == pytest.approx(kg)
+
+
+def test_a_wrong_mass_is_refused_in_words(bound: Bound, screen: Screen) -> None:
+    Answers(bound, "20", "repeat")
+    assert operator(bound, screen).confirm_weight("heavy", 30.6) is Verb.REPEAT
+    bound.peer.put({"ask": "status"})
+    bound.control.take()
+    assert [bound.peer.get()["taken"] for _ in range(2)] == [True, True]
+    told = [words for _, words in bound.peer.get()["status"]["told"]]
+    assert any("20 kg is not the planned 30.6 kg" in words for words in told)
+
+
+def test_abort_and_stop_end_a_prompt(bound: Bound, screen: Screen) -> None:
+    Answers(bound, "abort")
+    with pytest.raises(OperatorStopError, match="aborted at the weight prompt"):
+        operator(bound, screen).confirm_weight("heavy", 30.6)
+    with pytest.raises(OperatorStopError, match="STOP by a test"):
+        operator(bound, screen).confirm_weight("heavy", 30.6)
+
+
+def test_an_answer_to_an_earlier_prompt_is_refused(bound: Bound, screen: Screen) -> None:
+    Answers(bound, "30.6", stale=True)
+    prompt = Prompt(screen, control=bound.control, only_there=True, patience_s=0.1)
+    with pytest.raises(OperatorStopError, match="nobody answered"):
+        ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 30.6)
+    assert "does not wait for this answer" in bound.peer.get()["words"]
+
+
+@pytest.mark.parametrize("verb", list(Verb))
+def test_verbs_of_a_pause(bound: Bound, screen: Screen, verb: Verb) -> None:
+    bound.stop.pause()
+    Answers(bound, "nonsense", verb.value)
+    assert operator(bound, screen).paused("empty", bound.stop) is verb
+    assert not bound.stop.pausing
+
+
+def test_a_pause_of_a_run_without_prompts_can_be_answered(bound: Bound, screen: Screen) -> None:
+    bound.stop.pause()
+    Answers(bound, "nonsense", "repeat")
+    found = AutomaticOperator(screen=screen, control=bound.control).paused("empty", bound.stop)
+    assert found is Verb.REPEAT
+
+
+@pytest.mark.parametrize("typed", [b"30.6\n", b""])
+def test_a_run_at_a_terminal_is_answered_in_either_place(
+    bound: Bound, screen: Screen, typed: bytes
+) -> None:
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as stream:
+        os.write(writing, typed)
+        if not typed:
+            Answers(bound, "30.5")
+        prompt = Prompt(screen, stream, control=bound.control, patience_s=20.0)
+        found = ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 30.6)
+        assert found == (30.6 if typed else 30.5)
+        os.close(writing)
+        if not typed:
+            # Without a person at either end the run does not wait for ever.
+            bound.control.ask = lambda words: None  # type: ignore[method-assign]
+            with pytest.raises(OperatorStopError, match="the input has ended"):
+                ConsoleOperator(screen, prompt, control=bound.control).confirm_weight("heavy", 1.0)

@@ -1,0 +1,281 @@
+"""Who may read and who may command: host, origin, token, method and number of every request."""
+
+from __future__ import annotations
+
+import json
+import socket
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from wsproto import ConnectionType, WSConnection
+from wsproto.events import AcceptConnection, Message, Ping, RejectConnection, Request, TextMessage
+
+from .processes import Served, place, served
+from .sockets import Peer
+
+STOP = {"page": "none", "number": 1, "command": "stop", "run": "0" * 32}
+
+
+@pytest.fixture(scope="module")
+def console(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with place(tmp_path_factory.mktemp("console")) as where, served(where) as made:
+        yield made
+
+
+class Page:
+    """The WebSocket of a page."""
+
+    def __init__(self, console: Served, token: str, **headers: str) -> None:
+        host = f"127.0.0.1:{console.port}"
+        given = {"origin": f"http://{host}", **headers}
+        self.socket = socket.create_connection(("127.0.0.1", console.port), timeout=20)
+        self.wire = WSConnection(ConnectionType.CLIENT)
+        sent = given.pop("host", host)
+        extra = [(name.encode(), value.encode()) for name, value in given.items() if value]
+        self.socket.sendall(self.wire.send(Request(host=sent, target="/live", extra_headers=extra)))
+        self.events: list[Any] = []
+        self.accepted = isinstance(self._next(), AcceptConnection)
+        if self.accepted:
+            self.socket.sendall(self.wire.send(Message(data=json.dumps({"token": token}))))
+            self.key = self.read()["hello"]["page"]
+
+    def _next(self) -> Any:
+        while True:
+            while not self.events:
+                data = self.socket.recv(65536)
+                assert data, "the console closed the page"
+                self.wire.receive_data(data)
+                self.events += list(self.wire.events())
+            event = self.events.pop(0)
+            if not isinstance(event, Ping):
+                return event
+            self.socket.sendall(self.wire.send(event.response()))
+
+    def read(self) -> dict[str, Any]:
+        """Return the next message that is text."""
+        text = ""
+        while True:
+            event = self._next()
+            if isinstance(event, TextMessage):
+                text += event.data
+                if event.message_finished:
+                    found = json.loads(text)
+                    assert isinstance(found, dict)
+                    return found
+            assert not isinstance(event, RejectConnection)
+
+    def controls(self) -> dict[str, Any]:
+        """Return who holds the controls, as soon as it is told."""
+        while True:
+            state = self.read().get("state", {})
+            if "controls" in state:
+                found = state["controls"]
+                assert isinstance(found, dict)
+                return found
+
+    def close(self) -> None:
+        self.socket.close()
+
+
+@pytest.fixture
+def opened(console: Served) -> Iterator[Callable[..., Page]]:
+    """Open pages, which are closed at the end."""
+    pages: list[Page] = []
+
+    def opening(token: str, **headers: str) -> Page:
+        pages.append(Page(console, token, **headers))
+        return pages[-1]
+
+    yield opening
+    for made in pages:
+        made.close()
+
+
+@pytest.fixture
+def page(console: Served, opened: Callable[..., Page]) -> Page:
+    """Return a page that holds the controls."""
+    made = opened(console.token)
+    console.request("POST", "/controls", {"page": made.key, "number": 1})
+    while not made.controls()["yours"]:
+        pass
+    return made
+
+
+def test_the_page_is_read_without_a_token(console: Served) -> None:
+    status, text, headers = console.request("GET", "/")
+    assert status == 200
+    assert "not an emergency stop" in text
+    assert console.token not in text
+    assert headers["x-frame-options"] == "DENY"
+    assert "default-src 'none'" in headers["content-security-policy"]
+    assert "set-cookie" not in headers
+
+
+def test_everything_comes_from_the_console_itself(console: Served) -> None:
+    for name in ("page.js", "link.js", "charts.js", "console.css", "index.html"):
+        status, text, _ = console.request("GET", f"/static/{name}")
+        assert status == 200
+        assert "https://" not in text
+
+
+@pytest.mark.parametrize(
+    "name", ["../app.py", "..%2fapp.py", "%2e%2e/app.py", ".hidden", "app.py", ""]
+)
+def test_only_the_pages_own_files_are_served(console: Served, name: str) -> None:
+    assert console.request("GET", f"/static/{name}")[0] == 404
+
+
+@pytest.mark.parametrize(
+    "host", ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "0.0.0.0:{port}"]
+)
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_a_foreign_host_is_refused(console: Served, host: str, method: str) -> None:
+    # As after DNS rebinding: the browser sends the other site's name to this computer.
+    host = host.format(port=console.port)
+    path = "/" if method == "GET" else "/command"
+    status, text, _ = console.request(method, path, STOP, host=host, origin=f"http://{host}")
+    assert status == 403
+    assert "not the console's own" in text
+
+
+@pytest.mark.parametrize(
+    "origin", ["http://evil.example", "null", None, "https://127.0.0.1:{port}", "http://127.0.0.1"]
+)
+def test_a_command_of_another_site_is_refused(console: Served, origin: str | None) -> None:
+    given = None if origin is None else origin.format(port=console.port)
+    status, text, _ = console.request("POST", "/command", STOP, origin=given)
+    assert (status, text) == (403, "the request comes from another site")
+
+
+@pytest.mark.parametrize("authorization", [None, "", "Bearer", "Bearer wrong", "Basic {token}"])
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+def test_no_command_without_the_token(
+    console: Served, path: str, authorization: str | None
+) -> None:
+    given = None if authorization is None else authorization.format(token=console.token)
+    status, text, _ = console.request("POST", path, STOP, authorization=given)
+    assert status == 401
+    assert "read only" in text
+
+
+@pytest.mark.parametrize("path", ["/command", "/controls", "/dry-run", "/start", "/resume"])
+@pytest.mark.parametrize("method", ["GET", "HEAD", "PUT", "OPTIONS"])
+def test_nothing_is_commanded_by_another_method(console: Served, path: str, method: str) -> None:
+    origin = f"http://127.0.0.1:{console.port}"
+    headers = {"authorization": f"Bearer {console.token}", "origin": origin}
+    assert console.request(method, path, **headers)[0] == 405
+
+
+def test_the_token_is_not_taken_from_the_address(console: Served) -> None:
+    path = f"/command?token={console.token}"
+    assert console.request("POST", path, STOP, authorization=None)[0] == 401
+
+
+@pytest.mark.parametrize(
+    ("content", "status"),
+    [
+        (b"", 400),
+        (b"[]", 400),
+        (b"null", 400),
+        (b"\xff", 400),
+        (b"[" * 5000, 400),
+        ({"page": 1, "number": 1}, 400),
+        ({"page": "p", "number": "1"}, 400),
+        ({"page": "p", "number": True}, 400),
+        (b"[" * 9000, 413),
+        ({**STOP, "command": "jump"}, 409),
+        ({**STOP, "prompt": "1"}, 409),
+        ({**STOP, "run": ["x"]}, 409),
+    ],
+)
+def test_broken_commands_are_refused_in_words(
+    console: Served, content: object, status: int
+) -> None:
+    found, text, _ = console.request("POST", "/command", content)
+    assert (found, bool(json.loads(text)["words"])) == (status, True)
+
+
+def test_a_form_of_another_page_is_no_command(console: Served) -> None:
+    found, _, _ = console.request("POST", "/command", STOP, content_type="text/plain")
+    assert found == 415
+
+
+def test_a_replayed_command_of_a_page_is_refused(console: Served, page: Page) -> None:
+    content = {"page": page.key, "number": 7}
+    assert console.request("POST", "/controls", content)[0] == 200
+    status, text, _ = console.request("POST", "/controls", content)
+    assert (status, "received before" in text) == (409, True)
+    assert console.request("POST", "/controls", {"page": page.key, "number": 6})[0] == 409
+    assert console.request("POST", "/controls", {"page": page.key, "number": 8})[0] == 200
+
+
+@pytest.mark.parametrize(
+    "headers",
+    [
+        {"origin": "http://evil.example"},
+        {"origin": ""},
+        {"host": "evil.example"},
+        {"host": "127.0.0.1"},
+    ],
+)
+def test_another_site_cannot_watch(
+    console: Served, opened: Callable[..., Page], headers: dict[str, str]
+) -> None:
+    assert not opened(console.token, **headers).accepted
+
+
+def test_a_page_without_the_token_only_watches(page: Page, opened: Callable[..., Page]) -> None:
+    found = opened("wrong").controls()
+    assert (found["yours"], found["may"]) == (False, False)
+
+
+def test_one_page_holds_the_controls(
+    console: Served, page: Page, opened: Callable[..., Page]
+) -> None:
+    second = opened(console.token)
+    assert not second.controls()["yours"]
+    content = {"page": second.key, "number": 1, "command": "pause", "run": "0" * 32}
+    status, text, _ = console.request("POST", "/command", content)
+    assert (status, "holds the controls" in text) == (409, True)
+    assert console.request("POST", "/start", {**content, "number": 2, "shown": ""})[0] == 409
+    assert console.request("POST", "/controls", {"page": second.key, "number": 3})[0] == 200
+    assert second.controls()["yours"]
+    assert not page.controls()["yours"]
+
+
+def test_the_controls_of_a_closed_page_go_to_the_only_other(
+    console: Served, page: Page, opened: Callable[..., Page]
+) -> None:
+    second = opened(console.token)
+    assert not second.controls()["yours"]
+    page.close()
+    assert second.controls()["yours"]
+
+
+def test_a_run_takes_a_stop_once(console: Served, page: Page) -> None:
+    where = console.place
+    where.run(where.sequence("replayed", 30.0), "--yes", "--realtime")
+    key = None
+    while True:
+        state = page.read().get("state", {})
+        key = state.get("run") or key
+        if (state.get("status") or {}).get("phase") == "excite":
+            break
+    content = {"page": page.key, "number": 9, "command": "stop", "run": key}
+    status, text, _ = console.request("POST", "/command", content)
+    assert (status, json.loads(text)["words"]) == (200, "taken")
+    assert console.request("POST", "/command", content)[0] == 409
+    while not (page.read().get("state", {}).get("status") or {}).get("ended"):
+        pass
+    where.started[-1].wait(60)
+    (record,) = where.records()
+    assert (record["state"], record["de_energised"]) == ("stopped", True)
+    assert "STOP by the console, page" in record["message"]
+
+
+def test_the_sockets_are_this_users_only(console: Served) -> None:
+    folder = console.place.sockets
+    assert folder.stat().st_mode & 0o777 == 0o700
+    with Peer(folder):
+        assert {path.stat().st_mode & 0o077 for path in folder.glob("console-*.sock")} == {0}
