@@ -10,9 +10,10 @@ import base64
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from identification.plots.style import Figure, png
+if TYPE_CHECKING:
+    from identification.plots.style import Figure
 
 
 @dataclass(frozen=True)
@@ -83,6 +84,9 @@ class Picture:
     @classmethod
     def of(cls, name: str, caption: str, figure: Figure) -> Picture:
         """Render a figure; characters that do not belong in a file name become underscores."""
+        # Imported late: documents without figures do not need the plotting library.
+        from identification.plots.style import png
+
         return cls(re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_"), caption, png(figure))
 
     @property

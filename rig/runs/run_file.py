@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -37,6 +38,7 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
+_Read = TypeVar("_Read")
 _ADDED = {"gas_generator": None}
 """Constants that runs of an older program do not state: they had no hot firings."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
@@ -49,6 +51,12 @@ _MUST_HOLD = {
     "timing": set(Timing().record()),
 }
 """Required keys of records that are stored unchanged."""
+
+
+@functools.cache
+def _adapter(record: type[_Read]) -> TypeAdapter[_Read]:
+    """Return the validator of a record, whose making takes longer than a validation."""
+    return TypeAdapter(record)
 
 
 def read_record(folder: Path) -> RunRecord:
@@ -68,7 +76,7 @@ def read_record(folder: Path) -> RunRecord:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
     try:
-        record = TypeAdapter(RunRecord).validate_json(json.dumps(_of_today(raw)), strict=True)
+        record = _adapter(RunRecord).validate_json(json.dumps(_of_today(raw)), strict=True)
     except ValidationError as error:
         raise InputError(explain_json(path, text, RunRecord, error)) from None
     problems = list(_contradictions(record))
@@ -137,7 +145,7 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
         yield ("bench", name), "missing; every constant must be stated, as there is no safe default"
     if not missing:
         try:
-            TypeAdapter(_Constants).validate_json(json.dumps(record.bench), strict=True)
+            _adapter(_Constants).validate_json(json.dumps(record.bench), strict=True)
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 yield ("bench", *details["loc"]), details["msg"]
