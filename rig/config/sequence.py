@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from rig.config.acceptance import LimitLine
 from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
 from rig.config.flow import FlowSection
 from rig.config.packaged import resolve
@@ -204,6 +205,9 @@ class Sequence(Schema):
         stages: The stages, in the order they are run.
         limits: Limits of this sequence.
         first_pass: `auto` makes a first pass on a real bench and none on a simulated one.
+        acceptance: Limits that a complete run is accepted by, such as `Mc: 6.5..7.1`,
+            `nothing missing`, `weight check passed`, `p99 lateness < 1 ms` or
+            `tracking error rms < 0.05 deg`.
     """
 
     sequence: Literal[1]
@@ -211,6 +215,7 @@ class Sequence(Schema):
     stages: Annotated[tuple[StageSection, ...], Field(min_length=1)]
     limits: SequenceLimits = SequenceLimits()
     first_pass: FirstPass | Literal["auto", "never"] = "auto"
+    acceptance: tuple[LimitLine, ...] = ()
 
     @field_validator("stages")
     @classmethod

@@ -10,12 +10,14 @@ from typing import Any
 import click
 
 from rig.cli import options as shared
+from rig.cli.accepting import accept_at_the_end
 from rig.cli.aftermath import STATUS, conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE
 from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
+from rig.config.acceptance import load_acceptance
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
 from rig.config.sequence import load_sequence
@@ -83,6 +85,8 @@ from rig.wiring.preflight import require_startable
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
     "the bench file]",
 )
+@shared.acceptance
+@shared.junit
 @shared.record_file("Also write run.json to this file, or what --dry-run finds.")
 def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
@@ -123,6 +127,8 @@ class _Options:
     first_pass: bool | None
     reset_fault: bool
     prompt_timeout_s: float | None
+    acceptance: Path | None
+    junit_file: Path | None
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
@@ -133,6 +139,9 @@ class _Options:
 def _run(options: _Options) -> int:
     """Check everything that can be checked before any motion, then run; return the exit status."""
     require_file(options.json_file, "--json")
+    require_file(options.junit_file, "--junit")
+    if options.acceptance is not None:
+        load_acceptance(options.acceptance)
     bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
     click.echo(bench_line(bench))
     constants = bench_constants(bench.value)
@@ -201,7 +210,9 @@ def _carry_out(
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if injector is not None:
         click.echo(describe_findings(injector.conclude(STATUS[outcome.ending], outcome.message)))
-    return status
+    if status != DONE:
+        return status
+    return accept_at_the_end(path, options.acceptance, options.junit_file)
 
 
 def _dry_run(

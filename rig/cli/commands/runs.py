@@ -160,6 +160,41 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
     return DONE if all(each.good for each in found) else BAD_VERDICT
 
 
+@command.command("accept")
+@click.argument("run", type=click.Path(path_type=Path))
+@shared.acceptance
+@shared.junit
+@shared.result_file
+def accept(
+    run: Path, acceptance: Path | None, junit_file: Path | None, json_file: Path | None
+) -> int:
+    """Hold a finished RUN against its limits, and write its certificate.
+
+    The limits are those of --acceptance, else those of the sequence that was run. Where they ask
+    for constants or for a diagnosis, RUN is identified and diagnosed unless it has been. The run
+    folder gets acceptance.json, certificate.html and certificate.pdf, and is sealed. Ends with
+    status 1 where a limit is not kept.
+
+    \b
+    Example:
+      rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
+    """
+    from rig.cli.accepting import accept_run
+    from rig.common.locks import hold_folder
+    from rig.common.places import require_file, write_asked
+    from rig.results.acceptance.accept import limits_for
+    from rig.wiring.ownership import until_the_end
+
+    require_file(json_file, "--json")
+    require_file(junit_file, "--junit")
+    _one(run)
+    limits, source = limits_for(run, acceptance)
+    until_the_end(hold_folder(run, "rig runs accept"))
+    found = accept_run(run, limits, source, junit_file)
+    write_asked(json_file, found.record)
+    return DONE if found.accepted else BAD_VERDICT
+
+
 def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
     try:
         return list(find(folder))

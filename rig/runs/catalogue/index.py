@@ -34,6 +34,19 @@ _WAIT_S = 5.0
 """Time to wait for another program that writes the index, s."""
 
 
+_NOT_DAMAGED = frozenset(
+    {
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_IOERR,
+    }
+)
+"""Errors of a sound index that cannot be written now; after any other it is made anew."""
+
+
 class _Row(NamedTuple):
     """A row of the index, in the order of its columns."""
 
@@ -125,9 +138,7 @@ def _read(
         texts = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
         first, second = texts
         check = _checksum(each.folder, each.signature, first)
-        rows.append(
-            _Row(each.folder, each.signature, first, check, second, _checksum(second))
-        )
+        rows.append(_Row(each.folder, each.signature, first, check, second, _checksum(second)))
         if progress is not None:
             progress(number, len(waiting))
     return rows
@@ -168,26 +179,13 @@ def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str
             with contextlib.closing(_open(file)) as database:
                 _write(database, kept, gone)
             return ""
-        except (sqlite3.DatabaseError, UnicodeError) as error:
-            locked = isinstance(error, sqlite3.OperationalError) and not _damaged(file)
-            if locked or again:
+        except (sqlite3.Error, UnicodeError) as error:
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+            if again or code in _NOT_DAMAGED:
                 return f"{file}: the index is not written ({error}); every list reads all runs"
         with contextlib.suppress(OSError):
             file.unlink()
     return ""
-
-
-def _damaged(file: Path) -> bool:
-    """Whether the file is there and no sound index of this format."""
-    try:
-        with contextlib.closing(_open(file)) as database:
-            sound = database.execute("PRAGMA quick_check").fetchone()[0] == "ok"
-            known = database.execute("PRAGMA user_version").fetchone()[0] in (0, _FORMAT)
-            return not (sound and known)
-    except sqlite3.OperationalError as error:
-        return "locked" not in str(error) and os.path.isfile(file)
-    except sqlite3.DatabaseError:
-        return True
 
 
 def _write(database: sqlite3.Connection, made: Iterable[_Row], gone: Iterable[str]) -> None:

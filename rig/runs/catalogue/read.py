@@ -69,7 +69,7 @@ def _head(folder: Path, record: RunRecord, benches: Benches) -> Head:
     return Head(
         sequence=record.name,
         created=record.created,
-        bench=_bench_name(folder, record, benches),
+        bench=bench_name(folder, record, benches),
         simulated=record.simulated,
         operators=tuple(dict.fromkeys(operators or filter(None, [record.operator]))),
         masses_kg=tuple(sorted(set(masses or [s.weight_kg for s in record.stages]))),
@@ -151,8 +151,9 @@ def _not_a_run(path: Path, error: InputError | OSError) -> Head:
     return Head(kind, problem, **said)  # type: ignore[arg-type]
 
 
-def _bench_name(folder: Path, record: RunRecord, benches: Benches) -> str:
+def bench_name(folder: Path, record: RunRecord, benches: Benches | None = None) -> str:
     """Return the bench's name from the file attached to the recording, else the file's name."""
+    benches = {} if benches is None else benches
     source = record.inputs[BENCH_ATTACHMENT]
     digest = source["sha256"]
     if digest not in benches:
