@@ -69,7 +69,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 
 @click.group("runs")
 def command() -> None:
-    """List, show, compare and verify what was run, from the run folders.
+    """List, show, compare, accept and verify
 
     An index beside the run folders (.runs.sqlite) saves reading them again. It can be deleted at
     any time; the folders alone decide what is shown.
@@ -127,6 +127,62 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
     entry = _one(run)
     _write(json_file, lambda: show_record(run, entry))
     _show(show_document(run, entry), out)
+
+
+@command.command("compare")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_page
+@shared.result_file
+def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
+    """Compare the constants of RUNS with those of the first, and mark those that moved.
+
+    A constant has moved where the difference is larger than the 90 % interval of the difference.
+    --out writes a page with the figures side by side.
+
+    \b
+    Example:
+      rig runs compare runs/monday runs/friday --out compared
+    """
+    from rig.results.catalogue.compare import (
+        Compared,
+        compare_document,
+        compare_record,
+        require_comparable,
+    )
+
+    if len(runs) < 2:
+        raise click.UsageError("give two runs or more; the others are compared with the first")
+    found = [Compared(run, entry := _one(run), entry.parsed()) for run in runs]
+    require_comparable(found)
+    _write(json_file, lambda: compare_record(found))
+    _show(compare_document(found), out)
+
+
+@command.command("trend")
+@_folder
+@_filters
+@shared.seed("Seed of the test's simulated distribution.")
+@_page
+@shared.result_file
+def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **given: Any) -> None:
+    """Follow each constant over the runs of each bench in FOLDER, and test it for change.
+
+    A drift, or a step from one run to the next, is reported where it is larger than the scatter of
+    the runs and their intervals explain. Of 100 histories without change, in one at most any
+    constant is reported. A step is compared with the devices: it may come with another drive.
+
+    \b
+    Example:
+      rig runs trend
+      rig runs trend --bench practical --since 2026-10-01 --out trend
+    """
+    from rig.results.catalogue.trend import histories
+    from rig.results.catalogue.trend_document import trend_document, trend_record
+
+    _, wanted = _chosen(folder, given, details=True)
+    found = histories(folder, wanted, seed)
+    _write(json_file, lambda: trend_record(found))
+    _show(trend_document(found), out)
 
 
 @command.command("verify")

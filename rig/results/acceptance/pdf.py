@@ -24,6 +24,8 @@ _FONT_SHARE = 0.62
 """Size of the text over the height of a row."""
 _CHARACTER = 0.52
 """Mean width of a character over the size of the text."""
+_ABOVE = 0.2
+"""Space above the text of a row, over the height of the row."""
 _DIGEST = 64
 _GOOD, _BAD, _INK, _SOFT, _RULE = "#00713d", "#b00020", "#000000", "#444444", "#bbbbbb"
 _BACK = {True: "#eef8f1", False: "#fdf0f0"}
@@ -81,7 +83,7 @@ class _Sheet:
                     digest = len(line) == _DIGEST
                     self.text(
                         at,
-                        y + number * self.row_mm,
+                        y + (number + _ABOVE) * self.row_mm,
                         line,
                         0.78 * self.size if digest else 0.92 * self.size,
                         colour,
@@ -91,7 +93,7 @@ class _Sheet:
                     )
                 left += shares[index] * width
             y += self.row_mm * max(len(cell) for cell in lines)
-            self.rule(x, y - 0.12 * self.row_mm, width)
+            self.rule(x, y, width)
         return y
 
     def _wrapped(
