@@ -18,6 +18,7 @@ from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.diagnose.document import diagnose_document
 from rig.results.diagnose.exports import exports
+from rig.results.facts import facts_of
 from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.identify.document import identify_document
 from rig.results.identify.identify import Request, identify_source
@@ -129,7 +130,8 @@ def _identify(folder: Path, progress: Progress) -> dict[str, Any]:
     outcome = identify_source(folder, Request(), progress)
     record = outcome_record(outcome)
     write_record(record, folder / RESULT_FILE, None)
-    write_page(identify_document(folder.name, outcome, truth_of(folder)), folder / PAGE_FILE)
+    document = identify_document(folder.name, outcome, truth_of(folder), facts_of(folder))
+    write_page(document, folder / PAGE_FILE)
     return record
 
 
@@ -141,7 +143,8 @@ def _diagnose(folder: Path, progress: Progress) -> dict[str, Any]:
     write_record(record, inside / DIAGNOSIS_FILE, None)
     beside = exports(folder, outcome, record)
     write_texts({file.name: file.text for file in beside.files}, inside)
-    write_page(diagnose_document(folder.name, outcome, beside), inside / PAGE_FILE)
+    document = diagnose_document(folder.name, outcome, beside, facts_of(folder))
+    write_page(document, inside / PAGE_FILE)
     return record
 
 

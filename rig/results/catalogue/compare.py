@@ -167,7 +167,7 @@ def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Ite
     words = f"moved by more than their uncertainty: {', '.join(moved) or 'none'}"
     yield Note(words)
     yield Note(
-        f"of {known} constants that have not moved, {0.1 * known:.2g} exceed it by chance (one in "
+        f"without any change, {0.1 * known:.2g} of {known} constants exceed it by chance (one in "
         "ten)",
         "aside",
     )
