@@ -140,30 +140,6 @@ def hold_folder(folder: Path, command: str) -> Lock:
     return _hold([place], command, owner=Path(os.path.realpath(folder)) / OWNER_FILE)
 
 
-def is_held(folder: Path) -> bool:
-    """Return whether a program on this computer holds a run folder; takes no lock for longer than
-    the look.
-
-    A folder that cannot be looked into counts as held where its lock file is there.
-    """
-    file = folder / OWNER_FILE
-    try:
-        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
-    except FileNotFoundError:
-        return False
-    except OSError:
-        return True
-    try:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except (ImportError, OSError):
-        return True
-    finally:
-        os.close(descriptor)
-    return False
-
-
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
     """Return the locks that a process has inherited; :meth:`Lock.note` writes it as holder.
 

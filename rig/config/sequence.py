@@ -247,6 +247,27 @@ class Sequence(Schema):
         return self
 
 
+class AcceptanceFile(Schema):
+    """Limits of acceptance in a file of their own.
+
+    Attributes:
+        acceptance: Version of the file format.
+        limits: The limits, in the order in which they are reported.
+    """
+
+    acceptance: Literal[1]
+    limits: Annotated[tuple[LimitLine, ...], Field(min_length=1)]
+
+
+def load_acceptance(path: Path) -> Document[AcceptanceFile]:
+    """Read a file of limits.
+
+    Raises:
+        InputError: It is missing or not valid; every problem with its place in the file.
+    """
+    return load_located(path, AcceptanceFile)
+
+
 def load_sequence(name: str | Path) -> Document[Sequence]:
     """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
 

@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -38,7 +38,6 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
-_Read = TypeVar("_Read")
 _ADDED = {"gas_generator": None}
 """Constants that runs of an older program do not state: they had no hot firings."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
@@ -54,7 +53,7 @@ _MUST_HOLD = {
 
 
 @functools.cache
-def _adapter(record: type[_Read]) -> TypeAdapter[_Read]:
+def _adapter(record: type[Any]) -> TypeAdapter[Any]:
     """Return the validator of a record, whose making takes longer than a validation."""
     return TypeAdapter(record)
 
@@ -76,7 +75,9 @@ def read_record(folder: Path) -> RunRecord:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
     try:
-        record = _adapter(RunRecord).validate_json(json.dumps(_of_today(raw)), strict=True)
+        record: RunRecord = _adapter(RunRecord).validate_json(
+            json.dumps(_of_today(raw)), strict=True
+        )
     except ValidationError as error:
         raise InputError(explain_json(path, text, RunRecord, error)) from None
     problems = list(_contradictions(record))

@@ -35,7 +35,7 @@ def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
         OSError: A file cannot be read, or the seal cannot be written.
     """
     try:
-        sealed = read_seal(folder)
+        sealed = dict(read_seal(folder))
     except InputError:
         # A damaged seal is replaced; the files that are sealed now are known.
         sealed = {}

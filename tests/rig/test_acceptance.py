@@ -14,10 +14,10 @@ from lxml import etree
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
-from rig.config.acceptance import Limit, load_acceptance, parse_limit
+from rig.config.acceptance import Limit, parse_limit
 from rig.config.bench import load_bench
 from rig.config.configuration import load_located
-from rig.config.sequence import Sequence
+from rig.config.sequence import Sequence, load_acceptance
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
 from rig.results.acceptance.accept import accept

@@ -17,10 +17,9 @@ from rig.cli.entry import BAD_VERDICT, DONE
 from rig.common.locks import OWNER_FILE
 from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
-from rig.config.acceptance import load_acceptance
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
-from rig.config.sequence import load_sequence
+from rig.config.sequence import load_acceptance, load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress

@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from rig.results.document import Document
     from rig.runs.catalogue.entry import Entry
 
+    _Time = click.ParamType[datetime]
+else:
+    _Time = click.ParamType
+
 DEFAULT_FOLDER = Path("runs")
 
 
-class _Day(click.ParamType):
+class _Day(_Time):
     """A date or a time in UTC; of a day, ``last`` takes the end."""
 
     name = "date"

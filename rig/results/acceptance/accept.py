@@ -12,14 +12,16 @@ from rig.common.places import replacing
 from rig.common.provenance import sha256_file
 from rig.common.result_files import RESULT_FILE as IDENTIFY_FILE
 from rig.common.yaml_tree import DocumentError, parse
-from rig.config.acceptance import Limit, limits_of, load_acceptance
+from rig.config.acceptance import Limit, limits_of
 from rig.config.configuration import validated
 from rig.config.sequence import Sequence as StageSequence
+from rig.config.sequence import load_acceptance
 from rig.results.acceptance.certificate import certificate_html, make_certificate
-from rig.results.acceptance.evidence import DIAGNOSIS_FILE, DIAGNOSIS_FOLDER, Progress, gather
+from rig.results.acceptance.evidence import DIAGNOSIS_FOLDER, Progress, gather
 from rig.results.acceptance.judge import Check, accepted, judge
 from rig.results.acceptance.pdf import certificate_pdf
 from rig.results.acceptance.record import RESULT_FILE, acceptance_record, junit
+from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import Document, Note, Section, Table, Verdict
 from rig.results.files import write_record, write_texts
 from rig.runs.catalogue.read import bench_name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib.image
 from matplotlib import rc_context
@@ -51,7 +52,7 @@ class _Sheet:
         return _FONT_SHARE * self.row_mm * _POINTS_PER_MM
 
     def text(
-        self, x: float, y: float, words: str, size: float, colour: str = _INK, **kept: str
+        self, x: float, y: float, words: str, size: float, colour: str = _INK, **kept: Any
     ) -> None:
         """Write a line whose upper edge is ``y`` mm below the top."""
         place = (x / WIDTH_MM, 1.0 - y / HEIGHT_MM)

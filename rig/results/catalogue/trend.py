@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
+from identification.recording import Array
 from rig.results.catalogue.listing import copies_of
 from rig.results.catalogue.words import place
 from rig.runs.catalogue.entry import Constant, Details, Entry
@@ -132,18 +134,25 @@ def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
             yield Course(name, runs, constants, None, None)
             continue
         values = np.array([each.value for each in constants], dtype=np.float64)
-        errors = np.array([each.half_width for each in constants]) / _HALF_WIDTHS
-        test = _test(errors, seed, known)
-        change = test(values)
+        halves = np.array([each.half_width for each in constants], dtype=np.float64)
+        scale = float(np.median(halves)) / _HALF_WIDTHS
+        found_change = _test(halves / np.median(halves), seed, known)(values / scale)
+        change = dataclasses.replace(
+            found_change,
+            size=scale * found_change.size,
+            half_width=scale * found_change.half_width,
+        )
         p_value = min(1.0, tested * change.p_value)
         yield Course(name, runs, constants, change, p_value, _devices(history, runs, change.start))
 
 
-def _test(errors: np.ndarray, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:  # type: ignore[type-arg]
-    """Return the test for these errors; constants with the same relative errors share one."""
-    key = np.round(errors / errors[0], 6).tobytes() + errors[:1].tobytes()
+def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
+    """Return the test for errors relative to their median; constants with the same ones share
+    it.
+    """
+    key = np.round(relative, 6).tobytes()
     if key not in known:
-        known[key] = ChangeTest(errors, np.random.default_rng(seed))
+        known[key] = ChangeTest(relative, np.random.default_rng(seed))
     return known[key]
 
 
@@ -168,7 +177,7 @@ def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None)
     before, after = history[runs[start - 1]].devices, history[runs[start]].devices
     return tuple(
         f"{role}: {before.get(role, 'none')}, then {after.get(role, 'none')}"
-        for role in before | after
+        for role in {**before, **after}
         if before.get(role) != after.get(role)
     )
 

@@ -37,7 +37,7 @@ def _section(history: History, *, pictures: bool) -> Section:
     kind = "simulated" if history.simulated else "REAL"
     title = f"{history.bench} ({kind}), {len(history.runs)} runs, {history.method} method"
     found = alarms(history)
-    figures = ()
+    figures: tuple[Picture, ...] = ()
     if pictures and history.courses:
         made = drawn({c.name: c.constants for c in history.courses if c.constants}, found)
         figures = (Picture.of(f"trend_{history.bench}", f"Constants of {history.bench}", made),)

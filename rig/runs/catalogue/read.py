@@ -103,7 +103,9 @@ def constants_of(identified: Mapping[str, Any]) -> dict[str, Constant]:
     parameters = identified.get("parameters")
     return {
         str(name): Constant(
-            *(_number(each.get(key)) for key in ("value", "low", "high")),
+            _number(each.get("value")),
+            _number(each.get("low")),
+            _number(each.get("high")),
             str(each.get("unit") or ""),
             bool(each.get("at_bound")),
         )

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from rig.common.locks import is_held
+from rig.common.lock_holder import is_held
+from rig.common.locks import OWNER_FILE
 from rig.runs.catalogue.entry import DIED, GOING_ON, Entry
 
 VERDICTS = (
@@ -104,7 +105,7 @@ def state_of(root: Path, entry: Entry) -> str:
     """Return the state of a run; one that says `running` is going on or has died."""
     if entry.head.kind != "run" or entry.head.state != "running":
         return entry.head.state
-    return GOING_ON if is_held(root / entry.folder) else DIED
+    return GOING_ON if is_held(root / entry.folder / OWNER_FILE) else DIED
 
 
 def verdicts(root: Path, entry: Entry) -> set[str]:

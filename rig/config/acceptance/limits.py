@@ -7,13 +7,11 @@ import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator
 
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from rig.config.configuration import Document, Schema, load_located
 
 NOTHING_MISSING = "nothing missing"
 WEIGHT_CHECK = "weight check passed"
@@ -202,24 +200,3 @@ LimitLine = Annotated[str | Mapping[str, str], AfterValidator(_acceptable)]
 def limits_of(lines: Iterable[str | Mapping[str, str]]) -> tuple[Limit, ...]:
     """Return validated lines as limits."""
     return tuple(parse_limit(_line(line)) for line in lines)
-
-
-class AcceptanceFile(Schema):
-    """Limits of acceptance in a file of their own.
-
-    Attributes:
-        acceptance: Version of the file format.
-        limits: The limits, in the order in which they are reported.
-    """
-
-    acceptance: Literal[1]
-    limits: Annotated[tuple[LimitLine, ...], Field(min_length=1)]
-
-
-def load_acceptance(path: Path) -> Document[AcceptanceFile]:
-    """Read a file of limits.
-
-    Raises:
-        InputError: It is missing or not valid; every problem with its place in the file.
-    """
-    return load_located(path, AcceptanceFile)
