@@ -22,6 +22,7 @@ from rig.config.descriptions import meanings
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
 from rig.planning.predicted_load import PredictedPeak
+from rig.runs.catalogue.entry import Head
 from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 
 TABLE = Path(__file__).with_suffix(".txt")
@@ -87,6 +88,25 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.look:_clock_record",
         "rig.results.look:_column_record",
     ),
+    "rig runs list --json": ("rig.results.catalogue.listing:listing_record",),
+    "rig runs show --json": ("rig.results.catalogue.show:show_record",),
+    "rig runs compare --json": (
+        "rig.results.catalogue.compare:compare_record",
+        "rig.results.catalogue.compare:_difference_record",
+    ),
+    "rig runs trend --json": (
+        "rig.results.catalogue.trend_document:trend_record",
+        "rig.results.catalogue.trend_document:_history_record",
+        "rig.results.catalogue.trend_document:_course_record",
+    ),
+    "rig runs verify --json": (
+        "rig.results.catalogue.verification:verification_record",
+        "rig.results.catalogue.verification:_run_record",
+    ),
+    "rig runs accept: acceptance.json": (
+        "rig.results.acceptance.record:acceptance_record",
+        "rig.results.acceptance.record:_check_record",
+    ),
     "rig paper: paper.json": (
         "rig.results.paper.record:paper_record",
         "rig.results.paper.record:_entry",
@@ -117,12 +137,14 @@ _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
+    "rig runs list --json": (Head,),
     "rig run --faults: faults.json": (Finding,),
 }
 """Section to the records that are written field by field."""
 _INTERNAL = frozenset({"transmission", "voltage", "right"})
 """Keys of dictionaries that stay inside these functions."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
+    "rig runs list --json": frozenset({"run"}),
     "rig identify: identify.json": frozenset(
         {
             "corrections",

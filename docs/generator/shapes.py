@@ -30,6 +30,7 @@ _VALIDATORS = {
     "_known_parameter": "a [parameter](../glossary.md)",
     "_known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, "
     "`stribeck_load_dependent`",
+    "_acceptable": "(a limit)",
     "_known_term": "one of `offset`, `load_dependent_friction`",
 }
 """Function that checks a value to what it accepts."""

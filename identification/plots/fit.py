@@ -55,8 +55,17 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         moments: Recording to its contact moment F_P L1, N m; None where it varies and no curve is
             drawn.
     """
-    unit = result.torque_unit
     made, (axis,) = figure(1, height=5.0)
+    draw_stribeck(axis, result, moments)
+    made.suptitle(f"Friction against speed, {result.method} method", fontsize=11)
+    return made
+
+
+def draw_stribeck(
+    axis: Axes, result: Identification, moments: Mapping[str, float | None], columns: int = 3
+) -> None:
+    """Draw :func:`stribeck` into given axes, with a legend of so many columns."""
+    unit = result.torque_unit
     label: str | None = "fitted"
     values = result.values()
     by_load: dict[float, list[Trace]] = {}
@@ -93,12 +102,10 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
     axis.set_ylabel(f"friction {torque_word(result.motion)} ({unit})")
     axis.axhline(0.0, color=GREY, linewidth=0.8)
     axis.axvline(0.0, color=GREY, linewidth=0.8)
-    legend = legend_above(axis, 3)
+    legend = legend_above(axis, columns)
     for handle in legend.legend_handles if legend else ():
         if handle is not None:
             handle.set_alpha(1.0)
-    made.suptitle(f"Friction against speed, {result.method} method", fontsize=11)
-    return made
 
 
 def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) -> Figure:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -40,6 +41,13 @@ def figure(
     """Return a figure with its axes, row by row; no global state is touched."""
     made = _canvas(width, height)
     grid = made.subplots(rows, columns, squeeze=False, sharex=sharex)
+    return made, _dress([axis for row in grid for axis in row])
+
+
+def stacked(heights: Sequence[float], *, width: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with axes one below the other, of these heights, inches."""
+    made = _canvas(width, 1.05 * sum(heights) + 0.4)
+    grid = made.subplots(len(heights), 1, squeeze=False, height_ratios=list(heights))
     return made, _dress([axis for row in grid for axis in row])
 
 

@@ -22,6 +22,7 @@ from rig.results.run.go_on import go_on_words
 from rig.results.run.report import write_run_report
 from rig.runs.run import RunFolder, load_run
 from rig.runs.run_record import Ending, RunRecord
+from rig.runs.seal import SEAL_FILE, seal_run
 from rig.terminal.output import complain, reader_gone
 from rig.terminal.screen import Screen
 from rig.weighing.label_check import comparable, off_label
@@ -61,6 +62,7 @@ def conclude(
     _tell(folder, screen)
     screen.drain()
     write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
+    seal_folder(folder.path, record, lambda words, good: screen.say(words, err=not good))
     screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
@@ -109,6 +111,19 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
         screen.say(f"warning: {warning}")
     if words := go_on_words(record, folder.path):
         screen.say(words)
+
+
+def seal_folder(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
+    """Record the digests of the run's record and recordings, or print why that is not possible.
+
+    Never raises.
+    """
+    try:
+        seal_run(folder, record)
+    except (OSError, UnicodeError) as error:
+        say(f"{folder}: {SEAL_FILE} cannot be written: {error}", False)
+    except KeyboardInterrupt:
+        say(f"{folder}: {SEAL_FILE} is not written; `rig runs verify` has no digests", False)
 
 
 def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:

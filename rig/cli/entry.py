@@ -59,6 +59,10 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "rig.cli.commands.prove:command",
         "Test the diagnosis on blind trials with injected effects.",
     ),
+    "runs": (
+        "rig.cli.commands.runs:command",
+        "List, show, compare and verify what was run.",
+    ),
     "look": ("rig.cli.commands.look:command", "Show what is in a log made elsewhere."),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),

@@ -102,6 +102,27 @@ def identification(command: Any) -> Any:
     )(command)
 
 
+def acceptance(command: Any) -> Any:
+    """Add ``--acceptance`` for a file of limits to a command."""
+    return click.option(
+        "--acceptance",
+        metavar="FILE",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Limits that a complete run is accepted by. [default: those of the sequence]",
+    )(command)
+
+
+def junit(command: Any) -> Any:
+    """Add ``--junit`` to a command, as ``junit_file``."""
+    return click.option(
+        "--junit",
+        "junit_file",
+        metavar="FILE",
+        type=click.Path(path_type=Path, dir_okay=False),
+        help="Also write the acceptance as JUnit XML.",
+    )(command)
+
+
 def first_pass(command: Any) -> Any:
     """Add ``--first-pass`` and ``--no-first-pass`` to a command."""
     return click.option(

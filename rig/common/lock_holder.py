@@ -8,6 +8,7 @@ import os
 import socket
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any, Final, Self
 
 from rig.common.provenance import utc_now
@@ -96,6 +97,29 @@ class Holder:
             return ""
         day = "" if since.date() == now.astimezone(UTC).date() else f"{since:%Y-%m-%d} "
         return f" since {day}{since:%H:%M:%S} UTC{_ago((now - since).total_seconds())}"
+
+
+def is_held(file: Path) -> bool:
+    """Return whether a program on this computer holds a lock file; takes no lock for longer than
+    the look.
+
+    A file that is there and cannot be looked into counts as held.
+    """
+    try:
+        descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK)
+    except FileNotFoundError:
+        return False
+    except OSError:
+        return True
+    try:
+        import fcntl
+
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return True
+    finally:
+        os.close(descriptor)
+    return False
 
 
 def _ago(seconds: float) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
+from rig.config.acceptance import LimitLine
 from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
 from rig.config.flow import FlowSection
 from rig.config.packaged import resolve
@@ -207,6 +208,9 @@ class Sequence(Schema):
         stages: The stages, in the order in which they are run.
         limits: Limits of this sequence.
         first_pass: `auto`: a first pass on a real bench and none on a simulated bench.
+        acceptance: Limits that a complete run is accepted by, such as `Mc: 6.5..7.1`,
+            `nothing missing`, `weight check passed`, `p99 lateness < 1 ms` or
+            `tracking error rms < 0.05 deg`.
     """
 
     sequence: Literal[1]
@@ -214,6 +218,7 @@ class Sequence(Schema):
     stages: Annotated[tuple[StageSection, ...], Field(min_length=1)]
     limits: SequenceLimits = SequenceLimits()
     first_pass: FirstPass | Literal["auto", "never"] = "auto"
+    acceptance: tuple[LimitLine, ...] = ()
 
     @field_validator("stages")
     @classmethod
@@ -243,6 +248,27 @@ class Sequence(Schema):
                 "fit"
             )
         return self
+
+
+class AcceptanceFile(Schema):
+    """Limits of acceptance in a file of their own.
+
+    Attributes:
+        acceptance: Version of the file format.
+        limits: The limits, in the order in which they are reported.
+    """
+
+    acceptance: Literal[1]
+    limits: Annotated[tuple[LimitLine, ...], Field(min_length=1)]
+
+
+def load_acceptance(path: Path) -> Document[AcceptanceFile]:
+    """Read a file of limits.
+
+    Raises:
+        InputError: It is missing or not valid; every problem with its place in the file.
+    """
+    return load_located(path, AcceptanceFile)
 
 
 def load_sequence(name: str | Path) -> Document[Sequence]:

@@ -10,9 +10,10 @@ import base64
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
-from identification.plots.style import Figure, png
+if TYPE_CHECKING:
+    from identification.plots.style import Figure
 
 
 @dataclass(frozen=True)
@@ -74,16 +75,21 @@ class Picture:
         name: File name without its ending.
         caption: What it shows.
         data: PNG.
+        lead: Whether it is what a page opens with, drawn to be read on a telephone.
     """
 
     name: str
     caption: str
     data: bytes
+    lead: bool = False
 
     @classmethod
-    def of(cls, name: str, caption: str, figure: Figure) -> Picture:
+    def of(cls, name: str, caption: str, figure: Figure, *, lead: bool = False) -> Picture:
         """Render a figure; characters that do not belong in a file name become underscores."""
-        return cls(re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_"), caption, png(figure))
+        # Imported late: documents without figures do not need the plotting library.
+        from identification.plots.style import png
+
+        return cls(re.sub(r"[^A-Za-z0-9.-]+", "_", name).strip("_"), caption, png(figure), lead)
 
     @property
     def file(self) -> str:
@@ -131,12 +137,14 @@ class Document:
         subtitle: Line under it.
         summary: Summary for the terminal; blank lines separate its sections.
         sections: Full content for the page; empty if there is no page.
+        facts: Name and value of what the page states first, such as bench, date and operator.
     """
 
     title: str
     subtitle: str
     summary: tuple[Section, ...]
     sections: tuple[Section, ...] = ()
+    facts: tuple[tuple[str, str], ...] = ()
 
     def pictures(self) -> Iterator[Picture]:
         """Yield the pictures of the page in their order."""

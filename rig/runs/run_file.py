@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -51,6 +52,12 @@ _MUST_HOLD = {
 """Required keys of records that are stored unchanged."""
 
 
+@functools.cache
+def _adapter(record: type[Any]) -> TypeAdapter[Any]:
+    """Return the validator of a record, whose making takes longer than a validation."""
+    return TypeAdapter(record)
+
+
 def read_record(folder: Path) -> RunRecord:
     """Read ``run.json``.
 
@@ -68,7 +75,9 @@ def read_record(folder: Path) -> RunRecord:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
     try:
-        record = TypeAdapter(RunRecord).validate_json(json.dumps(_of_today(raw)), strict=True)
+        record: RunRecord = _adapter(RunRecord).validate_json(
+            json.dumps(_of_today(raw)), strict=True
+        )
     except ValidationError as error:
         raise InputError(explain_json(path, text, RunRecord, error)) from None
     problems = list(_contradictions(record))
@@ -137,7 +146,7 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
         yield ("bench", name), "missing; every constant must be stated, as there is no safe default"
     if not missing:
         try:
-            TypeAdapter(_Constants).validate_json(json.dumps(record.bench), strict=True)
+            _adapter(_Constants).validate_json(json.dumps(record.bench), strict=True)
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 yield ("bench", *details["loc"]), details["msg"]

@@ -42,7 +42,7 @@ def test_the_script_for_a_shell_is_what_the_page_asks_for(name: str) -> None:
 
 
 def test_commands_and_options_are_completed() -> None:
-    assert completed("rig", "ru") == ["run"]
+    assert completed("rig", "ru") == ["run", "runs"]
     assert completed("rig", "new", "") == ["bench", "campaign", "sequence"]
     assert "--torque-constant" in completed("rig", "new", "bench", "--to")
     assert completed("rig", "new", "bench", "b.yaml", "--drive", "epos") == ["epos4-serial"]

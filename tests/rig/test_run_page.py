@@ -38,6 +38,8 @@ from rig.runs.run import RunFolder
 from rig.runs.run_file import read_record
 from rig.runs.run_record import RunRecord
 
+OPENING = 3
+"""Charts that a page opens with: tracking error, current and temperature."""
 INSIDE = 600
 """A cycle well inside the first excitation of the short sequence."""
 
@@ -171,8 +173,21 @@ def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench:
     assert "drive off" in last_part(html)
     # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there
     # is no pressure.
-    assert len(titles(html)) == 2 * (len(panels.PANELS) - 2) + 1
+    assert len(titles(html)) == OPENING + 2 * (len(panels.PANELS) - 2) + 1
     assert "chamber pressure" not in html
+
+
+def test_a_page_opens_with_the_result(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    html = page_of(folder)
+    opening = html.partition("<h2>")[0]
+    assert titles(opening) == [
+        "tracking error, command less joint encoder",
+        "motor current",
+        "motor temperature",
+    ]
+    assert opening.index("practical <span") < opening.index("DONE") < opening.index("<svg")
+    assert "prefers-color-scheme:dark" in html
 
 
 def test_a_real_bench_is_called_real(runner: Any, fake_bench: Any) -> None:

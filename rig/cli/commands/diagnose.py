@@ -76,6 +76,7 @@ def command(
     from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
     from rig.results.diagnose.document import diagnose_document
     from rig.results.diagnose.exports import exports
+    from rig.results.facts import facts_of
     from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
     from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
@@ -92,7 +93,7 @@ def command(
         write_record(record, folder / RESULT_FILE, json_file)
         beside = exports(source, outcome, record)
         write_texts({file.name: file.text for file in beside.files}, folder)
-        document = diagnose_document(source_name(source), outcome, beside)
+        document = diagnose_document(source_name(source), outcome, beside, facts_of(source))
         write_page(document, folder / PAGE_FILE)
     click.echo(text(document))
     for note in beside.notes:

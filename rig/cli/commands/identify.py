@@ -169,6 +169,7 @@ def _identify_source(options: _Options, source: Path) -> None:
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
     from rig.common.result_files import RESULT_FILE
+    from rig.results.facts import facts_of
     from rig.results.files import PAGE_FILE, write_page, write_record
     from rig.results.identify.document import identify_document
     from rig.results.identify.identify import Request, compare_methods, identify_source
@@ -197,7 +198,7 @@ def _identify_source(options: _Options, source: Path) -> None:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
         write_record(outcome_record(outcome), folder / RESULT_FILE, options.json_file)
-        document = identify_document(source_name(source), outcome, truth)
+        document = identify_document(source_name(source), outcome, truth, facts_of(source))
         write_page(document, folder / PAGE_FILE)
     click.echo(text(document))
     click.echo(f"report: {folder / PAGE_FILE}")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
-from rig.cli.aftermath import write_page
+from rig.cli.aftermath import seal_folder, write_page
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.common.locks import hold_folder
@@ -51,5 +51,7 @@ def command(run: Path, json_file: Path | None) -> int:
         click.echo(words)
     if recovery.changed or not (run / REPORT_FILE).exists():
         write_page(run, recovery.record, lambda words, good: click.echo(words, err=not good))
+    if recovery.changed:
+        seal_folder(run, recovery.record, lambda words, good: click.echo(words, err=not good))
     write_asked(json_file, dataclasses.asdict(recovery.record))
     return DONE

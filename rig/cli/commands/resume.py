@@ -8,7 +8,9 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
+from rig.cli.accepting import accept_at_the_end
 from rig.cli.aftermath import conclude
+from rig.cli.entry import DONE
 from rig.common.errors import InputError
 from rig.common.locks import hold_folder
 from rig.common.places import require_file
@@ -128,4 +130,5 @@ def _carry_out(
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
-        return conclude(folder, outcome, inputs.reference, json_file, screen)
+        status = conclude(folder, outcome, inputs.reference, json_file, screen)
+    return accept_at_the_end(run, None, None) if status == DONE else status

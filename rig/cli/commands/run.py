@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from rig.cli import options as shared
+from rig.cli.accepting import accept_at_the_end
 from rig.cli.aftermath import STATUS, conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
@@ -18,7 +19,7 @@ from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
-from rig.config.sequence import load_sequence
+from rig.config.sequence import load_acceptance, load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
@@ -85,6 +86,8 @@ from rig.wiring.preflight import require_startable
     "the bench file]",
 )
 @shared.in_console
+@shared.acceptance
+@shared.junit
 @shared.record_file("Also write run.json to this file, or what --dry-run finds.")
 def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
@@ -126,6 +129,8 @@ class _Options:
     reset_fault: bool
     prompt_timeout_s: float | None
     in_console: bool
+    acceptance: Path | None
+    junit_file: Path | None
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
@@ -136,6 +141,9 @@ class _Options:
 def _run(options: _Options) -> int:
     """Check everything that can be checked before any motion, then run; return the exit status."""
     require_file(options.json_file, "--json")
+    require_file(options.junit_file, "--junit")
+    if options.acceptance is not None:
+        load_acceptance(options.acceptance)
     bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
     click.echo(bench_line(bench))
     constants = bench_constants(bench.value)
@@ -212,7 +220,9 @@ def _carry_out(
         status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if injector is not None:
         click.echo(describe_findings(injector.conclude(STATUS[outcome.ending], outcome.message)))
-    return status
+    if status != DONE:
+        return status
+    return accept_at_the_end(path, options.acceptance, options.junit_file)
 
 
 def _dry_run(

@@ -51,13 +51,16 @@ _TONES: dict[str, Literal["good", "found", "open"]] = {
 _SHOWN_PER_ROLE = 4
 
 
-def diagnose_document(name: str, outcome: Outcome, exports: Exports) -> Document:
+def diagnose_document(
+    name: str, outcome: Outcome, exports: Exports, facts: tuple[tuple[str, str], ...] = ()
+) -> Document:
     """Return a diagnosis as a document.
 
     Args:
         name: Name of the source.
         outcome: The result.
         exports: The files next to the page.
+        facts: What the page states first, such as bench, date and operator.
     """
     found = outcome.diagnosis
     return Document(
@@ -66,6 +69,7 @@ def diagnose_document(name: str, outcome: Outcome, exports: Exports) -> Document
         f"has p = {found.p_value:.2g}",
         tuple(_summary(outcome)),
         tuple(_sections(outcome, exports)),
+        facts,
     )
 
 

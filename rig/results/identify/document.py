@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 from identification.plots import fit as fit_plots
+from identification.plots import result as opening
 from identification.plots import signals
 from identification.recording import Recording
 from identification.result import Identification, Trace
@@ -49,7 +50,10 @@ class Extra(NamedTuple):
 
 
 def identify_document(
-    name: str, outcome: Outcome, truth: Mapping[str, float] | None = None
+    name: str,
+    outcome: Outcome,
+    truth: Mapping[str, float] | None = None,
+    facts: tuple[tuple[str, str], ...] = (),
 ) -> Document:
     """Return an identification as a document.
 
@@ -57,6 +61,7 @@ def identify_document(
         name: Name of the source.
         outcome: The result; figures of single recordings show the first method.
         truth: True values of a simulated bench, only for display.
+        facts: What the page states first, such as bench, date and operator.
     """
     results = outcome.results
     return Document(
@@ -64,6 +69,7 @@ def identify_document(
         f"Identification by the {' and the '.join(r.method for r in results)} method",
         tuple(_summary(outcome, truth)),
         tuple(_sections(outcome, truth)),
+        facts,
     )
 
 
@@ -90,6 +96,7 @@ def _summary(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Se
 
 def _sections(outcome: Outcome, truth: Mapping[str, float] | None) -> Iterator[Section]:
     results = outcome.results
+    yield Section("", (_lead(outcome),))
     if warnings := _warnings(results):
         yield Section("Warnings", tuple(warnings))
     yield Section("Parameters", tuple(_parameters(results, truth)))
@@ -166,11 +173,23 @@ def _how_sure(results: Sequence[Identification]) -> Iterator[Table | Note | Pict
     yield from uncertainty_pictures(results)
 
 
-def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Picture:
-    moments = {
-        name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0)
-        for name, r in recordings.items()
+def _lead(outcome: Outcome) -> Picture:
+    """Return the figure that the page opens with."""
+    recordings, first = outcome.dataset.recordings, outcome.results[0]
+    drawn = opening.result(first, _moments(recordings), recordings)
+    what = "friction against speed, measured (dots) and identified (black); below it the recordings"
+    return Picture.of("result", f"Result: {what}", drawn, lead=True)
+
+
+def _moments(recordings: Sequence[Recording]) -> dict[str, float | None]:
+    return {
+        r.name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0)
+        for r in recordings
     }
+
+
+def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Picture:
+    moments = _moments(list(recordings.values()))
     return Picture.of(
         f"stribeck_{result.method}",
         f"Friction against speed, measured and fitted by the {result.method} method",

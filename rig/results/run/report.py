@@ -12,7 +12,7 @@ from rig.common.errors import InputError
 from rig.common.places import write_text
 from rig.results.run.go_on import first_words, go_on_command, go_on_notes
 from rig.results.run.page import chart
-from rig.results.run.page.sections import Recorded, last_seconds, whole
+from rig.results.run.page.sections import Recorded, last_seconds, result, whole
 from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
 REPORT_FILE = "run.html"
@@ -37,6 +37,14 @@ _STYLE = (
     "dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem .9rem;margin:.6rem "
     "0}dt{color:#555}"
     "dd{margin:0;overflow-wrap:anywhere}"
+    ".who{margin:.2rem 0 .6rem;display:flex;flex-wrap:wrap;gap:.15rem 1.6rem}"
+    ".who i{color:#555;font-style:normal}.result .chart{margin:.3rem 0}"
+    "@media screen and (prefers-color-scheme:dark){body{background:#16181b;color:#e8e8e8}"
+    "h2{border-color:#3a3d42}th,td{border-color:#3a3d42}.note,dt,.who i{color:#b4b4b4}"
+    ".warning{background:#33241a}.ending{background:#331a1c;border-color:#ff8a8a}"
+    ".ending.done{background:#12291f;border-color:#63d6a0}code{background:#2a2d31}"
+    ".badge{border-color:#e8e8e8}.badge.real{background:#e8e8e8;color:#16181b}"
+    ".bar{background:#5bb8f0}}"
     "@media(min-width:56rem){.pair{display:grid;grid-template-columns:1fr 1fr;column-gap:1.5rem}"
     ".top{display:grid;grid-template-columns:1fr auto;column-gap:2rem;align-items:start}}"
     "@media "
@@ -64,12 +72,17 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     title = escape(f"Run {record.name}")
     yield f'<!doctype html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
     yield '<meta name="viewport" content="width=device-width,initial-scale=1">'
+    yield '<meta name="color-scheme" content="light dark">'
     yield f"<style>{_STYLE}{chart.STYLE}</style></head><body><h1>{title}</h1>"
     recordings = [_recorded(folder, record, number) for number in range(1, len(record.parts) + 1)]
     last = recordings[-1] if recordings else None
+    yield from _part("bench, date and operator", lambda: _heading(record, last))
     yield from _part("how it ended", lambda: _ending(folder, record))
+    yield '<section class="result">'
+    yield from _part("the result", lambda: _drawn(last, result))
+    yield "</section>"
     yield '<div class="top"><div>'
-    yield from _part("the facts", lambda: _facts(folder, record, last))
+    yield from _part("the facts", lambda: _facts(folder, record))
     yield "</div><div>"
     yield from _part("the stages", lambda: _stages(record))
     yield "</div></div>"
@@ -143,8 +156,10 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
     yield "</div>"
 
 
-def _facts(folder: Path, record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield bench, time and operator; the bench's name is in the file attached to the recording."""
+def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
+    """Yield bench, time and operator in a line; the bench's name is in the file attached to the
+    recording.
+    """
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
     kind = (
@@ -159,6 +174,14 @@ def _facts(folder: Path, record: RunRecord, last: Recorded | str | None) -> Iter
         ("bench", f"{escape(bench.name if bench else file)} {kind}"),
         ("begun", escape(_date(record.created))),
         ("operator", escape(", ".join(dict.fromkeys(names)))),
+    )
+    cells = "".join(f"<span><i>{name}</i> {value}</span>" for name, value in facts)
+    yield f'<p class="who">{cells}</p>'
+
+
+def _facts(folder: Path, record: RunRecord) -> Iterator[str]:
+    """Yield what was recorded, and where."""
+    facts = (
         ("recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"),
         ("run folder", escape(str(folder.resolve()))),
     )

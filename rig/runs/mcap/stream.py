@@ -22,6 +22,8 @@ from rig.runs.mcap.records import HEADER, DamageError, attachment, chunk, statis
 from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 BLOCK_BYTES = 1 << 20
+MAX_ATTACHMENT = 1 << 26
+"""Length of a record before the first messages beyond which it is taken for damage, bytes."""
 _SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
 _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 _ATTACHMENTS = 0
@@ -80,6 +82,29 @@ def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening |
         OSError: It cannot be read.
     """
     return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
+
+
+def first_attachment(path: Path, name: str) -> bytes:
+    """Return an attachment that was written before the first messages.
+
+    Raises:
+        DamageError: There is none of this name before the first messages, or it is damaged.
+        OSError: The file cannot be read.
+    """
+    require_plain(path)
+    with open(path, "rb") as stream:
+        if stream.read(len(MAGIC)) != MAGIC:
+            raise DamageError("not an MCAP recording")
+        while len(head := stream.read(HEADER.size)) == HEADER.size:
+            opcode, length = HEADER.unpack(head)
+            if opcode in (Opcode.CHUNK, Opcode.DATA_END) or length > MAX_ATTACHMENT:
+                break
+            content = stream.read(length)
+            if opcode == Opcode.ATTACHMENT:
+                found = attachment(content)
+                if found.name == name:
+                    return bytes(found.data)
+    raise DamageError(f"{name} is not attached before the first messages")
 
 
 def _items(

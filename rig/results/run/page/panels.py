@@ -179,6 +179,19 @@ PANELS: tuple[Panel, ...] = (
 )
 
 
+RESULT = ("error", "current", "temperature")
+"""First channels of the panels that say how a run went, in order."""
+
+
+def result_panels(check: Check | None) -> list[Panel]:
+    """Return the panels that a page opens with: the tripped one, tracking error, current and
+    temperature.
+    """
+    by_channel = {next(iter(panel.channels)): panel for panel in PANELS}
+    usual = [by_channel[name] for name in RESULT]
+    return [p for p in PANELS if check in p.checks] + [p for p in usual if check not in p.checks]
+
+
 def tripped_first(check: Check | None) -> list[Panel]:
     """Return the panels, with the tripped one first."""
     return sorted(PANELS, key=lambda panel: check not in panel.checks)

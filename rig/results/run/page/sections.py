@@ -166,6 +166,26 @@ def whole(recorded: Recorded) -> Iterator[str]:
     yield "</div>"
 
 
+def result(recorded: Recorded) -> Iterator[str]:
+    """Yield the figure that a page opens with: what tripped, tracking error, current and
+    temperature of the last recording as a whole.
+    """
+    traces = recorded.traces
+    if traces.bins is None:
+        yield f'<p class="note">{NEVER_MOVED}</p>'
+        return
+    moment = recorded.moment
+    found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
+    axis, shades = TimeAxis(_powered(traces)), _shades(found, numbered=True)
+    mark = None if moment is None else Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
+    tripped = recorded.tripped
+    for panel in panels.result_panels(None if tripped is None else tripped.check):
+        mine = tripped if tripped is not None and tripped.check in panel.checks else None
+        chart = panels.chart(panel, traces.bins, recorded.steps, mine, False)
+        if chart is not None:
+            yield draw(chart, axis, shades, mark)
+
+
 def _charts(recorded: Recorded, bins: Bins, tall: bool = True) -> list[Chart]:
     """Return the charts of an interval, the tripped channel first."""
     tripped = recorded.tripped

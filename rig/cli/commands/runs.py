@@ -1,0 +1,319 @@
+"""``rig runs``: what was run, and how it compares."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from rig.cli import options as shared
+from rig.cli.entry import BAD_VERDICT, DONE
+from rig.common.errors import InputError
+from rig.runs.catalogue.select import VERDICTS
+
+if TYPE_CHECKING:
+    from rig.results.document import Document
+    from rig.runs.catalogue.entry import Entry
+
+    _Time = click.ParamType[datetime]
+else:
+    _Time = click.ParamType
+
+DEFAULT_FOLDER = Path("runs")
+
+
+class _Day(_Time):
+    """A date or a time in UTC; of a day, ``last`` takes the end."""
+
+    name = "date"
+
+    def __init__(self, *, last: bool) -> None:
+        self._last = last
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> datetime:
+        """Return the time."""
+        try:
+            found = datetime.fromisoformat(value)
+        except ValueError:
+            self.fail(f"{value!r} is no date; write 2026-11-27 or 2026-11-27T08:30", param, ctx)
+        if self._last and len(value) == len("2026-11-27"):
+            found += timedelta(days=1)
+        return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+_FILTERS = (
+    click.option("--bench", metavar="NAME", help="Of this bench; * and ? stand for any text."),
+    click.option("--sequence", metavar="NAME", help="Of this sequence."),
+    click.option("--operator", metavar="NAME", help="By this operator."),
+    click.option(
+        "--weight", "weight_kg", metavar="KG", type=click.FloatRange(min=0), help="With this mass."
+    ),
+    click.option("--verdict", type=click.Choice(VERDICTS), help="That ended so, or was judged so."),
+    click.option("--since", type=_Day(last=False), help="Begun on this day or later (UTC)."),
+    click.option("--until", type=_Day(last=True), help="Begun on this day or before (UTC)."),
+)
+_NAMES = ("bench", "sequence", "operator", "weight_kg", "verdict", "since", "until")
+
+
+def _filters(command: Any) -> Any:
+    """Add the options that choose runs to a command."""
+    for option in reversed(_FILTERS):
+        command = option(command)
+    return command
+
+
+_folder = click.argument(
+    "folder", type=click.Path(path_type=Path, file_okay=False), default=DEFAULT_FOLDER
+)
+_page = shared.out_folder("Also write a page with figures into this folder.")
+
+
+@click.group("runs")
+def command() -> None:
+    """List, show, compare, accept and verify
+
+    An index beside the run folders (.runs.sqlite) saves reading them again. It can be deleted at
+    any time; the folders alone decide what is shown.
+
+    \b
+    Example:
+      rig runs list --since 2026-11-01 --verdict done
+      rig runs show runs/demo
+      rig runs verify runs/demo
+    """
+
+
+@command.command("list")
+@_folder
+@_filters
+@click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
+@_page
+@shared.result_file
+def list_(
+    folder: Path, last: int | None, out: Path | None, json_file: Path | None, **given: Any
+) -> None:
+    """List the runs in and below FOLDER (runs unless given), the latest last.
+
+    Folders that are no whole runs are shown as what they are: half written, of another version, or
+    unreadable, each with the remedy.
+
+    \b
+    Example:
+      rig runs list
+      rig runs list --bench practical --weight 30.6
+      rig runs list archive --operator Ada --json runs.json
+    """
+    from rig.results.catalogue.listing import listing_document, listing_record
+
+    entries, wanted = _chosen(folder, given, details=False)
+    shown = wanted if last is None else wanted[-last:]
+    hidden = len(entries) - len(shown)
+    _write(json_file, lambda: listing_record(folder, shown))
+    _show(listing_document(folder, shown, hidden), out)
+
+
+@command.command("show")
+@click.argument("run", type=click.Path(path_type=Path))
+@_page
+@shared.result_file
+def show(run: Path, out: Path | None, json_file: Path | None) -> None:
+    """Show what is known of one RUN: stages, weights, constants with intervals, verdicts, pages.
+
+    \b
+    Example:
+      rig runs show runs/demo
+    """
+    from rig.results.catalogue.show import show_document, show_record
+
+    entry = _one(run)
+    _write(json_file, lambda: show_record(run, entry))
+    _show(show_document(run, entry), out)
+
+
+@command.command("compare")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_page
+@shared.result_file
+def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
+    """Compare the constants of RUNS with those of the first, and mark those that moved.
+
+    A constant has moved where the difference is larger than the 90 % interval of the difference.
+    --out writes a page with the figures side by side.
+
+    \b
+    Example:
+      rig runs compare runs/monday runs/friday --out compared
+    """
+    from rig.results.catalogue.compare import (
+        Compared,
+        compare_document,
+        compare_record,
+        require_comparable,
+    )
+
+    if len(runs) < 2:
+        raise click.UsageError("give two runs or more; the others are compared with the first")
+    found = [Compared(run, entry := _one(run), entry.parsed()) for run in runs]
+    require_comparable(found)
+    _write(json_file, lambda: compare_record(found))
+    _show(compare_document(found), out)
+
+
+@command.command("trend")
+@_folder
+@_filters
+@shared.seed("Seed of the test's simulated distribution.")
+@_page
+@shared.result_file
+def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **given: Any) -> None:
+    """Follow each constant over the runs of each bench in FOLDER, and test it for change.
+
+    A drift, or a step from one run to the next, is reported where it is larger than the scatter of
+    the runs and their intervals explain. Of 100 histories without change, in one at most any
+    constant is reported. A step is compared with the devices: it may come with another drive.
+
+    \b
+    Example:
+      rig runs trend
+      rig runs trend --bench practical --since 2026-10-01 --out trend
+    """
+    from rig.results.catalogue.trend import histories
+    from rig.results.catalogue.trend_document import trend_document, trend_record
+
+    _, wanted = _chosen(folder, given, details=True)
+    found = histories(folder, wanted, seed)
+    _write(json_file, lambda: trend_record(found))
+    _show(trend_document(found), out)
+
+
+@command.command("verify")
+@click.argument("runs", nargs=-1, required=True, type=click.Path(path_type=Path))
+@_page
+@shared.result_file
+def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
+    """Compare the files of RUNS with the digests (SHA-256) that were recorded of them.
+
+    RUNS are run folders, or folders with run folders in them. A run is sealed at its end: its
+    folder holds SHA256SUMS, which `sha256sum -c` reads as well. Ends with status 1 where a file is
+    changed, damaged or missing.
+
+    \b
+    Example:
+      rig runs verify runs/demo
+      rig runs verify runs
+    """
+    from rig.results.catalogue.verification import verification_document, verification_record
+    from rig.runs.catalogue.verify import verify as verified
+    from rig.runs.catalogue.walk import find_runs
+
+    found = []
+    for run in runs:
+        folders = sorted(run / each.folder for each in _looked_into(find_runs, run))
+        if not folders:
+            raise InputError(f"{run}: there is no run in it")
+        found += [verified(folder) for folder in folders]
+    _write(json_file, lambda: verification_record(found))
+    _show(verification_document(found), out)
+    return DONE if all(each.good for each in found) else BAD_VERDICT
+
+
+@command.command("accept")
+@click.argument("run", type=click.Path(path_type=Path))
+@shared.acceptance
+@shared.junit
+@shared.result_file
+def accept(
+    run: Path, acceptance: Path | None, junit_file: Path | None, json_file: Path | None
+) -> int:
+    """Hold a finished RUN against its limits, and write its certificate.
+
+    The limits are those of --acceptance, else those of the sequence that was run. Where they ask
+    for constants or for a diagnosis, RUN is identified and diagnosed unless it has been. The run
+    folder gets acceptance.json, certificate.html and certificate.pdf, and is sealed. Ends with
+    status 1 where a limit is not kept.
+
+    \b
+    Example:
+      rig runs accept runs/demo --acceptance limits.yaml --junit junit.xml
+    """
+    from rig.cli.accepting import accept_run
+    from rig.common.locks import hold_folder
+    from rig.common.places import require_file, write_asked
+    from rig.results.acceptance.accept import limits_for
+    from rig.wiring.ownership import until_the_end
+
+    require_file(json_file, "--json")
+    require_file(junit_file, "--junit")
+    _one(run)
+    limits, source = limits_for(run, acceptance)
+    until_the_end(hold_folder(run, "rig runs accept"))
+    found = accept_run(run, limits, source, junit_file)
+    write_asked(json_file, found.record)
+    return DONE if found.accepted else BAD_VERDICT
+
+
+def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
+    try:
+        return list(find(folder))
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be looked into: {error.strerror}") from error
+
+
+def _chosen(
+    folder: Path, given: Mapping[str, Any], *, details: bool
+) -> tuple[list[Entry], list[Entry]]:
+    """Return all runs of a folder, and those that the options choose."""
+    from rig.runs.catalogue.index import list_runs
+    from rig.runs.catalogue.select import Wanted, chosen
+    from rig.terminal.bar import ShareBar
+
+    with ShareBar() as bar:
+        listing = list_runs(
+            folder, lambda done, of: bar("reading run folders", done / of), details=details
+        )
+    if listing.note:
+        click.echo(f"note: {listing.note}", err=True)
+    wanted = Wanted(**{name: given[name] for name in _NAMES})
+    return listing.entries, chosen(folder, listing.entries, wanted)
+
+
+def _one(run: Path) -> Entry:
+    """Return the entry of one run folder.
+
+    Raises:
+        InputError: It is none.
+    """
+    from rig.runs.catalogue.index import list_runs
+    from rig.runs.catalogue.walk import signature_of
+
+    if signature_of(str(run)) is None:
+        raise InputError(f"{run}: no run folder: it holds neither run.json nor recording.mcap")
+    return list_runs(run).entries[0]
+
+
+def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> None:
+    """Write the result file where asked to."""
+    if json_file is None:
+        return
+    from rig.common.places import require_file, write_asked
+
+    require_file(json_file, "--json")
+    write_asked(json_file, made())
+
+
+def _show(document: Document, out: Path | None) -> None:
+    """Print a document, and write its page where asked to."""
+    from rig.results.terminal import text
+
+    click.echo(text(document))
+    if out is None:
+        return
+    from rig.common.places import require_folder
+    from rig.results.files import PAGE_FILE, write_page
+
+    require_folder(out, "--out")
+    write_page(document, out / PAGE_FILE)
+    click.echo(f"page: {out / PAGE_FILE}")

@@ -1,0 +1,1 @@
+"""Acceptance of a finished run: its limits held against what it shows, and the certificate."""

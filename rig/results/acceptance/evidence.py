@@ -1,0 +1,165 @@
+"""Collects what a run shows for the limits of acceptance; identifies and diagnoses where needed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from identification.recording import Dataset
+from rig.common.errors import InputError
+from rig.common.input_files import is_file
+from rig.common.provenance import sha256_file
+from rig.common.result_files import RESULT_FILE
+from rig.config.acceptance import NOTHING_MISSING, WEIGHT_CHECK, Bound, Limit, Range
+from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
+from rig.results.diagnose.diagnose import diagnose_source
+from rig.results.diagnose.document import diagnose_document
+from rig.results.diagnose.exports import exports
+from rig.results.facts import facts_of
+from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
+from rig.results.identify.document import identify_document
+from rig.results.identify.identify import Request, identify_source
+from rig.results.identify.record import outcome_record
+from rig.runs.catalogue.entry import Constant
+from rig.runs.catalogue.read import constants_of
+from rig.runs.run import load_run
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RunRecord, Verdict
+from rig.runs.truth import truth_of
+from rig.weighing.label_check import comparable, off_label
+
+Progress = Callable[[str, float], None]
+DIAGNOSIS_FOLDER = "diagnosis"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a run shows.
+
+    Attributes:
+        record: ``run.json``.
+        digests: SHA-256 of its recordings, by file.
+        dataset: Its finished excitations; None if there are none.
+        constants: Identified constants; empty where they were not needed.
+        method: Method of the identification; empty without one.
+        fit_rms: Torque error of the identification; None without one.
+        diagnosis: Verdict of the diagnosis; empty where it was not needed.
+        weights: Stage to verdict and message of its last weight check.
+        problems: Messages on what could not be had.
+    """
+
+    record: RunRecord
+    digests: Mapping[str, str]
+    dataset: Dataset | None = None
+    constants: Mapping[str, Constant] = field(default_factory=dict)
+    method: str = ""
+    fit_rms: float | None = None
+    diagnosis: str = ""
+    weights: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
+
+
+def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidence:
+    """Collect what the limits need; writes the results of the commands it takes the place of.
+
+    An identification or diagnosis in the run folder is used if it is of these recordings; else
+    the run is identified and diagnosed as by ``rig identify`` and ``rig diagnose``.
+
+    Raises:
+        InputError: The folder is no run, or results cannot be written.
+    """
+    record = read_record(folder)
+    digests = {
+        p.file: sha256_file(folder / p.file) for p in record.parts if is_file(folder / p.file)
+    }
+    problems: list[str] = []
+    dataset = _tried(lambda: load_run(folder), problems)
+    identified = _current(folder / RESULT_FILE, digests)
+    if not identified and dataset is not None and any(map(_needs_constants, limits)):
+        identified = _tried(lambda: _identify(folder, progress), problems) or {}
+    diagnosed: Mapping[str, Any] = {}
+    if any(limit.text == NOTHING_MISSING for limit in limits):
+        diagnosed = _current(folder / DIAGNOSIS_FOLDER / DIAGNOSIS_FILE, digests)
+        if not diagnosed and dataset is not None:
+            diagnosed = _tried(lambda: _diagnose(folder, progress), problems) or {}
+    weighed = any(limit.text == WEIGHT_CHECK for limit in limits)
+    fit = identified.get("fit") or {}
+    return Evidence(
+        record,
+        digests,
+        dataset,
+        constants_of(identified),
+        str(identified.get("method", "")),
+        fit.get("train_rms"),
+        str(diagnosed.get("verdict", "")),
+        _weights(record, dataset) if weighed else {},
+        tuple(dict.fromkeys(problems)),
+    )
+
+
+def _needs_constants(limit: Limit) -> bool:
+    return isinstance(limit, Range) or (
+        isinstance(limit, Bound) and limit.measure == "torque error"
+    )
+
+
+def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
+    """Return what is made, or None with its problems: a limit then fails with these words."""
+    try:
+        return made()
+    except InputError as error:
+        problems += error.problems
+        return None
+
+
+def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
+    """Return a result file if it was made of these recordings; else an empty one."""
+    try:
+        found = json.loads(path.read_bytes())
+        used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}
+    except (OSError, ValueError, LookupError, TypeError):
+        return {}
+    return found if used and used <= set(digests.values()) else {}
+
+
+def _identify(folder: Path, progress: Progress) -> dict[str, Any]:
+    """Identify a run as ``rig identify`` does; returns the record."""
+    outcome = identify_source(folder, Request(), progress)
+    record = outcome_record(outcome)
+    write_record(record, folder / RESULT_FILE, None)
+    document = identify_document(folder.name, outcome, truth_of(folder), facts_of(folder))
+    write_page(document, folder / PAGE_FILE)
+    return record
+
+
+def _diagnose(folder: Path, progress: Progress) -> dict[str, Any]:
+    """Diagnose a run as ``rig diagnose`` does; returns the record."""
+    inside = folder / DIAGNOSIS_FOLDER
+    outcome = diagnose_source(folder, 0, None, progress, None)
+    record = outcome.record()
+    write_record(record, inside / DIAGNOSIS_FILE, None)
+    beside = exports(folder, outcome, record)
+    write_texts({file.name: file.text for file in beside.files}, inside)
+    document = diagnose_document(folder.name, outcome, beside, facts_of(folder))
+    write_page(document, inside / PAGE_FILE)
+    return record
+
+
+def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str, str]]:
+    """Return the last weight check of each stage; those of the run, else of the recordings."""
+    found = {str(w["stage"]): (str(w["verdict"]), str(w["message"])) for w in record.weights}
+    if found or dataset is None or not comparable(dataset):
+        return found
+    wrong = off_label(dataset)
+    words = "the friction of the stages agrees with their masses"
+    loaded = _loaded(record)
+    return {name: (Verdict.RIGHT.value, words) for name in loaded} | {
+        each.stage: (each.verdict.value, each.message) for each in wrong
+    }
+
+
+def _loaded(record: RunRecord) -> Iterable[str]:
+    return (stage.name for stage in record.stages if stage.stage == "loaded")

@@ -1,0 +1,232 @@
+"""Output of ``rig runs compare``: constants of several runs, and which of them moved."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.common.tables import interval, number
+from rig.results.catalogue.figures import side_by_side
+from rig.results.catalogue.show import FIGURE, stored_picture
+from rig.results.catalogue.words import begun, head_record, masses, operators, verdict
+from rig.results.document import Block, Document, Note, Picture, Section, SideBySide, Table
+from rig.runs.catalogue.entry import Constant, Details, Entry
+
+COMPARE_SCHEMA = "loadrig.compare/1"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A run that is compared.
+
+    Attributes:
+        run: Its folder, as given.
+        entry: What is known of it.
+        details: Its constants.
+    """
+
+    run: Path
+    entry: Entry
+    details: Details
+
+
+@dataclass(frozen=True)
+class Difference:
+    """A constant of a later run less that of the first.
+
+    Attributes:
+        name: Name of the constant.
+        first: Of the first run.
+        other: Of the other run; None where it has none.
+        change: Difference; None where either is not known.
+        joint: Half width of the 90 % interval of the difference, both estimates being
+            independent; None where either has no interval.
+    """
+
+    name: str
+    first: Constant
+    other: Constant | None
+    change: float | None
+    joint: float | None
+
+    @property
+    def moved(self) -> bool | None:
+        """Whether the difference exceeds its uncertainty; None where that is not known."""
+        if self.change is None or self.joint is None:
+            return None
+        return abs(self.change) > self.joint
+
+
+def require_comparable(runs: Sequence[Compared]) -> None:
+    """Check that every run has constants, of the same motion.
+
+    Raises:
+        InputError: One has none, or they are of different motions.
+    """
+    bare = [str(each.run) for each in runs if not each.details.constants]
+    if bare:
+        raise InputError(
+            [f"{run}: has no constants; `rig identify {run}` finds them" for run in bare]
+        )
+    motions = {each.details.motion for each in runs}
+    if len(motions) > 1:
+        raise InputError(f"a rotary and a linear bench have no constants in common: {motions}")
+
+
+def differences(first: Details, other: Details) -> list[Difference]:
+    """Return the difference of every constant of the first run."""
+    return [_difference(name, each, other) for name, each in first.constants.items()]
+
+
+def _difference(name: str, first: Constant, details: Details) -> Difference:
+    other = details.constants.get(name)
+    if other is None or other.unit != first.unit or first.value is None or other.value is None:
+        return Difference(name, first, other, None, None)
+    halves = first.half_width, other.half_width
+    joint = None if halves[0] is None or halves[1] is None else math.hypot(halves[0], halves[1])
+    return Difference(name, first, other, other.value - first.value, joint)
+
+
+def compare_document(runs: Sequence[Compared]) -> Document:
+    """Return a comparison of runs, each with the first, as a document."""
+    first, *others = runs
+    sections = [Section("", (_facts(runs),))]
+    for other in others:
+        found = differences(first.details, other.details)
+        title = f"{other.run} against {first.run}"
+        sections.append(Section(title, (_table(found), *_notes(found, first, other))))
+    names = list(first.details.constants)
+    drawn = side_by_side(names, {str(each.run): each.details.constants for each in runs})
+    picture = Picture.of("constants", "Constants of the runs, in percent of the first", drawn)
+    beside = tuple(_figures(first, other) for other in others)
+    return Document(
+        "Comparison of runs",
+        " | ".join(str(each.run) for each in runs),
+        tuple(sections),
+        (Section("", (picture,)), *sections, Section("Figures", beside)),
+    )
+
+
+def _facts(runs: Sequence[Compared]) -> Table:
+    rows = tuple(
+        (
+            str(each.run),
+            begun(each.entry.head),
+            each.entry.head.bench,
+            each.entry.head.sequence,
+            operators(each.entry.head),
+            masses(each.entry.head),
+            f"{number(each.details.fit_rms, 3)} {each.details.fit_unit}",
+            verdict(each.entry.head),
+        )
+        for each in runs
+    )
+    header = ("run", "begun, UTC", "bench", "sequence", "operator", "kg", "torque error", "verdict")
+    return Table(header, rows, ())
+
+
+def _table(found: Sequence[Difference]) -> Table:
+    rows = tuple(_row(each) for each in found)
+    header = (
+        "constant",
+        "first",
+        "90 % interval",
+        "other",
+        "90 % interval",
+        "change",
+        "uncertainty",
+        "unit",
+        "",
+    )
+    return Table(header, rows, (1, 2, 3, 4, 5, 6))
+
+
+def _row(each: Difference) -> tuple[str, ...]:
+    other = each.other
+    verdicts = {True: "MOVED", False: "", None: "not known"}
+    return (
+        each.name,
+        number(each.first.value),
+        interval(each.first.low, each.first.high),
+        number(other.value if other else None),
+        interval(other.low, other.high) if other else "-",
+        number(each.change, 3),
+        "-" if each.joint is None else f"+-{number(each.joint, 2)}",
+        each.first.unit,
+        verdicts[each.moved],
+    )
+
+
+def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Iterator[Note]:
+    moved = [each.name for each in found if each.moved]
+    known = sum(each.moved is not None for each in found)
+    words = f"moved by more than their uncertainty: {', '.join(moved) or 'none'}"
+    yield Note(words)
+    yield Note(
+        f"without any change, {0.1 * known:.2g} of {known} constants exceed it by chance (one in "
+        "ten)",
+        "aside",
+    )
+    for role, name in first.details.devices.items():
+        now = other.details.devices.get(role, "none")
+        if now != name:
+            yield Note(f"another {role}: {name} before, {now} now", "warning")
+    if first.entry.head.bench != other.entry.head.bench:
+        yield Note("the runs are of different benches", "warning")
+    if first.entry.head.digest and first.entry.head.digest == other.entry.head.digest:
+        yield Note("the second is a copy of the first", "warning")
+
+
+def _figures(first: Compared, other: Compared) -> SideBySide:
+    left, right = (Section(str(each.run), _stored(each)) for each in (first, other))
+    return SideBySide(left, right)
+
+
+def _stored(each: Compared) -> tuple[Block, ...]:
+    """Return the figures of a run's own report that are beside it."""
+    picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
+    missing = Note(f"{each.run / FIGURE} is not there; `rig identify {each.run}` draws it", "aside")
+    shown: list[Block] = [picture or missing]
+    for file in sorted((each.run / "figures").glob("response_*.png"))[:4]:
+        name = file.stem.removeprefix("response_")
+        response = stored_picture(each.run, f"figures/{file.name}", f"{name}, {each.run}")
+        if response is not None:
+            shown.append(response)
+    return tuple(shown)
+
+
+def compare_record(runs: Sequence[Compared]) -> dict[str, Any]:
+    """Return the record of ``rig runs compare --json``."""
+    first, *others = runs
+    return {
+        **head_record(COMPARE_SCHEMA),
+        "first": str(first.run),
+        "compared": [
+            {
+                "run": str(other.run),
+                "constants": {
+                    each.name: _difference_record(each)
+                    for each in differences(first.details, other.details)
+                },
+            }
+            for other in others
+        ],
+    }
+
+
+def _difference_record(each: Difference) -> dict[str, Any]:
+    other = each.other
+    return {
+        "unit": each.first.unit,
+        "first": {"value": each.first.value, "low": each.first.low, "high": each.first.high},
+        "other": None
+        if other is None
+        else {"value": other.value, "low": other.low, "high": other.high},
+        "change": each.change,
+        "joint": each.joint,
+        "moved": each.moved,
+    }

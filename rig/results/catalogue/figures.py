@@ -1,0 +1,70 @@
+"""Figures of several runs: constants side by side, and over a history."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figure, figure
+from rig.runs.catalogue.entry import Constant
+
+_COLUMNS = 3
+
+
+def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
+    """Draw the constants of several runs in percent of the first run's, with 90 % intervals."""
+    made, (axis,) = figure(1, height=0.45 * len(names) + 1.6)
+    first = next(iter(runs.values()))
+    offset = 0.6 / len(runs)
+    for number, (run, constants) in enumerate(runs.items()):
+        places, values, below, above = [], [], [], []
+        for row, name in enumerate(names):
+            base, each = first[name].value, constants.get(name)
+            if not base or each is None or each.value is None:
+                continue
+            low = each.value if each.low is None else each.low
+            high = each.value if each.high is None else each.high
+            places.append(row + (number - 0.5 * (len(runs) - 1)) * offset)
+            values.append(100.0 * (each.value / base - 1.0))
+            ends = sorted(100.0 * (end / base - 1.0) for end in (low, high))
+            below.append(max(0.0, values[-1] - ends[0]))
+            above.append(max(0.0, ends[1] - values[-1]))
+        colour = CYCLE[number % len(CYCLE)]
+        axis.errorbar(
+            values, places, xerr=(below, above), fmt="o", color=colour, capsize=3, label=run
+        )
+    axis.axvline(0.0, color=GREY, linewidth=0.8)
+    axis.set_yticks(range(len(names)), names)
+    axis.invert_yaxis()
+    axis.set_xlabel("difference from the first run (%), with 90 % intervals")
+    axis.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    return made
+
+
+def courses(
+    histories: Mapping[str, Sequence[Constant]], alarms: Mapping[str, int | None]
+) -> Figure:
+    """Draw each constant over the runs with its intervals; changes that were found are red.
+
+    Args:
+        histories: Name to the constants in the order of time.
+        alarms: Names with a change, and the run before which it stepped; None for a drift.
+    """
+    rows = math.ceil(len(histories) / _COLUMNS)
+    made, axes = figure(rows, min(_COLUMNS, len(histories)), width=10.0, height=2.3 * rows)
+    for axis, (name, history) in zip(axes, histories.items(), strict=False):
+        places = range(1, len(history) + 1)
+        values = [each.value or math.nan for each in history]
+        halves = [each.half_width or 0.0 for each in history]
+        colour = VERMILION if name in alarms else BLUE
+        axis.errorbar(places, values, yerr=halves, fmt="o", color=colour, capsize=2, markersize=4)
+        start = alarms.get(name)
+        if start is not None:
+            axis.axvline(start + 0.5, color=BLACK, linestyle="--", linewidth=0.9)
+        words = "" if name not in alarms else ": DRIFT" if start is None else ": STEP"
+        axis.set_title(f"{name} ({history[0].unit}){words}", fontsize=9)
+        axis.tick_params(labelsize=8)
+    for axis in axes[len(histories) :]:
+        axis.set_axis_off()
+    made.supxlabel("run", fontsize=9)
+    return made

@@ -1,0 +1,189 @@
+"""Trend of each constant over the runs of a bench, with a test for change at a stated rate."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from identification.numerics.change import LEAST_RUNS, Change, ChangeTest
+from identification.recording import Array
+from rig.results.catalogue.listing import copies_of
+from rig.results.catalogue.words import place
+from rig.runs.catalogue.entry import Constant, Details, Entry
+
+FALSE_ALARMS = 0.01
+"""Share of unchanged histories in which any constant is reported to have changed."""
+_HALF_WIDTHS = 1.6448536269514722
+"""Half width of a 90 % interval over the standard error."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """One constant over the runs that determine it.
+
+    Attributes:
+        name: Name of the constant.
+        runs: Index of the run of each value, in the history.
+        constants: The values with their intervals.
+        change: What fits best; None with too few runs.
+        p_value: Of the change, for all constants of the history together; None without a test.
+        with_devices: Devices that changed just where the step is.
+    """
+
+    name: str
+    runs: tuple[int, ...]
+    constants: tuple[Constant, ...]
+    change: Change | None
+    p_value: float | None
+    with_devices: tuple[str, ...] = ()
+
+    @property
+    def alarm(self) -> bool:
+        """Whether the change is reported."""
+        return self.p_value is not None and self.p_value <= FALSE_ALARMS
+
+
+@dataclass(frozen=True)
+class History:
+    """The runs of one bench in the order of time.
+
+    Attributes:
+        bench: Name of the bench.
+        simulated: Whether it is simulated.
+        method: Method of the identifications.
+        runs: Folders, in the order of time.
+        begun: When each run began.
+        courses: Every constant over these runs.
+        left_out: Messages on runs that do not count.
+    """
+
+    bench: str
+    simulated: bool | None
+    method: str
+    runs: tuple[str, ...]
+    begun: tuple[str, ...]
+    courses: tuple[Course, ...]
+    left_out: tuple[str, ...] = ()
+
+
+def histories(root: Path, entries: Sequence[Entry], seed: int = 0) -> list[History]:
+    """Return the histories of the benches of some runs; runs without constants do not count, and
+    of a run and its copies one counts.
+
+    Args:
+        root: The searched folder.
+        entries: The runs, the earliest first.
+        seed: Of the simulated distribution of the test.
+    """
+    copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
+    groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
+    left_out: dict[tuple[str, bool | None], list[str]] = {}
+    for entry in entries:
+        head = entry.head
+        if head.kind != "run":
+            continue
+        if id(entry) in copies:
+            words = f"{place(root, entry)}: a copy of {place(root, copies[id(entry)])}"
+            left_out.setdefault((head.bench, head.simulated), []).append(words)
+        elif not head.identified:
+            words = f"{place(root, entry)}: not identified"
+            left_out.setdefault((head.bench, head.simulated), []).append(words)
+        else:
+            details = entry.parsed()
+            key = (head.bench, head.simulated, head.identified, details.motion)
+            groups.setdefault(key, []).append((entry, details))
+    return [
+        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed)
+        for key, runs in groups.items()
+    ]
+
+
+def _history(
+    root: Path,
+    key: tuple[str, bool | None, str],
+    runs: Sequence[tuple[Entry, Details]],
+    left_out: tuple[str, ...],
+    seed: int,
+) -> History:
+    details = [each for _, each in runs]
+    return History(
+        *key,
+        tuple(place(root, entry) for entry, _ in runs),
+        tuple(entry.head.created for entry, _ in runs),
+        tuple(courses(details, seed)),
+        left_out,
+    )
+
+
+def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
+    """Yield every constant over a history; the rate of false alarms is of all of them together.
+
+    Args:
+        history: Details of the runs in the order of time.
+        seed: Of the simulated distribution of the test.
+    """
+    found = {name: _determined(name, history) for each in history for name in each.constants}
+    tested = sum(len(runs) >= LEAST_RUNS for runs, _ in found.values())
+    known: dict[bytes, ChangeTest] = {}
+    for name, (runs, constants) in found.items():
+        if len(runs) < LEAST_RUNS:
+            yield Course(name, runs, constants, None, None)
+            continue
+        values = np.array([each.value for each in constants], dtype=np.float64)
+        halves = np.array([each.half_width for each in constants], dtype=np.float64)
+        scale = float(np.median(halves)) / _HALF_WIDTHS
+        found_change = _test(halves / np.median(halves), seed, known)(values / scale)
+        change = dataclasses.replace(
+            found_change,
+            size=scale * found_change.size,
+            half_width=scale * found_change.half_width,
+        )
+        p_value = min(1.0, tested * change.p_value)
+        yield Course(name, runs, constants, change, p_value, _devices(history, runs, change.start))
+
+
+def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
+    """Return the test for errors relative to their median; constants with the same ones share
+    it.
+    """
+    key = np.round(relative, 6).tobytes()
+    if key not in known:
+        known[key] = ChangeTest(relative, np.random.default_rng(seed))
+    return known[key]
+
+
+def _determined(
+    name: str, history: Sequence[Details]
+) -> tuple[tuple[int, ...], tuple[Constant, ...]]:
+    """Return the runs that determine a constant, with an interval of some width."""
+    first = next(each.constants[name].unit for each in history if name in each.constants)
+    kept = [
+        (index, each.constants[name])
+        for index, each in enumerate(history)
+        if name in each.constants and each.constants[name].unit == first
+    ]
+    kept = [(index, each) for index, each in kept if each.half_width]
+    return tuple(index for index, _ in kept), tuple(each for _, each in kept)
+
+
+def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None) -> tuple[str, ...]:
+    """Return the devices that were others before a step than after it."""
+    if start is None:
+        return ()
+    before, after = history[runs[start - 1]].devices, history[runs[start]].devices
+    return tuple(
+        f"{role}: {before.get(role, 'none')}, then {after.get(role, 'none')}"
+        for role in {**before, **after}
+        if before.get(role) != after.get(role)
+    )
+
+
+def alarms(history: History) -> Mapping[str, int | None]:
+    """Return the constants that changed, and the run before which they stepped; None for a
+    drift.
+    """
+    return {each.name: each.change.start for each in history.courses if each.alarm and each.change}

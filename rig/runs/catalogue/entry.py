@@ -1,0 +1,137 @@
+"""Records of a run as it is listed: the head for lists, the constants for comparisons."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+Kind = Literal["run", "half written", "other version", "unreadable"]
+GOING_ON, DIED = "going on", "died"
+"""States of a run whose record says `running`: a program holds the folder, or none does."""
+
+
+@dataclass(frozen=True)
+class Head:
+    """What a list shows of a run.
+
+    Attributes:
+        kind: `run`; or what else the folder is: `half written` (its record is missing or
+            incomplete), `other version` (the record has a format that this program does not read),
+            `unreadable` (the record is invalid, or may not be read).
+        problem: Message with the remedy; empty for a run.
+        sequence: Name of the sequence.
+        created: When it began, ISO 8601, UTC.
+        bench: Name of the bench.
+        simulated: Whether the bench is simulated; None where unknown.
+        operators: Who ran it, in order.
+        masses_kg: Confirmed masses of its stages, each once; the planned ones if none was
+            confirmed.
+        state: `running` or how it ended.
+        message: How it ended, in words.
+        seconds: Time of the bench, s.
+        weights: Verdicts of its weight checks, each once.
+        identified: Method of its identification; empty without one.
+        diagnosis: Verdict of its diagnosis; empty without one.
+        acceptance: `accepted` or `rejected`; empty without a check.
+        digest: SHA-256 of the record, by which copies are recognised; empty without a record.
+        notes: Further remarks, such as on a result file that cannot be read.
+    """
+
+    kind: Kind = "run"
+    problem: str = ""
+    sequence: str = ""
+    created: str = ""
+    bench: str = ""
+    simulated: bool | None = None
+    operators: tuple[str, ...] = ()
+    masses_kg: tuple[float, ...] = ()
+    state: str = ""
+    message: str = ""
+    seconds: float = 0.0
+    weights: tuple[str, ...] = ()
+    identified: str = ""
+    diagnosis: str = ""
+    acceptance: str = ""
+    digest: str = ""
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Head:
+        """Return the head of which ``record`` is the JSON form."""
+        lists = ("operators", "masses_kg", "weights", "notes")
+        return cls(**{**record, **{name: tuple(record[name]) for name in lists}})
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One identified constant with its 90 % interval.
+
+    Attributes:
+        value: Estimate; None where it is not identifiable.
+        low: Lower end of the interval; None where there is none.
+        high: Upper end.
+        unit: Unit.
+        at_bound: Whether the estimate is at a bound of the search.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    unit: str
+    at_bound: bool = False
+
+    @property
+    def half_width(self) -> float | None:
+        """Half the width of the interval; None without value or interval, or for an estimate at a
+        bound.
+        """
+        if self.value is None or self.low is None or self.high is None or self.at_bound:
+            return None
+        return 0.5 * (self.high - self.low)
+
+
+@dataclass(frozen=True)
+class Details:
+    """What a comparison needs of a run.
+
+    Attributes:
+        constants: Name to identified constant.
+        fit_rms: Torque error of the identification; None where unknown.
+        fit_unit: Its unit.
+        motion: `rotary` or `linear`.
+        devices: Role to the device's identity: name and serial number.
+    """
+
+    constants: Mapping[str, Constant] = field(default_factory=dict)
+    fit_rms: float | None = None
+    fit_unit: str = ""
+    motion: str = ""
+    devices: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, record: Mapping[str, Any]) -> Details:
+        """Return the details of which ``record`` is the JSON form."""
+        constants = {name: Constant(**each) for name, each in record["constants"].items()}
+        return cls(**{**record, "constants": constants})
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A run of a list.
+
+    Attributes:
+        folder: Its folder, relative to the folder that was searched.
+        head: What a list shows.
+        details: What a comparison needs, as JSON; parsed by :meth:`parsed`.
+    """
+
+    folder: str
+    head: Head
+    details: str
+
+    def parsed(self) -> Details:
+        """Return the details."""
+        import json
+
+        return Details.of(json.loads(self.details))

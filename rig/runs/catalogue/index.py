@@ -1,0 +1,199 @@
+"""An index of run folders in sqlite, which can be thrown away at any time.
+
+Each row holds the entry of one folder as JSON, with the signature of the files that it was made of
+and a checksum. A row counts only if its signature is that of the files now and its checksum holds;
+any other folder is read again. So a deleted, damaged or older index changes no answer.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import sqlite3
+import zlib
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from rig.common.errors import InputError
+from rig.runs.catalogue.entry import Details, Entry, Head
+from rig.runs.catalogue.walk import Found, find_runs, signature_of
+
+INDEX_FILE = ".runs.sqlite"
+"""Name of the index in the searched folder."""
+_FORMAT = 1
+"""Raised whenever an entry is made in another way, so that older rows are not used."""
+_TABLE = (
+    "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
+    "head TEXT NOT NULL, checksum INTEGER NOT NULL, details TEXT NOT NULL, "
+    "details_checksum INTEGER NOT NULL)"
+)
+_WAIT_S = 5.0
+"""Time to wait for another program that writes the index, s."""
+
+
+_NOT_DAMAGED = frozenset(
+    {
+        sqlite3.SQLITE_BUSY,
+        sqlite3.SQLITE_LOCKED,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_CANTOPEN,
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_IOERR,
+    }
+)
+"""Errors of a sound index that cannot be written now; after any other it is made anew."""
+
+
+class _Row(NamedTuple):
+    """A row of the index, in the order of its columns."""
+
+    folder: str
+    signature: str
+    head: str
+    checksum: int
+    details: str = ""
+    details_checksum: int = 0
+
+    @property
+    def sound(self) -> bool:
+        """Whether the row is as it was written; details that were not asked for are not judged."""
+        return self.checksum == _checksum(self.folder, self.signature, self.head) and (
+            self.details_checksum == _checksum(self.details) if self.details else True
+        )
+
+
+class Listing(NamedTuple):
+    """Runs below a folder.
+
+    Attributes:
+        entries: Runs, the earliest first; folders without a date come first.
+        read: Number of folders that had to be read.
+        note: Message if the index could not be written; empty otherwise.
+    """
+
+    entries: list[Entry]
+    read: int
+    note: str
+
+
+def list_runs(
+    root: Path,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    details: bool = True,
+) -> Listing:
+    """Return the runs in and below a folder, from the index where it is current.
+
+    Args:
+        root: The folder.
+        details: Whether the entries need their details; without, those from the index have none.
+        progress: Called with the number of folders read, and of those to read.
+
+    Raises:
+        InputError: The folder cannot be looked into.
+    """
+    try:
+        found = list(find_runs(root))
+    except OSError as error:
+        raise InputError(f"{root}: cannot be looked into: {error.strerror}") from error
+    file = root / INDEX_FILE
+    rows = _load(file, details)
+    entries, fresh = [], []
+    for each in found:
+        row = rows.get(each.folder)
+        if row is not None and row.signature == each.signature and row.sound:
+            entries.append(Entry(each.folder, Head.of(json.loads(row.head)), row.details))
+        else:
+            fresh.append(each)
+    made = _read(root, fresh, progress)
+    gone = rows.keys() - {each.folder for each in found}
+    entries += [Entry(row.folder, Head.of(json.loads(row.head)), row.details) for row in made]
+    entries.sort(key=lambda entry: (entry.head.created, entry.folder))
+    is_run = any(each.folder == "." for each in found)
+    note = "" if is_run or not (made or gone) else _store(root, file, made, gone)
+    return Listing(entries, len(made), note)
+
+
+def _read(
+    root: Path, fresh: Iterable[Found], progress: Callable[[int, int], None] | None
+) -> list[_Row]:
+    """Return the rows of folders, read now."""
+    waiting = list(fresh)
+    if not waiting:
+        return []
+    # Imported late: a list from the index does not need the readers.
+    from rig.runs.catalogue.read import read_entry
+
+    benches: dict[str, str] = {}
+    rows = []
+    for number, each in enumerate(waiting, start=1):
+        if each.signature.startswith("unreadable"):
+            problem = f"{root / each.folder}: may not be read"
+            head, details = Head("unreadable", problem), Details()
+        else:
+            head, details = read_entry(root / each.folder, benches)
+        texts = (json.dumps(dataclasses.asdict(part)) for part in (head, details))
+        first, second = texts
+        check = _checksum(each.folder, each.signature, first)
+        rows.append(_Row(each.folder, each.signature, first, check, second, _checksum(second)))
+        if progress is not None:
+            progress(number, len(waiting))
+    return rows
+
+
+def _checksum(*fields: str) -> int:
+    return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
+
+
+def _load(file: Path, details: bool) -> Mapping[str, _Row]:
+    """Return the rows of an index; none if it is missing, damaged or of another format."""
+    if not os.path.isfile(file):
+        return {}
+    try:
+        with contextlib.closing(_open(file)) as database:
+            if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
+                return {}
+            columns = "folder, signature, head, checksum"
+            columns += ", details, details_checksum" if details else ""
+            query = f"SELECT {columns} FROM runs"
+            return {row[0]: _Row(*row) for row in database.execute(query)}
+    except (sqlite3.Error, UnicodeError, TypeError):
+        return {}
+
+
+def _open(file: Path) -> sqlite3.Connection:
+    return sqlite3.connect(file, timeout=_WAIT_S, isolation_level=None)
+
+
+def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
+    """Write rows and remove those of folders that are gone; returns a message if that fails.
+
+    Rows whose files changed while they were read are not written.
+    """
+    kept = [row for row in made if signature_of(str(root / row.folder)) == row.signature]
+    for again in (False, True):
+        try:
+            with contextlib.closing(_open(file)) as database:
+                _write(database, kept, gone)
+            return ""
+        except (sqlite3.Error, UnicodeError) as error:
+            code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
+            if again or code in _NOT_DAMAGED:
+                return f"{file}: the index is not written ({error}); every list reads all runs"
+        with contextlib.suppress(OSError):
+            file.unlink()
+    return ""
+
+
+def _write(database: sqlite3.Connection, made: Iterable[_Row], gone: Iterable[str]) -> None:
+    database.execute("BEGIN IMMEDIATE")
+    if database.execute("PRAGMA user_version").fetchone()[0] != _FORMAT:
+        database.execute("DROP TABLE IF EXISTS runs")
+        database.execute(f"PRAGMA user_version = {_FORMAT}")
+    database.execute(_TABLE)
+    database.executemany("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", made)
+    database.executemany("DELETE FROM runs WHERE folder = ?", [(folder,) for folder in gone])
+    database.execute("COMMIT")

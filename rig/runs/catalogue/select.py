@@ -1,0 +1,126 @@
+"""Chooses runs of a list by what is known of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from rig.common.lock_holder import is_held
+from rig.common.locks import OWNER_FILE
+from rig.runs.catalogue.entry import DIED, GOING_ON, Entry
+
+VERDICTS = (
+    "done",
+    "tripped",
+    "stopped",
+    "failed",
+    "crashed",
+    "died",
+    "going-on",
+    "accepted",
+    "rejected",
+    "weight-right",
+    "weight-wrong",
+    "weight-unchecked",
+    "nothing_missing",
+    "named",
+    "ambiguous",
+    "outside_catalogue",
+    "half-written",
+    "other-version",
+    "unreadable",
+)
+"""Verdicts that runs can be chosen by."""
+_SAME_MASS = 1e-3
+"""Relative difference up to which two masses are the same."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What runs are asked for; None leaves a property open.
+
+    Attributes:
+        bench: Name of the bench, or a pattern with `*` and `?`.
+        sequence: Name of the sequence, or a pattern.
+        operator: Name of an operator, or a pattern.
+        weight_kg: A mass that was on the lever; 0 is the empty lever.
+        verdict: One of :data:`VERDICTS`.
+        since: Earliest time of the start.
+        until: Time that the start must be before.
+    """
+
+    bench: str | None = None
+    sequence: str | None = None
+    operator: str | None = None
+    weight_kg: float | None = None
+    verdict: str | None = None
+    since: datetime | None = None
+    until: datetime | None = None
+
+    def fits(self, root: Path, entry: Entry) -> bool:
+        """Whether a run is wanted; what is not known of it fits no choice."""
+        head = entry.head
+        names = (
+            (self.bench, (head.bench,)),
+            (self.sequence, (head.sequence,)),
+            (self.operator, head.operators),
+        )
+        return (
+            all(pattern is None or _any_fits(pattern, known) for pattern, known in names)
+            and (self.weight_kg is None or _has_mass(self.weight_kg, head.masses_kg))
+            and (self.verdict is None or self.verdict in verdicts(root, entry))
+            and self._in_time(head.created)
+        )
+
+    def _in_time(self, created: str) -> bool:
+        if self.since is None and self.until is None:
+            return True
+        begun = time_of(created)
+        if begun is None:
+            return False
+        return (self.since is None or begun >= self.since) and (
+            self.until is None or begun < self.until
+        )
+
+
+def time_of(created: str) -> datetime | None:
+    """Return a time of a record in UTC; None if it is none."""
+    try:
+        found = datetime.fromisoformat(created)
+    except ValueError:
+        return None
+    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+
+
+def chosen(root: Path, entries: Iterable[Entry], wanted: Wanted) -> list[Entry]:
+    """Return the runs that are wanted."""
+    return [entry for entry in entries if wanted.fits(root, entry)]
+
+
+def state_of(root: Path, entry: Entry) -> str:
+    """Return the state of a run; one that says `running` is going on or has died."""
+    if entry.head.kind != "run" or entry.head.state != "running":
+        return entry.head.state
+    return GOING_ON if is_held(root / entry.folder / OWNER_FILE) else DIED
+
+
+def verdicts(root: Path, entry: Entry) -> set[str]:
+    """Return everything that a run can be chosen by with ``verdict``."""
+    head = entry.head
+    if head.kind != "run":
+        return {head.kind.replace(" ", "-")}
+    weights = {f"weight-{verdict}" for verdict in head.weights}
+    state = state_of(root, entry).replace(" ", "-")
+    return {state, head.acceptance, head.diagnosis, *weights} - {""}
+
+
+def _any_fits(pattern: str, known: Iterable[str]) -> bool:
+    return any(fnmatchcase(name, pattern) for name in known)
+
+
+def _has_mass(mass: float, known: Iterable[float]) -> bool:
+    return any(math.isclose(mass, each, rel_tol=_SAME_MASS, abs_tol=1e-9) for each in known)

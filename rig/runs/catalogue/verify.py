@@ -1,0 +1,156 @@
+"""Holds the files of a run against the digests that were recorded of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+from rig.common.errors import InputError
+from rig.common.input_files import is_file, read_json
+from rig.common.provenance import sha256_file
+from rig.runs.catalogue.walk import RESULTS
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import run_items
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RUN_FILE, RunRecord
+from rig.runs.seal import SEAL_FILE, read_seal
+
+
+class Finding(Enum):
+    """What is found of a file."""
+
+    UNCHANGED = "unchanged"
+    WHOLE = "whole, not sealed"
+    OPEN = "not sealed"
+    CHANGED = "CHANGED"
+    DAMAGED = "DAMAGED"
+    MISSING = "MISSING"
+
+    @property
+    def good(self) -> bool:
+        """Whether the file is as it was, as far as is known."""
+        return self in (Finding.UNCHANGED, Finding.WHOLE, Finding.OPEN)
+
+
+@dataclass(frozen=True)
+class Verified:
+    """One file.
+
+    Attributes:
+        file: Path relative to the run folder.
+        finding: What was found.
+        sha256: Digest now; empty for a missing file.
+        recorded: Digest that was recorded; empty if none was.
+        by: File that holds the recorded digest; empty if none does.
+        words: Further remark.
+    """
+
+    file: str
+    finding: Finding
+    sha256: str = ""
+    recorded: str = ""
+    by: str = ""
+    words: str = ""
+
+
+@dataclass(frozen=True)
+class Verification:
+    """All files of a run.
+
+    Attributes:
+        folder: The run folder.
+        files: Its files.
+        problems: Messages on what prevented a look.
+    """
+
+    folder: Path
+    files: tuple[Verified, ...]
+    problems: tuple[str, ...] = ()
+
+    @property
+    def good(self) -> bool:
+        """Whether nothing is changed, damaged or missing."""
+        return not self.problems and all(each.finding.good for each in self.files)
+
+
+def verify(folder: Path) -> Verification:
+    """Verify the files of a run; a recording without a digest is read, and its checksums tested."""
+    problems: list[str] = []
+    try:
+        record = read_record(folder)
+    except InputError as error:
+        record = None
+        problems += error.problems
+    try:
+        sealed = read_seal(folder)
+    except InputError as error:
+        sealed = {}
+        problems += error.problems
+    recordings = [part.file for part in record.parts] if record else []
+    references = {name: (digest, SEAL_FILE) for name, digest in sealed.items()}
+    for name, digest, by in _inputs(folder, recordings):
+        references.setdefault(name, (digest, by))
+    names = [RUN_FILE, *recordings, *(name for name in RESULTS if is_file(folder / name))]
+    every = dict.fromkeys([*names, *references])
+    return Verification(
+        folder,
+        tuple(_verified(folder, name, references, record, recordings) for name in every),
+        tuple(problems),
+    )
+
+
+def _inputs(folder: Path, recordings: list[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield recording, digest and file of the digests that results state of their inputs."""
+    for name in RESULTS:
+        try:
+            found = read_json(folder / name) if is_file(folder / name) else {}
+        except InputError:
+            continue  # its own digest is verified
+        inputs = found.get("inputs") if isinstance(found, dict) else None
+        for each in inputs if isinstance(inputs, list) else ():
+            if isinstance(each, dict) and Path(str(each.get("file"))).name in recordings:
+                yield Path(str(each["file"])).name, str(each.get("sha256")), name
+
+
+def _verified(
+    folder: Path,
+    name: str,
+    references: Mapping[str, tuple[str, str]],
+    record: RunRecord | None,
+    recordings: list[str],
+) -> Verified:
+    path, (recorded, by) = folder / name, references.get(name, ("", ""))
+    try:
+        digest = sha256_file(path)
+    except FileNotFoundError:
+        return Verified(name, Finding.MISSING, "", recorded, by)
+    except OSError as error:
+        return Verified(name, Finding.DAMAGED, "", recorded, by, error.strerror or str(error))
+    found = Verified(name, Finding.UNCHANGED, digest, recorded, by)
+    if digest == recorded:
+        return found
+    if record is not None and record.state == "running":
+        words = "the run is going on or has died; `rig recover` completes it"
+        return dataclasses.replace(found, finding=Finding.OPEN, words=words)
+    if recorded:
+        words = _damage(path) if name in recordings else ""
+        return dataclasses.replace(found, finding=Finding.CHANGED, words=words)
+    if name not in recordings:
+        return dataclasses.replace(found, finding=Finding.OPEN)
+    damage = _damage(path)
+    if damage:
+        return dataclasses.replace(found, finding=Finding.DAMAGED, words=damage)
+    return dataclasses.replace(found, finding=Finding.WHOLE, words="its own checksums hold")
+
+
+def _damage(path: Path) -> str:
+    """Return what is wrong with a recording by its own checksums; empty if nothing is."""
+    try:
+        for _ in run_items(path, ("time",)):
+            pass
+    except (DamageError, OSError) as error:
+        return str(error)
+    return ""

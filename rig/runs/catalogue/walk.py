@@ -1,0 +1,82 @@
+"""Finds run folders, with a signature of the files that an entry is made of."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+RUN_JSON, RECORDING = "run.json", "recording.mcap"
+RESULTS = ("identify.json", "diagnosis/diagnose.json", "acceptance.json")
+"""Result files of a run folder whose verdicts are listed."""
+MOST_DEEP = 8
+"""Folders below the searched one in which runs are sought."""
+
+
+class Found(NamedTuple):
+    """A run folder.
+
+    Attributes:
+        folder: Relative to the searched folder; ``.`` for that folder itself.
+        signature: Changes with each of the files that the entry is made of: their inode, time of
+            change and size.
+    """
+
+    folder: str
+    signature: str
+
+
+def find_runs(root: Path) -> Iterator[Found]:
+    """Yield the run folders in and below ``root``, in no order; links are followed once.
+
+    A run folder has a ``run.json`` or a ``recording.mcap``; no runs are sought inside one.
+    """
+    yield from _found(str(root), "", 0, {os.path.realpath(root)})
+
+
+def _found(root: str, folder: str, depth: int, seen: set[str]) -> Iterator[Found]:
+    path = f"{root}/{folder}" if folder else root
+    signature = signature_of(path)
+    if signature is not None:
+        yield Found(folder or ".", signature)
+        return
+    if depth == MOST_DEEP:
+        return
+    try:
+        with os.scandir(path) as items:
+            below = [item for item in items if not item.name.startswith(".") and item.is_dir()]
+    except OSError as error:
+        if depth:
+            yield Found(folder, f"unreadable {error.errno}")
+            return
+        raise
+    for item in below:
+        if item.is_symlink():
+            target = os.path.realpath(item.path)
+            if target in seen:
+                continue
+            seen.add(target)
+        inner = f"{folder}/{item.name}" if folder else item.name
+        yield from _found(root, inner, depth + 1, seen)
+
+
+def signature_of(path: str) -> str | None:
+    """Return the signature of a run folder; None if it is none."""
+    first = _stamp(f"{path}/{RUN_JSON}")
+    if not first:
+        # Half written: the recording is all there is.
+        first = _stamp(f"{path}/{RECORDING}")
+        if not first:
+            return None
+        first = f"recording {first}"
+    return ";".join([first, *(_stamp(f"{path}/{name}") for name in RESULTS)])
+
+
+def _stamp(path: str) -> str:
+    """Return inode, time of change and size of a file; empty where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return ""
+    return f"{found.st_ino}.{found.st_ctime_ns}.{found.st_size}"

@@ -1,0 +1,310 @@
+"""Limits of acceptance: what is refused early, what is judged, and what is written of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lxml import etree
+
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.acceptance import Limit, parse_limit
+from rig.config.bench import load_bench
+from rig.config.configuration import load_located
+from rig.config.sequence import Sequence, load_acceptance
+from rig.control.session import Inputs
+from rig.planning.plan import make_plan
+from rig.results.acceptance.accept import accept
+from rig.results.acceptance.evidence import Evidence, gather
+from rig.results.acceptance.judge import Check, accepted, judge
+from rig.results.acceptance.pdf import certificate_pdf
+from rig.results.acceptance.record import junit
+from rig.runs.catalogue.entry import Constant
+from rig.runs.run_file import read_record
+
+from .conftest import SHORT, FakeBench, Runner
+
+XSD = Path(__file__).with_name("junit.xsd")
+LINES = """\
+acceptance: [Mc: 6.5..7.1, p99 lateness < 1 ms, 'tracking error rms < 0.05 deg']
+"""
+IDENTIFIED: dict[str, Any] = {
+    "schema": "loadrig.identify/1",
+    "method": "default",
+    "parameters": {"Mc": {"value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}},
+    "fit": {"unit": "N m", "train_rms": 0.02},
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the fake bench whose sequence states limits, with an identification."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "short.yaml").write_text(SHORT + LINES)
+    sequence = load_located(folder / "short.yaml", Sequence)
+    inputs = Inputs(load_bench("practical"), sequence, 0, False, "Ada <A&B>")
+    run, _ = Runner(folder / "run", inputs, make_plan(sequence, inputs.bench))(FakeBench())
+    digest = gather(run.path, (), lambda what, share: None).digests["recording.mcap"]
+    inputs_used = [{"file": "elsewhere/recording.mcap", "sha256": digest}]
+    (run.path / "identify.json").write_text(json.dumps({**IDENTIFIED, "inputs": inputs_used}))
+    return run.path
+
+
+@pytest.fixture
+def run(made: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "run"))
+
+
+@pytest.fixture(scope="module")
+def evidence(made: Path) -> Evidence:
+    return gather(made, (parse_limit("Mc: 6.5..7.1"),), lambda what, share: None)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("Mx: 1..2", "'Mx' is no constant"),
+        ("Mc: 7..6", "is empty"),
+        ("Mc: ..", "is no range"),
+        ("Mc: about 7", "is no range"),
+        ("p98 lateness < 1 ms", "is no quantity"),
+        ("latenes p99 < 1 ms", "did you mean lateness"),
+        ("lateness < 1 ms", "write lateness p50 or lateness p99"),
+        ("tracking error p99 < 1 deg", "write tracking error rms or tracking error worst"),
+        ("p99 lateness < 1 deg", "'deg' is no unit of lateness"),
+        ("p99 lateness < 1", "'' is no unit"),
+        ("nothing missin", "is no limit"),
+    ],
+)
+def test_what_is_no_limit_is_refused_with_the_nearest(text: str, words: str) -> None:
+    with pytest.raises(ValueError, match=re.escape(words)):
+        parse_limit(text)
+
+
+def test_every_problem_of_a_file_is_stated_with_its_place(tmp_path: Path) -> None:
+    path = tmp_path / "limits.yaml"
+    path.write_text("acceptance: 1\nlimits:\n  - Mx: 1..2\n  - nothing missing\n  - foo\n")
+    with pytest.raises(InputError) as caught:
+        load_acceptance(path)
+    places = [problem.partition(": ")[0] for problem in caught.value.problems]
+    assert places == [f"{path}:3:5", f"{path}:5:5"]
+
+
+def judged(evidence: Evidence, *lines: str) -> list[Check]:
+    limits: list[Limit] = [parse_limit(line) for line in lines]
+    return list(judge(limits, evidence))[1:]
+
+
+def constant(evidence: Evidence, value: float | None, low: float, high: float) -> Evidence:
+    return dataclasses.replace(evidence, constants={"Mc": Constant(value, low, high, "N m")})
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "passed", "words"),
+    [
+        (6.8, 6.5, 7.1, True, "90 % interval 6.5 to 7.1"),
+        (6.8, 6.49, 7.0, False, "the value is inside, its interval is not"),
+        (7.2, 7.05, 7.3, False, "outside"),
+        (None, 6.6, 7.0, False, "do not determine"),
+    ],
+)
+def test_a_constant_passes_where_its_whole_interval_is_inside(
+    evidence: Evidence, value: float | None, low: float, high: float, passed: bool, words: str
+) -> None:
+    (check,) = judged(constant(evidence, value, low, high), "Mc: 6.5..7.1")
+    assert check.passed is passed
+    assert words in check.words
+
+
+def test_an_estimate_at_a_bound_does_not_pass(evidence: Evidence) -> None:
+    stuck = {"Mc": Constant(6.8, 6.7, 6.9, "N m", at_bound=True)}
+    assert not judged(dataclasses.replace(evidence, constants=stuck), "Mc: 6.5..7.1")[0].passed
+
+
+def test_an_open_end_and_a_missing_constant(evidence: Evidence) -> None:
+    low, missing = judged(evidence, "Mc: 6..", "J: 0..1")
+    assert (low.passed, missing.passed) == (True, False)
+    assert "J was not identified" in missing.words
+
+
+def test_quantities_are_measured_in_the_unit_of_the_limit(evidence: Evidence) -> None:
+    temperature, current, torque, lost = judged(
+        evidence,
+        "temperature worst < 25.1 C",
+        "current rms >= 1500 mA",
+        "torque error rms < 20 mN m",
+        "lost samples < 1",
+    )
+    assert (temperature.value, temperature.passed) == (pytest.approx(25.0), True)
+    assert (current.value, current.passed) == (pytest.approx(1500.0), True)
+    assert (torque.value, torque.passed) == (pytest.approx(20.0), False)
+    assert (lost.value, lost.passed) == (0.0, True)
+
+
+def test_the_worst_recording_counts(evidence: Evidence) -> None:
+    part = evidence.record.parts[0]
+    late = {**part.timing, "lateness": {**part.timing["lateness"], "p99_us": 1500.0}}
+    parts = [part, dataclasses.replace(part, timing=late)]
+    record = dataclasses.replace(evidence.record, parts=parts)
+    (check,) = judged(dataclasses.replace(evidence, record=record), "p99 lateness < 1 ms")
+    assert (check.value, check.passed) == (1.5, False)
+
+
+@pytest.mark.parametrize(
+    ("weights", "passed"),
+    [
+        ({}, False),
+        ({"heavy": ("right", "fits")}, True),
+        ({"heavy": ("right", "fits"), "more": ("wrong", "off by 2 kg")}, False),
+        ({"heavy": ("unchecked", "no reference")}, False),
+    ],
+)
+def test_a_weight_that_nothing_checked_does_not_pass(
+    evidence: Evidence, weights: dict[str, tuple[str, str]], passed: bool
+) -> None:
+    (check,) = judged(dataclasses.replace(evidence, weights=weights), "weight check passed")
+    assert check.passed is passed
+
+
+@pytest.mark.parametrize(
+    ("verdict", "passed"), [("nothing_missing", True), ("named", False), ("", False)]
+)
+def test_a_diagnosis_must_have_found_nothing(
+    evidence: Evidence, verdict: str, passed: bool
+) -> None:
+    (check,) = judged(dataclasses.replace(evidence, diagnosis=verdict), "nothing missing")
+    assert check.passed is passed
+
+
+def test_a_run_that_is_not_complete_is_rejected(evidence: Evidence) -> None:
+    assert accepted(judge((), evidence))
+    record = dataclasses.replace(evidence.record, state="tripped", message="current")
+    checks = judge((), dataclasses.replace(evidence, record=record))
+    assert not accepted(checks)
+    assert "tripped: current" in checks[0].words
+
+
+def test_results_of_other_recordings_are_not_used(run: Path) -> None:
+    old = json.loads((run / "identify.json").read_text())
+    old["inputs"][0]["sha256"] = "0" * 64
+    (run / "identify.json").write_text(json.dumps(old))
+    assert gather(run, (), lambda what, share: None).constants == {}
+
+
+def test_junit_is_valid_and_says_what_failed(evidence: Evidence) -> None:
+    schema = etree.XMLSchema(etree.parse(XSD))
+    checks = [
+        Check("p99 lateness < 1 ms", True, "0 ms"),
+        Check("Mc: 6.5..7.1", False, 'not "inside" \x1b[0m & <outside>'),
+    ]
+    root = etree.fromstring(junit(evidence.record, "practical", checks))
+    schema.assertValid(root)
+    assert root.get("failures") == "1"
+    (failure,) = root.findall(".//failure")
+    assert failure.get("message") == 'not "inside" ?[0m & <outside>'
+    assert [case.get("name") for case in root.iter("testcase")] == [
+        "p99 lateness < 1 ms",
+        "Mc: 6.5..7.1",
+    ]
+    # The schema refuses what a server would not read.
+    del root.find(".//testcase").attrib["name"]  # type: ignore[union-attr]
+    assert not schema.validate(root)
+
+
+def test_a_run_is_accepted_and_certified(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [str(tmp_path / name) for name in ("j.xml", "a.json")]
+    code = status(["runs", "accept", str(run), "--junit", files[0], "--json", files[1]])
+    shown = capsys.readouterr().out
+    assert code == 0, shown
+    assert "ACCEPTED" in shown
+    record = json.loads(Path(files[1]).read_text())
+    assert (record["verdict"], record["limits"], len(record["checks"])) == (
+        "accepted",
+        "sequence",
+        4,
+    )
+    etree.XMLSchema(etree.parse(XSD)).assertValid(etree.parse(files[0]))
+    page = (run / "certificate.html").read_text()
+    assert not re.search(r"https?://|<script|<link|@import|url\(", page)
+    recorded = {each["file"]: each["sha256"] for each in record["inputs"]}
+    assert set(recorded) == {"recording.mcap", "run.json", "identify.json"}
+    for words in ("practical (SIMULATED)", "Ada &lt;A&amp;B&gt;", "fake", *recorded.values()):
+        assert words in page
+    assert status(["runs", "verify", str(run)]) == 0
+    assert capsys.readouterr().out.count("unchanged") == 6
+    (run / "certificate.pdf").write_bytes(b"%PDF-other")
+    assert status(["runs", "verify", str(run)]) == 1
+
+
+def test_a_limit_that_is_not_kept_ends_with_1(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("acceptance: 1\nlimits: [temperature worst < 20 C]\n")
+    assert status(["runs", "accept", str(run), "--acceptance", str(limits)]) == 1
+    assert "REJECTED" in capsys.readouterr().out
+    assert json.loads((run / "acceptance.json").read_text())["verdict"] == "rejected"
+    assert status(["runs", "list", str(tmp_path), "--verdict", "rejected"]) == 0
+    assert "1 run\n" in capsys.readouterr().out
+
+
+def test_without_limits_there_is_nothing_to_accept(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("acceptance: 1\nlimits: []\n")
+    assert status(["runs", "accept", str(run), "--acceptance", str(limits)]) == 2
+    assert "at least 1 item" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("count", [3, 60])
+def test_the_certificate_is_one_page_however_much_is_on_it(run: Path, count: int) -> None:
+    from rig.results.acceptance.certificate import make_certificate
+
+    evidence = gather(run, (), lambda what, share: None)
+    checks = [Check(f"limit {n} < 1 $", n % 2 == 0, "found " * 20) for n in range(count)]
+    made = make_certificate(run, "practical", evidence, checks, evidence.digests, "now")
+    pdf = certificate_pdf(made)
+    assert pdf.startswith(b"%PDF")
+    assert len(re.findall(rb"/Type /Page\b", pdf)) == 1
+
+
+def test_calibrations_and_their_due_dates_are_certified(run: Path) -> None:
+    raw = json.loads((run / "run.json").read_text())
+    raw["calibrations"] = [
+        {"device": "scale", "id": "C-17", "due": "2026-01-01", "overdue": True},
+        {"device": "encoder", "id": "C-18", "due": "2027-01-01", "overdue": False},
+    ]
+    (run / "run.json").write_text(json.dumps(raw))
+    assert read_record(run).calibrations
+    accept(run, (), "test", lambda what, share: None)
+    page = (run / "certificate.html").read_text()
+    for words in ("C-17", "2026-01-01", "OVERDUE", "C-18", "valid"):
+        assert words in page
+
+
+def test_a_run_is_judged_at_its_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sequence = tmp_path / "short.yaml"
+    short = SHORT.partition("  - {name: heavy")[0]
+    sequence.write_text(short + "acceptance: [lost samples < 1, temperature worst < 20 C]\n")
+    code = status(["run", str(sequence), "--yes", "--out", str(tmp_path / "run")])
+    shown = capsys.readouterr().out
+    assert code == 1, shown
+    assert "REJECTED" in shown
+    assert (tmp_path / "run" / "certificate.pdf").exists()
+
+
+def test_a_wrong_file_of_limits_is_refused_before_anything_moves(tmp_path: Path) -> None:
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("acceptance: 1\nlimits: [Mx: 1..2]\n")
+    out = tmp_path / "run"
+    assert status(["run", "figure10", "--yes", "--acceptance", str(limits), "--out", str(out)]) == 2
+    assert not out.exists()

@@ -1,0 +1,314 @@
+"""Run folders as they are listed, and the index that only saves time."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from rig.cli.entry import status
+from rig.config.bench import load_bench
+from rig.config.configuration import load_located
+from rig.config.sequence import Sequence
+from rig.control.session import Inputs
+from rig.planning.plan import make_plan
+from rig.runs.catalogue.entry import Entry
+from rig.runs.catalogue.index import INDEX_FILE, list_runs
+from rig.runs.catalogue.select import Wanted, chosen, state_of, time_of, verdicts
+from rig.runs.seal import seal_run
+
+from .conftest import SHORT, FakeBench, Runner
+
+IDENTIFIED = {
+    "schema": "loadrig.identify/1",
+    "method": "default",
+    "parameters": {"Mc": {"value": 6.8, "low": 6.7, "high": 6.9, "unit": "N m"}},
+    "fit": {"unit": "N m", "train_rms": 0.02},
+}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the fake bench, sealed."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "short.yaml").write_text(SHORT)
+    sequence = load_located(folder / "short.yaml", Sequence)
+    inputs = Inputs(load_bench("practical"), sequence, 0, False, "Ada")
+    runner = Runner(folder / "run", inputs, make_plan(sequence, inputs.bench))
+    run, _ = runner(FakeBench())
+    seal_run(run.path, run.record)
+    return run.path
+
+
+@pytest.fixture
+def root(made: Path, tmp_path: Path) -> Path:
+    """Two runs, one of them identified, and folders that are none."""
+    root = tmp_path / "runs"
+    shutil.copytree(made, root / "one")
+    shutil.copytree(made, root / "2026" / "two")
+    edit(root / "2026" / "two", lambda r: r.update(created="2027-01-02T03:04:05+00:00"))
+    (root / "2026" / "two" / "identify.json").write_text(json.dumps(IDENTIFIED))
+    (root / "notes").mkdir()
+    (root / "notes" / "readme.txt").write_text("no run")
+    return root
+
+
+def edit(folder: Path, change: Callable[[dict[str, object]], object]) -> None:
+    path = folder / "run.json"
+    record = json.loads(path.read_text())
+    change(record)
+    path.write_text(json.dumps(record))
+
+
+def listed(root: Path) -> dict[str, Entry]:
+    return {entry.folder: entry for entry in list_runs(root).entries}
+
+
+def test_what_is_known_of_a_run(root: Path) -> None:
+    entries = list_runs(root).entries
+    assert [entry.folder for entry in entries] == ["one", "2026/two"]
+    head = entries[0].head
+    assert (head.kind, head.state, head.bench, head.sequence) == (
+        "run",
+        "done",
+        "practical",
+        "short",
+    )
+    assert (head.operators, head.masses_kg, head.simulated) == (("Ada",), (0.0, 10.0), True)
+    details = entries[1].parsed()
+    assert details.constants["Mc"].half_width == pytest.approx(0.1)
+    assert details.devices["servo"] == "fake, serial 4"
+    assert entries[1].head.identified == "default"
+
+
+def test_a_second_list_reads_nothing(root: Path) -> None:
+    first = list_runs(root)
+    again = list_runs(root)
+    assert (first.read, again.read, again.note) == (2, 0, "")
+    assert again.entries == first.entries
+
+
+def test_a_changed_result_is_read_again(root: Path) -> None:
+    list_runs(root)
+    (root / "one" / "identify.json").write_text(json.dumps(IDENTIFIED))
+    again = list_runs(root)
+    assert again.read == 1
+    assert listed(root)["one"].head.identified == "default"
+
+
+def swap(path: Path) -> None:
+    """Change a name inside a row, as a flipped bit would, where sqlite does not notice."""
+    content = path.read_bytes()
+    assert b"practical" in content
+    path.write_bytes(content.replace(b"practical", b"practikal"))
+
+
+def older(path: Path) -> None:
+    with sqlite3.connect(path) as database:
+        database.execute("DROP TABLE runs")
+        database.execute("CREATE TABLE runs (folder TEXT)")
+    database.close()
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        Path.unlink,
+        swap,
+        older,
+        lambda path: path.write_bytes(b"no database" * 1000),
+        lambda path: path.write_bytes(path.read_bytes()[:5000]),
+        lambda path: path.write_bytes(b""),
+    ],
+)
+def test_a_lost_or_damaged_index_changes_no_answer(
+    root: Path, harm: Callable[[Path], None]
+) -> None:
+    before = list_runs(root).entries
+    harm(root / INDEX_FILE)
+    harmed = list_runs(root)
+    assert (harmed.entries, harmed.note) == (before, "")
+    again = list_runs(root)
+    assert (again.entries, again.read) == (before, 0)
+
+
+def test_where_no_index_can_be_written_the_list_is_the_same(root: Path) -> None:
+    before = list_runs(root).entries
+    (root / INDEX_FILE).unlink()
+    (root / INDEX_FILE).mkdir()
+    found = list_runs(root)
+    assert found.entries == before
+    assert "the index is not written" in found.note
+
+
+def test_a_moved_folder_is_listed_where_it_is(root: Path) -> None:
+    list_runs(root)
+    (root / "one").rename(root / "moved")
+    assert list(listed(root)) == ["moved", "2026/two"]
+    root.rename(root.with_name("archive"))
+    assert list_runs(root.with_name("archive")).read == 0
+
+
+def test_half_written_folders_are_shown_as_such(root: Path) -> None:
+    (root / "one" / "run.json").unlink()
+    (root / "2026" / "two" / "run.json").write_text('{"name": "sho')
+    found = listed(root)
+    assert {entry.head.kind for entry in found.values()} == {"half written"}
+    assert all("rig recover" in entry.head.problem for entry in found.values())
+
+
+def test_other_versions_and_edits_are_shown_as_such(root: Path) -> None:
+    edit(root / "one", lambda r: r.update(schema="loadrig.run/9"))
+    edit(root / "2026" / "two", lambda r: r.update(cycle_s="fast"))
+    found = listed(root)
+    assert found["one"].head.kind == "other version"
+    assert found["one"].head.sequence == "short"
+    assert "loadrig.run/1" in found["one"].head.problem
+    assert found["2026/two"].head.kind == "unreadable"
+    assert "cycle_s" in found["2026/two"].head.problem
+
+
+def test_an_older_record_is_a_run(root: Path) -> None:
+    def old(record: dict[str, object]) -> None:
+        part = record.pop("parts")[0]  # type: ignore[attr-defined]
+        record.update({key: part[key] for key in ("created", "seed", "versions", "state")})
+
+    edit(root / "one", old)
+    assert listed(root)["one"].head.kind == "run"
+
+
+def test_a_result_that_cannot_be_read_is_noted(root: Path) -> None:
+    (root / "one" / "identify.json").write_text("{")
+    head = listed(root)["one"].head
+    assert (head.kind, head.identified) == ("run", "")
+    assert "identify.json" in head.notes[0]
+
+
+def test_links_in_a_ring_end(root: Path) -> None:
+    (root / "ring").symlink_to(root, target_is_directory=True)
+    assert len(list_runs(root).entries) == 2
+
+
+@pytest.mark.parametrize(
+    ("wanted", "expected"),
+    [
+        (Wanted(), 2),
+        (Wanted(bench="prac*"), 2),
+        (Wanted(bench="other"), 0),
+        (Wanted(sequence="short", operator="Ada"), 2),
+        (Wanted(operator="Bob"), 0),
+        (Wanted(weight_kg=10.0), 2),
+        (Wanted(weight_kg=11.0), 0),
+        (Wanted(verdict="done"), 2),
+        (Wanted(verdict="tripped"), 0),
+        (Wanted(since=time_of("2027-01-02")), 1),
+        (Wanted(until=time_of("2027-01-02T03:04:05")), 1),
+    ],
+)
+def test_runs_are_chosen_by_what_is_known(root: Path, wanted: Wanted, expected: int) -> None:
+    assert len(chosen(root, list_runs(root).entries, wanted)) == expected
+
+
+def test_a_run_without_an_end_is_going_on_or_has_died(root: Path) -> None:
+    from rig.common.locks import hold_folder
+
+    edit(root / "one", lambda r: r.update(state="running"))
+    entry = listed(root)["one"]
+    assert state_of(root, entry) == "died"
+    with hold_folder(root / "one", "rig run"):
+        assert state_of(root, entry) == "going on"
+    assert verdicts(root, entry) == {"died"}
+
+
+def test_the_list_shows_copies_and_problems(
+    root: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    shutil.copytree(root / "one", root / "three")
+    (root / "2026" / "two" / "run.json").write_text("")
+    result = tmp_path / "list.json"
+    arguments = ["runs", "list", str(root), "--json", str(result), "--out", str(tmp_path / "page")]
+    assert status(arguments) == 0
+    shown = capsys.readouterr().out
+    assert "HALF WRITTEN" in shown
+    assert f"{root}/three: a copy of {root}/one" in shown
+    record = json.loads(result.read_text())
+    assert [run["kind"] for run in record["runs"]] == ["half written", "run", "run"]
+    assert "HALF WRITTEN" in (tmp_path / "page" / "report.html").read_text()
+
+
+def test_one_run_is_shown(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["runs", "show", str(root / "2026" / "two")]) == 0
+    shown = capsys.readouterr().out
+    for words in ("practical (simulated)", "Ada", "heavy", "6.8", "[6.7, 6.9]"):
+        assert words in shown
+    assert not (root / "2026" / "two" / INDEX_FILE).exists()
+
+
+def test_no_run_folder_is_bad_input(root: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["runs", "show", str(root / "notes")]) == 2
+    assert status(["runs", "list", str(root / "nowhere")]) == 2
+    assert "no run folder" in capsys.readouterr().err
+
+
+def verified(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
+    code = status(["runs", "verify", str(folder)])
+    return code, capsys.readouterr().out
+
+
+def test_a_sealed_run_is_as_recorded(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    code, shown = verified(made, capsys)
+    assert code == 0
+    assert shown.count("unchanged") == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5, 0.999])
+def test_a_changed_byte_of_the_recording_is_noticed(
+    root: Path, capsys: pytest.CaptureFixture[str], share: float
+) -> None:
+    path = root / "one" / "recording.mcap"
+    content = bytearray(path.read_bytes())
+    content[int(share * len(content))] ^= 1
+    path.write_bytes(content)
+    code, shown = verified(root / "one", capsys)
+    assert code == 1
+    assert "CHANGED" in shown
+
+
+def test_missing_and_edited_files_are_noticed(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    edit(root / "one", lambda r: r.update(operator="Eve"))
+    assert verified(root / "one", capsys)[0] == 1
+    (root / "2026" / "two" / "recording.mcap").unlink()
+    code, shown = verified(root / "2026" / "two", capsys)
+    assert code == 1
+    assert "MISSING" in shown
+
+
+def test_an_unsealed_recording_is_held_against_its_checksums(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (root / "one" / "SHA256SUMS").unlink()
+    code, shown = verified(root / "one", capsys)
+    assert code == 0
+    assert "whole, not sealed" in shown
+    path = root / "one" / "recording.mcap"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(content)
+    code, shown = verified(root / "one", capsys)
+    assert code == 1
+    assert "DAMAGED" in shown
+
+
+def test_a_damaged_seal_is_a_problem_in_words(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (root / "one" / "SHA256SUMS").write_text("what is this\n")
+    code, shown = verified(root / "one", capsys)
+    assert code == 1
+    assert "SHA256SUMS:1" in shown

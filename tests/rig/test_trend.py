@@ -1,0 +1,174 @@
+"""Constants of several runs: which moved between two, and which drift over a history."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.common.errors import InputError
+from rig.results.catalogue.compare import (
+    Compared,
+    compare_document,
+    compare_record,
+    differences,
+    require_comparable,
+)
+from rig.results.catalogue.trend import FALSE_ALARMS, alarms, courses, histories
+from rig.results.catalogue.trend_document import trend_document, trend_record
+from rig.results.html import page
+from rig.results.terminal import text
+from rig.runs.catalogue.entry import Constant, Details, Entry, Head
+
+TRUE = {"Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "J": 0.2}
+TRUE |= {"mu_c": 0.052, "mu_s": 0.086, "omega_sL": 0.033, "mu_2": 0.032}
+SHARE = 0.01
+"""Half width of the intervals over the value."""
+
+
+def details(shares: np.ndarray, serial: int = 1) -> Details:
+    """Return an identification whose values are off the truth by these shares."""
+    constants = {
+        name: Constant(
+            true * (1.0 + share),
+            true * (1.0 + share - SHARE),
+            true * (1.0 + share + SHARE),
+            "N m",
+        )
+        for (name, true), share in zip(TRUE.items(), shares.tolist(), strict=True)
+    }
+    return Details(constants, 0.02, "N m", "rotary", {"servo": f"drive, serial {serial}"})
+
+
+def history(runs: int = 10, drift: float = 0.0, step: float = 0.0) -> list[Entry]:
+    """Return runs in which Mc drifts or steps by so many widths of its interval, with another drive
+    from the step on.
+    """
+    rng = np.random.default_rng(4)
+    made = []
+    for number in range(runs):
+        shares = rng.normal(0.0, SHARE / 1.645, len(TRUE))
+        second = number >= runs // 2
+        shares[0] += 2.0 * SHARE * (drift * number / (runs - 1) + step * second)
+        found = details(shares, 2 if second and step else 1)
+        head = Head(
+            sequence="short",
+            created=f"2026-11-{number + 1:02d}T08:00:00+00:00",
+            bench="practical",
+            simulated=True,
+            state="done",
+            identified="default",
+            digest=f"{number:064d}",
+        )
+        made.append(Entry(f"run-{number}", head, json.dumps(dataclasses.asdict(found))))
+    return made
+
+
+ROOT = Path("runs")
+
+
+def test_a_history_without_change_is_quiet() -> None:
+    (found,) = histories(ROOT, history())
+    assert alarms(found) == {}
+    shown = text(trend_document([found]))
+    assert "no change" in shown
+    assert "DRIFT" not in shown
+
+
+def test_a_drift_is_named() -> None:
+    (found,) = histories(ROOT, history(drift=3.0))
+    assert alarms(found) == {"Mc": None}
+    document = trend_document([found])
+    assert "DRIFT" in text(document)
+    assert "trend_practical.png" in [Path(p.file).name for p in document.pictures()]
+    record = trend_record([found])["histories"][0]["constants"]
+    assert record["Mc"]["kind"] == "drift"
+    assert record["Mc"]["change"] == pytest.approx(6.8 * 0.06, rel=0.3)
+    assert [name for name, each in record.items() if each["alarm"]] == ["Mc"]
+
+
+def test_a_step_is_placed_and_held_against_the_devices() -> None:
+    (found,) = histories(ROOT, history(step=3.0))
+    assert alarms(found) == {"Mc": 5}
+    shown = text(trend_document([found]))
+    assert "STEP at run 6" in shown
+    assert "runs/run-5, with another device (servo: drive, serial 1, then drive, serial 2)" in shown
+
+
+def test_the_rate_is_of_all_constants_together() -> None:
+    rng = np.random.default_rng(5)
+    count = 0
+    known = [details(np.zeros(len(TRUE))) for _ in range(10)]
+    for _ in range(12):
+        runs = [details(rng.normal(0.0, SHARE / 1.645, len(TRUE))) for _ in known]
+        count += any(course.alarm for course in courses(runs))
+    assert count <= 1
+    assert FALSE_ALARMS == 0.01
+
+
+def test_few_runs_are_not_tested() -> None:
+    (found,) = histories(ROOT, history(runs=4))
+    assert all(course.p_value is None for course in found.courses)
+    assert "the test needs 6" in text(trend_document([found]))
+
+
+def test_copies_and_runs_without_constants_do_not_count() -> None:
+    entries = history(runs=6)
+    bare = dataclasses.replace(entries[0].head, identified="", digest="b")
+    entries += [Entry("copy", entries[1].head, entries[1].details), Entry("bare", bare, "{}")]
+    (found,) = histories(ROOT, entries)
+    assert len(found.runs) == 6
+    assert set(found.left_out) == {
+        "runs/copy: a copy of runs/run-1",
+        "runs/bare: not identified",
+    }
+
+
+def test_a_value_at_a_bound_or_without_an_interval_is_no_part_of_a_course() -> None:
+    runs = [details(np.zeros(len(TRUE))) for _ in range(7)]
+    stuck = dict(runs[0].constants)
+    stuck["Mc"] = dataclasses.replace(stuck["Mc"], at_bound=True)
+    runs[0] = dataclasses.replace(runs[0], constants=stuck)
+    course = next(course for course in courses(runs) if course.name == "Mc")
+    assert course.runs == (1, 2, 3, 4, 5, 6)
+
+
+def compared(*found: Details) -> list[Compared]:
+    return [
+        Compared(Path(f"runs/{n}"), Entry(".", Head(bench="practical", digest=str(n)), ""), each)
+        for n, each in enumerate(found)
+    ]
+
+
+def test_what_moved_by_more_than_its_uncertainty_is_marked() -> None:
+    shares = np.zeros(len(TRUE))
+    shares[:2] = 1.3 * SHARE, 1.5 * SHARE
+    runs = compared(details(np.zeros(len(TRUE))), details(shares, 2))
+    found = {each.name: each for each in differences(runs[0].details, runs[1].details)}
+    # The interval of a difference of two is wider by the root of two.
+    assert [name for name, each in found.items() if each.moved] == ["Ms"]
+    document = compare_document(runs)
+    shown = text(document)
+    assert shown.count("MOVED") == 1
+    assert "another servo: drive, serial 1 before, drive, serial 2 now" in shown
+    assert "Figures" in page(document)
+    assert compare_record(runs)["compared"][0]["constants"]["Ms"]["moved"] is True
+
+
+def test_a_constant_that_is_not_determined_is_not_judged() -> None:
+    other = details(np.zeros(len(TRUE)))
+    constants = dict(other.constants)
+    constants["Mc"] = Constant(None, None, None, "N m")
+    del constants["Ms"]
+    runs = compared(details(np.zeros(len(TRUE))), dataclasses.replace(other, constants=constants))
+    found = {each.name: each.moved for each in differences(runs[0].details, runs[1].details)}
+    assert (found["Mc"], found["Ms"], found["J"]) == (None, None, False)
+    assert "not known" in text(compare_document(runs))
+
+
+def test_runs_without_constants_are_refused_with_the_remedy() -> None:
+    with pytest.raises(InputError, match="rig identify runs/1"):
+        require_comparable(compared(details(np.zeros(len(TRUE))), Details()))
