@@ -160,7 +160,7 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     assert "to split current_offset, asymmetric_coulomb: " in printed
     assert AMBIGUOUS.effects[0].separating_experiment in printed
     assert (
-        "These recordings cannot tell it from asymmetric_coulomb."
+        "These recordings cannot distinguish it from asymmetric_coulomb."
         in (out / "report.html").read_text()
     )
 

@@ -1,5 +1,4 @@
-"""Diagnosis of the gas generator: noise, test whether anything is missing, location, effects,
-validation.
+"""Diagnosis of the gas generator: noise, test for a mismatch, location, effects and validation.
 
 Validation recordings are scored once, at the end.
 """
@@ -34,7 +33,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.score.locate import OWN_RECORDING, Axis, curve, mapped, ranges
+from identification.diagnosis.score.locate import RECORDING_RATIO, Axis, curve, map_over, ranges
 from identification.diagnosis.score.significance import LEVEL
 from identification.diagnosis.selection.comparison import probability
 from identification.diagnosis.verdict.wording import finding
@@ -48,7 +47,7 @@ nearly all.
 """
 _MOST_SURE = 0.99
 UNSEEN = 1.5
-"""Error on validation recordings over the noise, from which a warning is given."""
+"""Ratio of the error on validation recordings to the noise, from which a warning is given."""
 STRAINED = 3.0
 """Deviation of a constant, in tolerances, from which it is reported."""
 
@@ -56,8 +55,8 @@ STRAINED = 3.0
 def diagnose_gas(
     dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """Diagnose whether physics is missing from the gas-generator model of these recordings, where,
-    and which.
+    """Diagnose whether an effect is missing from the gas-generator model of these recordings, which
+    one, and where.
 
     The constants of propellant, valve and sensors, within tolerances
     (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording are
@@ -76,7 +75,10 @@ def diagnose_gas(
     tell: Progress = progress or (lambda _stage, _share: None)
     chance = rng or np.random.default_rng(0)
     if not dataset.part("fit"):
-        raise RecordingError("no recording with role fit")
+        raise RecordingError(
+            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
+            "campaign file"
+        )
     here, aside = burns(dataset.part("fit")), burns(dataset.part("validate"))
     found = search(here, noise(here), chance, tell)
     tell("locating", 0.95)
@@ -222,7 +224,7 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
     units = {c.name: c.unit for c in COORDINATES}
     stack, equation = found.stack, found.stack.equations[0]
     drawn = [
-        mapped(
+        map_over(
             equation,
             Axis(name, units[name], values),
             before,
@@ -240,7 +242,7 @@ def _location(found: GasSearch, best: Map) -> Location:
     edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
     powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
     names = tuple(
-        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING
+        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > RECORDING_RATIO
     )
     return Location(best.coordinate, best.unit, ranges(best), best.share, names)
 
@@ -297,14 +299,14 @@ def _statement(
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = f", most of it over {where.coordinate}" if where else ""
         return (
-            f"something is missing from the gas generator that is in no catalogue{place}; {error}"
+            f"the pressure has a mismatch that no effect of the catalogue explains{place}; {error}"
         )
     words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.AMBIGUOUS:
         groups = [
             " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
         ]
-        words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
+        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     before, after, on = main.baseline_rms, main.final_rms, "the recordings it was fitted to"
     if main.validate_baseline_rms is not None and main.validate_final_rms is not None:
         before, after, on = main.validate_baseline_rms, main.validate_final_rms, "unseen recordings"
@@ -318,19 +320,21 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
         warnings.append(
-            "no recording is set aside (role: validate), so the errors are of the fit itself"
+            "no recording is set aside (role: validate), so all errors are those of the fitted "
+            "recordings"
         )
     unseen = main.validate_final_rms
     if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise: those fitted do not determine the gas generator; "
+            f"noise, above {UNSEEN:g}: the fitted recordings do not determine the gas generator; "
             "also fit recordings with steps between narrow and wide throats"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
             warnings.append(
-                f"{burn.recording.name}: the throat hardly moves; it shows no transient"
+                f"{burn.recording.name}: the throat area hardly changes, so this recording shows "
+                "no transient"
             )
     off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
     strained = [
@@ -340,7 +344,7 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     ]
     if strained:
         warnings.append(
-            f"without anything missing these would have to be off: {', '.join(strained)}; check "
-            f"them first"
+            f"without effects these constants would have to differ from their nominal values: "
+            f"{', '.join(strained)}; check them first"
         )
     return tuple(warnings)

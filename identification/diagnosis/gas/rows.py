@@ -103,7 +103,7 @@ def padded(stack: Stack, values: Array) -> Array:
 def candidates(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
 ) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape, linearised at the fit; coefficients are in the
+    """Yield every effect at all trial parameters, linearised at the fit; coefficients are in the
     effect's unit.
     """
     for term in terms:
@@ -117,7 +117,7 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Return (gain, size, shape) of an effect at every trial shape by linear least squares,
+    """Return (gain, size, shape) of an effect at all trial parameters by linear least squares,
     greatest gain first.
     """
     found = []

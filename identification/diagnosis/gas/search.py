@@ -18,7 +18,7 @@ from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
 from identification.diagnosis.gas.rows import candidates, families, padded, stacked, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
-from identification.diagnosis.score.significance import EXCESS, LEVEL, RARE, chance
+from identification.diagnosis.score.significance import EXCESS, LEVEL, OUTLIER, sign_flip_p_value
 from identification.diagnosis.selection.comparison import SIMPLER_IF
 from identification.diagnosis.selection.removal import FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.recording import Array
@@ -33,7 +33,9 @@ transducer noise is white: the small remainder is significant.
 REJECTED = 1.645
 """Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
 TRIALS_FITTED = 2
-"""Number of shapes of an effect, the best by the linear score, from which it is fitted."""
+"""Number of trial parameters of an effect, the best by the linear score, from which it is
+fitted.
+"""
 
 Progress = Callable[[str, float], None]
 
@@ -199,7 +201,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     left = [t for t in GAS_TERMS if t.name not in named]
     tried = [*candidates(burns, stack, here, left), *families(burns, stack, here)]
     by_shape, by_size, by_belief = (
-        chance(tried, stack.blocks, rng, LEAST_SHARE),
+        sign_flip_p_value(tried, stack.blocks, rng, LEAST_SHARE),
         _excess(here),
         _strained(here),
     )
@@ -209,7 +211,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     if by_belief < min(by_shape, by_size):
         loudest, words = (
             "beliefs",
-            "valve or sensors would have to be off by more than their tolerances",
+            "valve or sensors would have to deviate by more than their tolerances",
         )
     return _Test(p_value, Step("test", loudest, p_value, 0.0, words), stack)
 
@@ -298,7 +300,7 @@ def _excess(fitted: Fitted) -> float:
     """Return the p-value of the hypothesis that the mismatch has at most :data:`EXCESS` times the
     noise power.
     """
-    rows: Array = np.minimum(np.abs(fitted.residual), RARE)
+    rows: Array = np.minimum(np.abs(fitted.residual), OUTLIER)
     return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
 
 

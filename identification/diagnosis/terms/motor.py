@@ -71,8 +71,7 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 # The torque of the current is the required torque divided by one plus the ripple. Without the
-# identified ripple in the divisor its square remains: a hundredth for a ripple of 12 %, which was
-# more than the inertia of a load.
+# identified ripple in the divisor its square remains, which is a hundredth for a ripple of 12 %.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
     return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
@@ -112,8 +111,8 @@ def _waves(context: Context) -> Sequence[Shape]:
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the shapes of :func:`_waves` without one cycle per turn of the joint, which is a
-    weight imbalance.
+    """Return the trial parameters of :func:`_waves` without one cycle per turn of the joint, which
+    is a weight imbalance.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
@@ -278,7 +277,7 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
 
 
 def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial shapes: the current over which a drop is reached, and the reading without
+    """Return trial parameters: the current over which a drop is reached, and the reading without
     current.
     """
     return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(
@@ -287,8 +286,8 @@ def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
 
 
 def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return the nominal values and a shape whose drop follows the sign of the true current, as the
-    sensor's offset may exceed the step.
+    """Return nominal values and nonlinear parameters whose drop depends on the sign of the true
+    current, as the sensor's offset may exceed the step.
     """
     return nominal, (shape[0], nominal.zero_A)
 

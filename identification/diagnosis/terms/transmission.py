@@ -43,7 +43,9 @@ ROTOR_SHARE = 0.5
 """Start value of the rotor's share of the inertia, which is unknown and fitted."""
 SLIPS_PER_RECORDING = 12
 KEPT = 128
-"""Cache size of series by recording and shape entries; a search changes one entry at a time."""
+"""Cache size of series by recording and nonlinear parameters; a search changes one parameter at a
+time.
+"""
 FIRST_SAMPLES = 20
 """Number of first samples whose encoder readings determine the initial position in a gap or
 loop.
@@ -51,7 +53,9 @@ loop.
 
 
 class Gap(NamedTuple):
-    """Shape of a gap: its width, rad, the compliance of the shaft, and the inertia of the rotor."""
+    """Nonlinear parameters of a gap: its width, rad, the compliance of the shaft, and the inertia
+    of the rotor.
+    """
 
     width: float
     counts: float
@@ -63,8 +67,8 @@ class Gap(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Shape of a coupling's hysteresis loop: closing torque, N m, and deflection, rad; the others
-    as in :class:`Gap`.
+    """Nonlinear parameters of a coupling's hysteresis loop: closing torque, N m, and deflection,
+    rad; the others as in :class:`Gap`.
     """
 
     torque: float

@@ -61,7 +61,7 @@ def diagnose_source(
     progress: Callable[[str, float], None] | None = None,
     refine: bool | None = False,
     gas: bool = False,
-    onlooker: Callable[[Joint], None] | None = None,
+    on_baseline: Callable[[Joint], None] | None = None,
     partial: bool = False,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
@@ -77,7 +77,7 @@ def diagnose_source(
             samples. Gas generator parameters are always refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
         a firing are left out.
-        onlooker: Receives the nominal model's fit before the search; not called for a gas
+        on_baseline: Receives the nominal model's fit before the search; not called for a gas
             generator.
         partial: Whether to take the unfinished excitations of a run as well; the result warns of
             them.
@@ -97,7 +97,11 @@ def diagnose_source(
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
             found = diagnose(
-                dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker
+                dataset,
+                bandwidth_Hz=bandwidth_Hz,
+                rng=rng,
+                progress=progress,
+                on_baseline=on_baseline,
             )
         if refine is None:
             found, refine = _refined_or_told(dataset, found)

@@ -14,7 +14,7 @@ from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.rows.equations import least_noise
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.score.significance import LEVEL, beyond_noise
-from identification.diagnosis.selection.search import _Case, _tested
+from identification.diagnosis.selection.search import _Case, _missing_test
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.estimate.equation_error.bandwidth import common_bandwidth
@@ -77,7 +77,9 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
     case = _Case(torque.views, "N m", TERM, ())
-    assert (_tested(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL) is missing
+    assert (
+        _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL
+    ) is missing
 
 
 def test_the_transmissions_noise_has_the_rounding_of_both_encoders(joint: Joint) -> None:
