@@ -71,7 +71,7 @@ def _known_channel(name: str) -> str:
 
 def _not_zero(value: float) -> float:
     if value == 0:
-        raise ValueError("a scale of zero makes the channel zero")
+        raise ValueError("the scale is 0, which makes all samples 0; state another scale")
     return value
 
 
@@ -156,7 +156,7 @@ class ModelSection(Schema):
     def _once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
         repeated = sorted({name for name in terms if terms.count(name) > 1})
         if repeated:
-            raise ValueError(f"{', '.join(repeated)} listed more than once")
+            raise ValueError(f"{', '.join(repeated)} listed more than once; remove the repetition")
         return terms
 
     @field_validator("fixed")

@@ -52,4 +52,4 @@ def test_it_goes_with_no_other_kind_of_diagnosis(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["diagnose", str(campaign), "--observable", "--gas"]) == 2
-    assert "--observable goes with neither" in capsys.readouterr().err
+    assert "--observable cannot be combined with" in capsys.readouterr().err

@@ -98,7 +98,7 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
             '{"schema": "loadrig.run/1"}',
             "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.run/1')",
         ),
-        ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no value to simulate with"),
+        ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no parameter has a value"),
         (
             '{"schema": "loadrig.identify/1", "fitted": {"J": "x"}}',
             "J: must be a finite number (got 'x')",

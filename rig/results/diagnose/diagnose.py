@@ -157,7 +157,7 @@ def burning(dataset: Dataset) -> Dataset:
     )
     if not kept:
         raise RecordingError(
-            "no hot firing with pressure and angle on a bench with bench.gas_generator"
+            "no recording is a hot firing with pressure, angle and bench.gas_generator"
         )
     return dataclasses.replace(dataset, recordings=kept)
 

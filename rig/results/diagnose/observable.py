@@ -1,5 +1,5 @@
-"""Output of ``rig diagnose --observable``: which effects recordings can show, and which they cannot
-distinguish.
+"""Analysis and output of ``rig diagnose --observable``: effects that recordings can show, and
+effects that they cannot distinguish.
 """
 
 from __future__ import annotations

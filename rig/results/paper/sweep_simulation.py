@@ -1,5 +1,5 @@
-"""Fig. 4: the valve opens at constant speed, and the motor's current falls with chamber pressure
-and impacted area.
+"""Simulation of Fig. 4: the valve opens at constant speed, and current, chamber pressure and
+impacted area are computed.
 """
 
 from __future__ import annotations

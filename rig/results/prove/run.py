@@ -54,7 +54,8 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
     """Seal all trials, or continue a proof that was begun in this folder with the same settings.
 
     Raises:
-        InputError: The folder holds a proof with other settings, or ``source`` no sealed campaigns.
+        InputError: The folder contains a proof with other settings, or ``source`` contains no
+            sealed campaigns.
         OSError: It cannot be written.
     """
     home = None if source is None else str(source.resolve())
@@ -95,7 +96,8 @@ def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed,
         raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
     if found != settings:
         raise InputError(
-            f"{file.parent}: holds a proof with other settings, {found}; give --out another folder"
+            f"{file.parent}: contains a proof with other settings, {found}; give --out "
+            "another folder"
         )
     return seals
 

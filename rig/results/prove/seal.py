@@ -1,4 +1,4 @@
-"""The truth of a trial, sealed: written, and its digest shown, before anything is diagnosed."""
+"""Writing of a trial's truth with its digest, and reading of it with a check of the digest."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def unseal(path: Path, digest: str) -> dict[str, Any]:
     if found != digest:
         raise InputError(
             f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "
-            f"discard this rig"
+            f"discard this trial"
         )
     truth = parse_json(path, content.decode("utf-8", "replace"))
     if not isinstance(truth, dict):
