@@ -69,53 +69,42 @@ def diagnose(
     bandwidth_Hz: float | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
-    on_baseline: Callable[[Joint], None] | None = None,
+    inspect: Callable[[Joint], None] | None = None,
 ) -> Diagnosis:
-    """Diagnose whether an effect is missing from the nominal model of these recordings, which one,
-    and where.
+    """Test whether effects are missing from the nominal model, identify and locate them.
 
     Args:
         dataset: Recordings; those with role ``validate`` take no part in any fit.
-        bandwidth_Hz: Bandwidth of every error; None chooses the greatest that all recordings
-            support.
+        bandwidth_Hz: Bandwidth of every error; None chooses it from the recordings.
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share done.
-        on_baseline: Called with the nominal model's fit before the search.
+        inspect: Called with the nominal model's fit before the search.
 
     Raises:
-        RecordingError: The recordings do not determine the nominal model, or do not support a
-            declared term.
+        RecordingError: The recordings do not determine the nominal model or a declared term.
     """
-    clock = perf_counter()
+    clock, rng = perf_counter(), rng or np.random.default_rng(0)
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
-    generator = rng or np.random.default_rng(0)
     fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
     unit = torque_unit(fitted[0])
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
-    if on_baseline is not None:
-        on_baseline(first)
-    here, found, gives = _search_on_both_sides(
-        dataset, (here, first), terms, bandwidth, generator, report
-    )
+    if inspect is not None:
+        inspect(first)
+    here, searched, gives = _search_sides(dataset, (here, first), terms, bandwidth, rng, report)
     aside = _validation_views(dataset, bandwidth, gives)
     report("validating effects on unused recordings", 0.92)
-    searched, found = (
-        found,
-        with_indistinct_effects(validated_effects(found, here, aside, unit), terms),
-    )
+    found = with_indistinct_effects(validated_effects(searched, here, aside, unit), terms)
     report("locating", 0.95)
-    verdict, where, drawn = verdict_of(found, generator, searched)
-    effects = effects_of(found, generator) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    verdict, where, drawn = verdict_of(found, rng, searched)
+    effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else found.baseline
     fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
     unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
-    places = (
-        *_local_findings(verdict, traces, (*here, *aside)),
-        *insufficient_effects(found, verdict, generator),
-    )
+    partly = insufficient_effects(found, verdict, rng)
+    places = (*_local_findings(verdict, traces, (*here, *aside)), *partly)
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -178,7 +167,7 @@ def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recordi
     return fitted, bandwidth_Hz or bandwidth_of(fitted)
 
 
-def _search_on_both_sides(
+def _search_sides(
     dataset: Dataset,
     start: tuple[tuple[View, ...], Joint],
     terms: Sequence[Term],

@@ -64,7 +64,7 @@ def found(
             bandwidth_Hz: float | None,
             rng: np.random.Generator,
             progress: object,
-            onlooker: object,
+            inspect: object,
         ) -> Diagnosis:
             assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
             calls.append((bandwidth_Hz, float(rng.random())))

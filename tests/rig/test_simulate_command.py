@@ -172,6 +172,6 @@ def test_score_on_what_was_fitted_is_refused(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["identify", str(campaign), "--bandwidth", "40", "--score", str(campaign)]) == 2
-    assert "was fitted to already" in capsys.readouterr().err
+    assert "was fitted to this recording" in capsys.readouterr().err
     assert status(["identify", str(campaign), "--method", "paper", "--ladder"]) == 2
-    assert "of the default method" in capsys.readouterr().err
+    assert "need the default method" in capsys.readouterr().err

@@ -42,14 +42,14 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         return ()
     context = Context(joint.equations[0].views, joint.nominal)
     stack = stack_of(joint.equations, joint.nominal, joint.stack)
-    told = stack.projected(effect_derivatives(stack, joint.effects))
-    scale = np.linalg.norm(told, axis=0)
+    columns = stack.projected(effect_derivatives(stack, joint.effects))
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
-    scaled = told / scale
+    scaled = columns / scale
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     sums = stack.sums(scaled * joint.residual[:, None])
     covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
-    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - told.shape[1], 3)))
+    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - columns.shape[1], 3)))
     out, at = [], 0
     for effect in joint.effects:
         moves = _parameters_after_steps(effect, context)

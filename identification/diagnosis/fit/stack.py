@@ -19,7 +19,7 @@ from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.lateness import behind
+from identification.diagnosis.terms.lateness import delayed_view
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
@@ -350,7 +350,7 @@ def view_regressors(
     """
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
-        return lambda view: made(make, behind(view, nominal.late_s), nominal, shape)
+        return lambda view: made(make, delayed_view(view, nominal.late_s), nominal, shape)
     return lambda view: made(make, view, nominal, shape)
 
 

@@ -65,7 +65,7 @@ PRESSURE = Constant("Pa", 0.01, relative=True)
 _SENSORS = ("angle_zero", "pressure_zero", "delay")
 
 
-def beliefs(g: GasGenerator) -> dict[str, float]:
+def nominal_constants(g: GasGenerator) -> dict[str, float]:
     """Return the nominal constants of a gas generator and its sensors, by the names of
     :data:`CONSTANTS`.
     """

@@ -17,9 +17,9 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.gas.burns import Burn, burns, noise
 from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
-from identification.diagnosis.gas.fit import Fitted, believed, fit
-from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
-from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
+from identification.diagnosis.gas.fit import Fitted, fit, nominal_model
+from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded_rows
+from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Selected, search
 from identification.diagnosis.gas.terms import GasEffect
 from identification.diagnosis.result import (
     Diagnosis,
@@ -45,18 +45,17 @@ ADEQUATE = 0.9
 more than noise is left. The gas balance lacks the details of friction, so the right effect explains
 nearly all.
 """
-_MOST_SURE = 0.99
-UNSEEN = 1.5
+_GREATEST_CONFIDENCE = 0.99
+VALIDATION_RATIO = 1.5
 """Ratio of the error on validation recordings to the noise, from which a warning is given."""
-STRAINED = 3.0
+DEVIATION_LIMIT = 3.0
 """Deviation of a constant, in tolerances, from which it is reported."""
 
 
 def diagnose_gas(
     dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """Diagnose whether an effect is missing from the gas-generator model of these recordings, which
-    one, and where.
+    """Test whether effects are missing from the gas-generator model, identify and locate them.
 
     The constants of propellant, valve and sensors, within tolerances
     (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording are
@@ -74,11 +73,7 @@ def diagnose_gas(
     started = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
     chance = rng or np.random.default_rng(0)
-    if not dataset.part("fit"):
-        raise RecordingError(
-            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
-            "campaign file"
-        )
+    _require_fitted(dataset)
     here, aside = burns(dataset.part("fit")), burns(dataset.part("validate"))
     found = search(here, noise(here), chance, tell)
     tell("locating", 0.95)
@@ -90,7 +85,7 @@ def diagnose_gas(
     )
     scored = found.final if effects else found.baseline
     held = (
-        (_started(found.baseline, aside, found.sigma), _started(scored, aside, found.sigma))
+        (_validated(found.baseline, aside, found.sigma), _validated(scored, aside, found.sigma))
         if aside
         else None
     )
@@ -115,6 +110,14 @@ def diagnose_gas(
         warnings=_warnings(dataset, found, main),
         seconds=perf_counter() - started,
     )
+
+
+def _require_fitted(dataset: Dataset) -> None:
+    if not dataset.part("fit"):
+        raise RecordingError(
+            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
+            "campaign file"
+        )
 
 
 def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
@@ -157,17 +160,17 @@ def _effects(found: GasSearch, where: Location) -> tuple[Effect, ...]:
 
 def _effect(
     effect: GasEffect,
-    taken: Taken,
+    taken: Selected,
     sizes: Mapping[str, Estimate],
     where: Location,
     explained: float,
 ) -> Effect:
     entry = ENTRIES[effect.term.name]
-    sure = min([probability(r.preference) for r in taken.rivals], default=_MOST_SURE)
+    sure = min([probability(r.preference) for r in taken.rivals], default=_GREATEST_CONFIDENCE)
     return Effect(
         name=entry.name,
         alias_group=(entry.name, *(r.name for r in taken.rivals if r.open)),
-        confidence=min(_MOST_SURE, sure) * (0.5 + 0.5 * explained),
+        confidence=min(_GREATEST_CONFIDENCE, sure) * (0.5 + 0.5 * explained),
         statement=finding(entry, sizes, where.recordings),
         assumption_broken=entry.assumption,
         where=where,
@@ -190,7 +193,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
     scale = np.linalg.norm(final.tangent, axis=0) + final.held
     tangent = final.tangent / scale
     bread = np.linalg.pinv(tangent.T @ tangent + np.diag((final.held / scale) ** 2), hermitian=True)
-    sums = stack.sums(padded(stack, tangent * final.residual[:, None]))
+    sums = stack.sums(padded_rows(stack, tangent * final.residual[:, None]))
     sums[-1] = final.held / scale * final.pull
     count = final.tangent.shape[1]
     freedom = max(stack.blocks - count, 3)
@@ -265,9 +268,9 @@ def _rms(fitted: Fitted, sigma: float) -> float:
     return sigma * math.sqrt(float(np.mean(fitted.residual**2)))
 
 
-def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return a model on recordings that were not fitted; only the start of each is fitted."""
-    starts = believed(aside).starts
+def _validated(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
+    """Return a model on recordings set aside; only the start of each is fitted."""
+    starts = nominal_model(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 
 
@@ -324,11 +327,11 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
             "recordings"
         )
     unseen = main.validate_final_rms
-    if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
+    if unseen is not None and unseen > VALIDATION_RATIO * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise, above {UNSEEN:g}: the fitted recordings do not determine the gas generator; "
-            "also fit recordings with steps between narrow and wide throats"
+            f"noise, above {VALIDATION_RATIO:g}: the fitted recordings do not determine the gas "
+            "generator; also fit recordings with steps between narrow and wide throats"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
@@ -340,7 +343,7 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     strained = [
         f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}"
         for (name, c), p in off
-        if abs(p) > STRAINED
+        if abs(p) > DEVIATION_LIMIT
     ]
     if strained:
         warnings.append(

@@ -343,7 +343,7 @@ def torque_per_ampere(view: View) -> float:
     return view.recording.bench.ampere_torque
 
 
-def without_origin(views: Sequence[View]) -> bool:
+def lacks_common_origin(views: Sequence[View]) -> bool:
     """Whether recordings have no common origin of their angles because only speed was recorded."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

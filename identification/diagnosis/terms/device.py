@@ -9,8 +9,8 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import KEPT, Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.lateness import computed, too_early
-from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.lateness import command_delay_error, voltage_is_computed
+from identification.diagnosis.terms.memory import delayed_series
 from identification.diagnosis.terms.term import (
     CLOSE,
     EXACT,
@@ -164,10 +164,10 @@ def _has_weight(view: View) -> bool:
 
 
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
-    if computed(view.recording):
-        return rows(too_early(view, -shape[0]))
+    if voltage_is_computed(view.recording):
+        return rows(command_delay_error(view, -shape[0]))
     torque = nominal.drive(view)
-    return rows(delayed(torque, view.step, shape[0]) - torque)
+    return rows(delayed_series(torque, view.step, shape[0]) - torque)
 
 
 def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -176,9 +176,9 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     if shape[1:] == WITH_VOLTAGE:
         speed = view.motor_speed
         return rows(
-            (bench.back_emf_constant or 0.0) * (delayed(speed, view.step, shape[0]) - speed)
+            (bench.back_emf_constant or 0.0) * (delayed_series(speed, view.step, shape[0]) - speed)
         )
-    change = delayed(view.current, view.step, -shape[0]) - view.current
+    change = delayed_series(view.current, view.step, -shape[0]) - view.current
     return rows(
         (bench.resistance or 0.0) * change
         + (bench.inductance or 0.0) * central_difference(change, view.step)

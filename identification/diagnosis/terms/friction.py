@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import KEPT, SPEEDS, Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import (
     CLOSE,
     EXACT,
@@ -80,7 +80,7 @@ def _exponents(context: Context) -> list[Shape]:
     ]
 
 
-def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+def _start_with_exponent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
     """Return nominal values whose Stribeck speeds include the factor of the trial, as start values
     of a joint fit.
     """
@@ -102,9 +102,13 @@ def _level(view: View, nominal: Nominal) -> Array:
 def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
     time_s, of_speed = shape
     level = _level(view, nominal)
-    late = _level(_late(view, time_s), nominal) if of_speed else lagged(level, view.step, time_s)
+    late = (
+        _level(_with_lagged_speed(view, time_s), nominal)
+        if of_speed
+        else first_order_lag(level, view.step, time_s)
+    )
     if nominal.presliding_stiffness:  # the lag is then in the presliding deflection
-        start = _borne_at_start(view, nominal)
+        start = _initial_friction(view, nominal)
         late, level = (
             dahl(view.angle, each, nominal.presliding_stiffness, start) for each in (late, level)
         )
@@ -113,25 +117,25 @@ def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 @lru_cache(maxsize=KEPT)
-def _late(view: View, time_s: float) -> View:
+def _with_lagged_speed(view: View, time_s: float) -> View:
     """Return the view with its speed after a first-order lag."""
-    return replace(view, velocity=lagged(view.velocity, view.step, time_s))
+    return replace(view, velocity=first_order_lag(view.velocity, view.step, time_s))
 
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
     return rows(
-        dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level
+        dahl(view.angle, level, shape[0], _initial_friction(view, nominal)) - view.sense * level
     )
 
 
-def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
     """Return nominal values with the presliding stiffness, for the regressors of other effects."""
     return replace(nominal, presliding_stiffness=shape[0]), shape
 
 
 @lru_cache(maxsize=KEPT)
-def _borne_at_start(view: View, nominal: Nominal) -> float:
+def _initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
@@ -200,7 +204,7 @@ TERMS = (
         size=1.0,
         follows=True,
         limits={0: (0.3, 8.0)},
-        begin=_bent,
+        begin=_start_with_exponent,
     ),
     Term(
         "friction_memory",
@@ -231,7 +235,7 @@ TERMS = (
         positive=(0,),
         size=1.0,
         follows=True,
-        begin=_sprung,
+        begin=_start_with_presliding,
         shape_error=CLOSE,
     ),
     Term(

@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, torque_per_ampere, without_origin
-from identification.diagnosis.terms.memory import warmed
+from identification.diagnosis.rows.view import View, lacks_common_origin, torque_per_ampere
+from identification.diagnosis.terms.memory import temperature_rise
 from identification.diagnosis.terms.term import (
     EXACT,
     NO_SHAPE,
@@ -105,7 +105,7 @@ def _waves(context: Context) -> Sequence[Shape]:
     """Return trial cycles per motor turn and, if recordings have no common origin of angles, the
     number of recordings.
     """
-    if without_origin(context.views):
+    if lacks_common_origin(context.views):
         return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
     return CYCLES_PER_TURN
 
@@ -168,7 +168,7 @@ def _rises(view: View, time_constant: float) -> Array:
     """Return the winding's temperature rise per K/W, and the remainder of an initial 1 K, shape (2,
     m).
     """
-    return warmed(_loss(view), view.run_time, time_constant)
+    return temperature_rise(_loss(view), view.run_time, time_constant)
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
+from identification.diagnosis.terms.memory import delayed_series, falling_play, first_swing, play
 from identification.diagnosis.terms.term import (
     EXACT,
     Context,
@@ -82,7 +82,7 @@ def _both_encoders(view: View) -> bool:
     return view.lag is not None
 
 
-def carried(view: View, rotor: float) -> Array:
+def coupling_torque(view: View, rotor: float) -> Array:
     """Return the torque through the coupling, N m, for a rotor of this inertia at the joint, kg
     m^2.
 
@@ -106,7 +106,9 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
     gap, counts, per_torque, rotor = Gap(*shape)
-    return rows(lead(view, nominal, gap, rotor) + counts * per_torque * carried(view, rotor))
+    return rows(
+        lead(view, nominal, gap, rotor) + counts * per_torque * coupling_torque(view, rotor)
+    )
 
 
 def count_of_twist(views: Sequence[View]) -> float:
@@ -192,8 +194,8 @@ def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
         at_first, later = (float(lag - compliance * twisting) for lag, twisting in known[:, :2])
         first = (at_first - (later - deflection * float(known[1, 2]))) / deflection
         here = torque[: closed + 1]
-        begun = _sheared(here, width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
-        out[: closed + 1] = deflection * begun + compliance * here
+        initial = _sheared(here, width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
+        out[: closed + 1] = deflection * initial + compliance * here
     return rows(out)
 
 
@@ -206,7 +208,7 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
         it does not depend on the start; means of lag, torque and deflection over the first samples
         and from that sample on, shape (2, 3), or None.
     """
-    torque = carried(view, rotor)
+    torque = coupling_torque(view, rotor)
     state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
     if view.lag is None or closed == len(torque):
         return torque, state, closed, None
@@ -273,12 +275,12 @@ def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
     # Speed times delay is not accurate enough: if the speed changes within the delay its error is
     # far above the encoders' noise.
     logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
-    return rows(delayed(logged, view.step, -shape[0]) - logged)
+    return rows(delayed_series(logged, view.step, -shape[0]) - logged)
 
 
 def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     torque = nominal.drive(view)
-    return rows(delayed(torque, view.step, -shape[0]) - torque)
+    return rows(delayed_series(torque, view.step, -shape[0]) - torque)
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:

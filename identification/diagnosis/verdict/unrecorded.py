@@ -8,7 +8,7 @@ from collections.abc import Collection, Sequence
 
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.rows.clock import one_clock
-from identification.diagnosis.rows.view import View, without_origin
+from identification.diagnosis.rows.view import View, lacks_common_origin
 from identification.recording import Recording
 
 LOCAL_EFFECTS = (
@@ -34,7 +34,7 @@ def unrecorded_effects(
     """
     names: set[str] = set()
     warnings = []
-    if without_origin(views):
+    if lacks_common_origin(views):
         names.update(LOCAL_EFFECTS)
         warnings.append(
             "no angle was recorded, only speed: each recording counts its angle from its own first "

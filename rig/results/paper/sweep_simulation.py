@@ -33,8 +33,8 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as the bench's instruments see it; arrays of shape (n,), from the
-    start of the motion.
+    """One opening of the valve as the sensors of the bench measure it; arrays of shape (n,), from
+    the start of the motion.
 
     Attributes:
         speed_deg_s: Commanded speed.

@@ -54,7 +54,7 @@ def judge(source: Path, seed: int) -> Judgement:
     """
     seen: list[Joint] = []
     began = time.perf_counter()
-    outcome = diagnose_source(source, seed, on_baseline=seen.append)
+    outcome = diagnose_source(source, seed, inspect=seen.append)
     diagnosed = time.perf_counter()
     if not seen:
         # A gas generator's equation has neither these baselines nor this oracle.

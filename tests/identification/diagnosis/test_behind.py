@@ -10,7 +10,7 @@ import pytest
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import stack_of, view_regressors
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.memory import delayed_series
 from identification.diagnosis.terms.term import Term
 
 from .benches import campaign, honest, nominal_fit
@@ -41,7 +41,7 @@ def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
     steady = (
         np.abs(view.velocity) > 0.1
     )  # friction jumps at a reversal, which no interpolation follows
-    expected = np.stack([delayed(row, view.step, LATE_S) for row in prompt])
+    expected = np.stack([delayed_series(row, view.step, LATE_S) for row in prompt])
     assert np.max(np.abs(late - expected)[:, steady]) < 5e-3 * np.max(np.abs(expected))
     assert np.max(np.abs(prompt - expected)[:, steady]) > 0.02 * np.max(np.abs(expected))
 

@@ -12,7 +12,7 @@ import pytest
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.noise import with_lower_noise
 from identification.diagnosis.selection.removal import FURTHER_SHARE, UNCERTAIN, needed_share
-from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint
 
@@ -101,7 +101,7 @@ def test_friction_that_is_late_and_springs_is_bristles_over_a_late_level() -> No
     found = (
         view.sense * level + springs(view, nominal, shape)[0] + lags(view, nominal, (0.02, 0.0))[0]
     )
-    expected = dahl(view.angle, lagged(level, view.step, 0.02), 2500.0)
+    expected = dahl(view.angle, first_order_lag(level, view.step, 0.02), 2500.0)
     begun = len(level) // 2  # by then what it began with is forgotten
     assert found[begun:] == pytest.approx(expected[begun:], abs=1e-6)
     alone = lags(view, joint.nominal, (0.02, 0.0))[0]

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from identification.diagnosis.gas.burns import burns, noise
 from identification.diagnosis.gas.diagnose import diagnose_gas
-from identification.diagnosis.gas.fit import believed, fit, simulate
+from identification.diagnosis.gas.fit import fit, nominal_model, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm, effect_at
 from identification.diagnosis.result import Verdict
 from identification.recording import Dataset, Recording, RecordingError
@@ -65,7 +65,7 @@ def test_a_still_valve_cannot_tell_what_a_moving_one_can() -> None:
     assert found.verdict is Verdict.AMBIGUOUS
     assert {"throat_deposition", "burning_area_change"} <= set(found.effects[0].alias_group)
     assert "These recordings cannot distinguish" in found.statement
-    assert any("hardly moves" in w for w in found.warnings)
+    assert any("hardly changes" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize(
@@ -138,7 +138,7 @@ def test_rows_faster_than_the_gas_are_averaged() -> None:
 def test_a_fit_stands_where_its_tangent_says() -> None:
     here = burns(recordings({}).part("fit")[:2])
     sigma = noise(here)
-    fitted = fit(here, sigma, believed(here))
+    fitted = fit(here, sigma, nominal_model(here))
     moved = replace(
         fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4}
     )
