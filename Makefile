@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units
 .DEFAULT_GOAL := help
 
 help:
@@ -22,22 +22,26 @@ help:
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
-	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
+	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer, diagnoses (out/real)"
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
+	@echo "make prove-worlds  the blind proof on MuJoCo's machine and on the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
+	@echo "make makes     drives of nine makes and three other modes: Figure 10, and every fault in every phase"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
 	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
 	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
+	@echo "make units     100 benches with wrong units, signs, ratio or constant and 200 right ones: found by motion"
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
-	@echo "make fuzz      a million frames or bytes for every decoder"
+	@echo "make fuzz      a million frames or bytes for every decoder; 100 000 random logs of each format"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
@@ -112,6 +116,7 @@ literal: $(VENV)/.runtime
 
 real: $(VENV)/.runtime
 	$(BIN)/python benchmarks/real_recordings.py
+	$(BIN)/python benchmarks/real_diagnoses.py tests/campaigns/*.yaml
 
 loop: $(VENV)/.runtime
 	$(BIN)/python tests/long/close_loop.py
@@ -125,6 +130,11 @@ prove: $(VENV)/.runtime
 
 prove-gas: $(VENV)/.runtime
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
+
+prove-worlds: $(VENV)/.dev
+	$(BIN)/rig prove --plant mujoco --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-mujoco
+	$(BIN)/python -m tests.worlds.plant out/worlds-ode --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2
+	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
@@ -141,6 +151,10 @@ transports: $(VENV)/.runtime
 fault-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.fault_matrix
 
+makes: $(VENV)/.dev
+	$(BIN)/python -m tests.long.makes figure10
+	$(BIN)/python -m tests.long.makes faults
+
 kill: $(VENV)/.dev
 	$(BIN)/python -m tests.long.kill
 	$(BIN)/python tests/long/kill_identify.py
@@ -149,11 +163,17 @@ kill: $(VENV)/.dev
 process-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.process_matrix
 
+watch-clients: $(VENV)/.dev
+	$(BIN)/python -m tests.long.watch_clients $(if $(PLOTJUGGLER),--plotjuggler $(PLOTJUGGLER))
+
 moments: $(VENV)/.dev
 	$(BIN)/python -m tests.long.moments
 
 pairs: $(VENV)/.dev
 	$(BIN)/python -m tests.long.pairs
+
+units: $(VENV)/.dev
+	$(BIN)/python -m tests.long.units
 
 terminal: $(VENV)/.dev
 	$(BIN)/python -m tests.long.terminal
@@ -164,6 +184,7 @@ realtime: $(VENV)/.dev
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py
 	$(BIN)/python tests/long/dbc_fuzz.py
+	$(BIN)/python -m tests.long.log_shapes
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m tests.long.mutants

@@ -17,6 +17,7 @@ from typing import NamedTuple
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
 from drivers.lacks import NOTHING, Lacks
+from drivers.remedies import Recognised, SpeedRemedies
 
 
 class ServoState(Enum):
@@ -107,7 +108,8 @@ class ServoSample(NamedTuple):
 
     ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
     False when a part of the answer is missing or bad; the values are then those of the last good
-    frame.
+    frame. ``motor_torque_N_m`` is the torque at the motor by the drive's own measure, NaN where it
+    has none beside the current; it may be up to ten cycles old.
     """
 
     device_time_s: float
@@ -120,6 +122,7 @@ class ServoSample(NamedTuple):
     following_error_rad: float
     statusword: int
     fresh: bool
+    motor_torque_N_m: float = math.nan
 
 
 class EncoderSample(NamedTuple):
@@ -189,7 +192,7 @@ class Link(ABC):
         """Return the raw frames seen since the last call, oldest first."""
 
 
-class Servo(ABC):
+class Servo(SpeedRemedies, Recognised, ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:
@@ -219,10 +222,6 @@ class Servo(ABC):
     def lacks(self, cycle_s: float) -> Lacks:
         """Return what the drive neither holds nor tells. Nothing is sent."""
         return NOTHING
-
-    def speed_remedy(self, factor: float) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one."""
-        return "correct the unit of its speed in the bench file"
 
     def limit_steps(self) -> LimitSteps | None:
         """Return the resolution of those limits; None where it is not known. Nothing is sent."""
@@ -325,7 +324,7 @@ class Servo(ABC):
         """Return the sample of the last exchange."""
 
 
-class Encoder(ABC):
+class Encoder(Recognised, ABC):
     """A joint encoder."""
 
     @abstractmethod

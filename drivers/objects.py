@@ -16,6 +16,7 @@ ObjectAddress = tuple[int, int]
 """Index and subindex of an object."""
 VENDOR: Final = (0x1018, 1)
 """Vendor of a device, the only part of its identity that CiA 301 prescribes."""
+PRODUCT: Final = (0x1018, 2)
 ABSENT: Final = (0x06020000, 0x06090011)
 """Abort codes of a device that lacks an object or a subindex."""
 P = ParamSpec("P")
@@ -93,6 +94,13 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     @property
+    def latches(self) -> bool:
+        """Whether all values of an exchange are of one instant, as after a SYNC; else they are read
+        one after another, and reading a mean ends its averaging.
+        """
+        ...
+
+    @property
     def cycle(self) -> int:
         """Number of exchanges so far."""
         ...
@@ -121,6 +129,13 @@ class ProcessChannel(ObjectAccess, Protocol):
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
         """Return whether these objects can travel in one layout; True for unknown ones, which
         :meth:`require_mappable` refuses. Nothing is sent.
+        """
+        ...
+
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the value that the description states for an object; None where it states none.
+
+        Sends nothing.
         """
         ...
 
@@ -169,6 +184,12 @@ class ProcessChannel(ObjectAccess, Protocol):
         """Set the values that output ``number`` carries from the next exchange on."""
         ...
 
+    def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
+        """Set the values that output ``number`` carries in the next exchange, and those from the
+        one after it on unless others are staged.
+        """
+        ...
+
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of input ``number``."""
         ...
@@ -205,6 +226,22 @@ def read_identity(objects: ObjectAccess) -> Identity:
         hardware_version=optional(objects.read_text, 0x1009, 0) or "",
         software_version=optional(objects.read_text, 0x100A, 0) or "",
     )
+
+
+def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
+    """Yield the numbers of the identity object that differ from those that the description states.
+
+    Raises:
+        LinkError: No answer.
+    """
+    for address, what in ((VENDOR, "vendor"), (PRODUCT, "product")):
+        stated = channel.stated(*address)
+        found = optional(channel.read, *address) if stated else None
+        if stated and found is not None and found != stated:
+            yield (
+                f"{channel.label} says {what} {found:X}h, its EDS file is for {what} {stated:X}h: "
+                f"another device, or another EDS file; check the node numbers and the file"
+            )
 
 
 def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:

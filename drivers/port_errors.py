@@ -7,7 +7,7 @@ TypeError and others.
 
 from __future__ import annotations
 
-import termios
+import sys
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from functools import wraps
@@ -25,7 +25,9 @@ def words(error: Exception) -> str:
 
     python-can's socketcand appends a traceback to its message, on the same line.
     """
-    if isinstance(error, termios.error):
+    # Without the module, as on Windows, nothing can have raised its error.
+    termios = sys.modules.get("termios")
+    if termios is not None and isinstance(error, termios.error):
         # Text as in an OSError; this exception's own text is a tuple.
         return str(OSError(*error.args))
     said = str(error).partition(_TRACEBACK)[0]

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import select
 import struct
-import termios
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
@@ -16,13 +14,15 @@ from typing import Final, Protocol
 import serial
 
 from drivers.clock import NS, RealClock
+from drivers.frame_flags import SERIAL_FLAG as SERIAL_FLAG
 from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
-SERIAL_FLAG: Final = 0x10000000
-"""Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's
-number.
-"""
+try:
+    import fcntl
+    import termios
+except ImportError:  # Windows, where everything but the ports themselves still works
+    fcntl = termios = None  # type: ignore[assignment]
 
 WRITE_LIMIT_S: Final = 0.1
 """Time-out of a write, s: some 30 bytes, which fit the driver's buffer."""
@@ -30,6 +30,19 @@ WRITE_LIMIT_S: Final = 0.1
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
 _DRAIN_STEP_NS: Final = NS // 1000
+
+
+def _require_posix() -> None:
+    """Check, before anything moves, that a line can be flushed.
+
+    Raises:
+        OSError: This system cannot.
+    """
+    if termios is None or fcntl is None:
+        raise OSError(
+            "this system has no termios, by which serial lines are held and flushed; use Linux or "
+            "macOS, or a CAN adapter of python-can"
+        )
 
 
 class BytePort(Protocol):
@@ -75,6 +88,7 @@ class InheritedPort:
     """
 
     def __init__(self, descriptor: int) -> None:
+        _require_posix()
         # A write without room must return, else its time-out could not be kept.
         os.set_blocking(descriptor, False)
         self._descriptor = descriptor
@@ -184,6 +198,7 @@ class PySerialPort(InheritedPort):
 
     @os_errors
     def __init__(self, path: str, baud: int, rtscts: bool = False) -> None:
+        _require_posix()
         try:
             port = serial.Serial(path, baud, timeout=0, exclusive=True, rtscts=rtscts)
         except OSError as error:

@@ -27,11 +27,12 @@ class ServoScales:
         rated_torque_N_m: Expected value of 6076h; 6072h is in per mille of it.
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
+        current_sign: -1 where the drive's current has the opposite sign of its torque, else 1.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
             for one count per second.
-        voltage_object: Object of the mean motor voltage.
+        voltage_object: Object of the mean motor voltage; None where it is not known.
         voltage_unit_V: Unit of that object, V.
-        temperature_object: Object of the drive's temperature.
+        temperature_object: Object of the drive's temperature; None where it is not known.
         temperature_unit_C: Unit of that object, deg C.
         supply_object: Object of the supply voltage.
         supply_unit_V: Unit of that object, V.
@@ -43,6 +44,10 @@ class ServoScales:
         rated_current_object_unit_A: Unit of that object, A.
         rated_torque_object: Object of the rated torque.
         rated_torque_object_unit_N_m: Unit of that object, N m.
+        known_objects: Those of these objects that are not named for this one drive, but known of
+            drives of its maker, so that it may lack them.
+        vendor_id: Vendor whose drives are known to have these units (1018h:01h); None where they
+            rest on the bench file alone.
     """
 
     counts_per_turn: float
@@ -51,10 +56,11 @@ class ServoScales:
     rated_torque_N_m: float
     sign: int = 1
     offset_rad: float = 0.0
+    current_sign: int = 1
     velocity_unit_rad_s: float | None = None
-    voltage_object: ObjectAddress = (0x2100, 0)
+    voltage_object: ObjectAddress | None = None
     voltage_unit_V: float = 0.01
-    temperature_object: ObjectAddress = (0x2101, 0)
+    temperature_object: ObjectAddress | None = None
     temperature_unit_C: float = 0.1
     supply_object: ObjectAddress = (0x6079, 0)
     supply_unit_V: float = 1e-3
@@ -65,6 +71,8 @@ class ServoScales:
     rated_current_object_unit_A: float = 1e-3
     rated_torque_object: ObjectAddress = RATED[1]
     rated_torque_object_unit_N_m: float = 1e-3
+    known_objects: tuple[ObjectAddress, ...] = ()
+    vendor_id: int | None = None
 
     @property
     def named_objects(self) -> tuple[ObjectAddress, ...]:
@@ -74,13 +82,13 @@ class ServoScales:
             address
             for address, default in (
                 (self.current_object, None),
-                (self.voltage_object, usual.voltage_object),
-                (self.temperature_object, usual.temperature_object),
+                (self.voltage_object, None),
+                (self.temperature_object, None),
                 (self.supply_object, usual.supply_object),
                 (self.rated_current_object, usual.rated_current_object),
                 (self.rated_torque_object, usual.rated_torque_object),
             )
-            if address is not None and address != default
+            if address not in (None, default) and address not in self.known_objects
         )
 
     def __post_init__(self) -> None:
@@ -95,10 +103,11 @@ class ServoScales:
                 raise ConfigurationError(
                     f"{name} is {value}, must be positive: correct the bench file"
                 )
-        if self.sign not in (1, -1):
-            raise ConfigurationError(
-                f"sign is {self.sign}, must be 1 or -1: correct the bench file"
-            )
+        for name in ("sign", "current_sign"):
+            if getattr(self, name) not in (1, -1):
+                raise ConfigurationError(
+                    f"{name} is {getattr(self, name)}, must be 1 or -1: correct the bench file"
+                )
 
     @cached_property
     def motor_rad_per_count(self) -> float:
@@ -139,6 +148,11 @@ class ServoScales:
             else self.rated_torque_N_m / self.torque_constant_N_m_A
         )
         return rated_A / 1000.0
+
+    @cached_property
+    def motor_torque_unit_N_m(self) -> float:
+        """Motor torque of one unit of 6077h, without sign."""
+        return self.rated_torque_N_m / 1000.0
 
     @cached_property
     def joint_torque_unit_N_m(self) -> float:

@@ -10,7 +10,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import commands
+import devices
 import effects
+import formats
 import keys
 import recording
 import results
@@ -21,6 +23,7 @@ from rig.config.campaign import Campaign
 from rig.config.campaign_sections import ANGLE_TIME
 from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
 from rig.config.sequence import Sequence
+from rig.results.prove.truth import Truth
 
 ROOT = Path(__file__).parents[2]
 FOLDER = ROOT / "docs" / "reference"
@@ -42,6 +45,12 @@ A campaign file describes recordings that were made elsewhere. `rig identify`, `
 
 Units are SI after `scale` and `offset`. On a linear bench read m for rad, N for N m and kg for kg
 m^2."""
+_TRUTH = """\
+The truth of one sealed rig: `sealed/NAME.yaml` or `sealed/NAME.json` beside `NAME/campaign.yaml`.
+`rig prove --seal` writes such folders and `rig prove --from` judges them, whatever simulator made
+them. The [guide](../guides/worlds.md) shows their use.
+
+`truth: 1` alone is a rig that hides nothing."""
 _FAULTS = """\
 A fault schedule lets things go wrong on a simulated bench: `rig run SEQUENCE --faults FILE`. How a
 run reacts to each fault is measured in [faults](../faults.md).
@@ -95,11 +104,14 @@ PAGES: Mapping[str, Callable[[], str]] = {
     "bench": lambda: keys.page("Bench file", _BENCH + _packaged("benches"), Bench),
     "sequence": lambda: keys.page("Sequence file", _SEQUENCE + _packaged("sequences"), Sequence),
     "campaign": lambda: keys.page("Campaign file", _CAMPAIGN, Campaign, _channels()),
+    "formats": formats.page,
     "fault_schedule": lambda: keys.page("Fault schedule", _FAULTS, FaultSchedule, _faults()),
+    "truth": lambda: keys.page("Sealed truth", _TRUTH, Truth),
     "commands": commands.page,
     "results": results.page,
     "recording": recording.page,
     "effects": effects.page,
+    "devices": devices.page,
 }
 """Page to the function that returns it."""
 

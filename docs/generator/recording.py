@@ -21,6 +21,11 @@ EVENTS: Mapping[str, tuple[str, str]] = {
     "ignition": ("stage", "The simulated gas generator was lit."),
     "stage start": ("stage", "The drive is about to be energised."),
     "first pass": ("stage, amplitude", "A first pass begins, at this share of the amplitude."),
+    "units": (
+        "stage, factors",
+        "What the devices report was compared: quantity to found over expected, null for what the "
+        "motion did not show.",
+    ),
     "weight check": (
         "stage, verdict, measured_kg, message",
         "The weight was compared with the friction.",

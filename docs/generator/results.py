@@ -17,6 +17,7 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.result import MeasuredNoise
+from rig.commissioning.record import Measured
 from rig.config.descriptions import meanings
 from rig.control.readings import Readings
 from rig.fault_injection.inject import Finding
@@ -68,6 +69,12 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.config.calibration:calibration_records",
     ),
     "rig run --dry-run --json": ("rig.results.run.dry_run:dry_run_record",),
+    "rig commission: commission.json": (
+        "rig.results.commission:commission_record",
+        "rig.commissioning.commission:Commissioning.record",
+        "rig.commissioning.record:StepRecord.record",
+        "rig.wiring.teardown:SafeState.record",
+    ),
     "rig jog --json": ("rig.cli.commands.jog:_record",),
     "rig run --faults: faults.json": (),
     "rig effects --json": (
@@ -85,12 +92,16 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.paper.record:_entry",
     ),
     "rig prove: prove.json": (
-        "rig.results.prove.score:proof_record",
-        "rig.results.prove.score:score",
-        "rig.results.prove.score:rate",
-        "rig.results.prove.score:_method",
-        "rig.results.prove.score:middle",
-        "rig.results.prove.score:power",
+        "rig.results.prove.scoring.score:proof_record",
+        "rig.results.prove.scoring.score:score",
+        "rig.results.prove.scoring.rates:rate",
+        "rig.results.prove.scoring.score:_method",
+        "rig.results.prove.scoring.score:middle",
+        "rig.results.prove.scoring.score:power",
+        "rig.results.prove.scoring.reliability:names_given",
+        "rig.results.prove.scoring.reliability:reliability",
+        "rig.results.prove.scoring.reliability:_parts",
+        "rig.results.prove.interchange.proof:_row",
         "rig.results.prove.row:row_of",
         "rig.results.prove.row:_named",
         "rig.results.prove.row:_hits",
@@ -103,6 +114,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 """Section of the table to the functions whose dictionaries are written."""
 _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig identify: identify.json": (MeasuredNoise,),
+    "rig commission: commission.json": (Measured,),
     "rig check --json": (Identity, Readings, ServoLimits),
     "rig run --dry-run --json": (PredictedPeak,),
     "rig run --faults: faults.json": (Finding,),

@@ -14,13 +14,11 @@ from typing import Final, Protocol
 import can
 
 from drivers.clock import Clock
+from drivers.frame_flags import ERROR_FLAG as ERROR_FLAG
+from drivers.frame_flags import EXTENDED_FLAG as EXTENDED_FLAG
+from drivers.frame_flags import REMOTE_FLAG as REMOTE_FLAG
 from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
-
-EXTENDED_FLAG: Final = 0x80000000
-REMOTE_FLAG: Final = 0x40000000
-ERROR_FLAG: Final = 0x20000000
-"""Set in :attr:`RawFrame.identifier` of error frames and other non-data frames, as in SocketCAN."""
 
 MAX_COLLECTED: Final = 1024
 """Frames per call, limited so that a device flooding the bus cannot block the control loop."""

@@ -15,7 +15,6 @@ from drivers.interfaces import ServoState as S
 
 CONTROLWORD: Final = (0x6040, 0)
 STATUSWORD: Final = (0x6041, 0)
-CYCLIC_SYNCHRONOUS_POSITION: Final = 8
 
 STATUS: Final[tuple[tuple[int, int, S], ...]] = (
     (0x4F, 0x00, S.NOT_READY),

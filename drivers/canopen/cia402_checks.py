@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from drivers import servo_limits
+from drivers.canopen import cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
-from drivers.canopen import velocity_unit
 from drivers.canopen.cia402_objects import Cyclic
+from drivers.canopen.motion import TORQUE_OFFSET, Motion
 from drivers.errors import ConfigurationError, DeviceError
 from drivers.lacks import Lacks
 from drivers.objects import VENDOR, ObjectAddress, ProcessChannel, refusal
@@ -17,12 +18,12 @@ _ONLY_HOST = "only this program checks the limit, in every cycle"
 
 
 def description_refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion
 ) -> Iterator[DeviceError]:
     """Yield an error for each object that the servo needs and the EDS lacks. Nothing is sent."""
     yield from refusal(channel.require_fit, *VENDOR, 0)
     lacking = False
-    for address, purpose in objects.NEEDED.items():
+    for address, purpose in {**objects.NEEDED, **motion.needed}.items():
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
             yield ConfigurationError(f"{error}; every run needs it: {purpose}")
@@ -42,102 +43,120 @@ def description_refusals(
         )
     if not lacking:
         settings = (objects.CYCLE, objects.CYCLE_EXPONENT, objects.ON_ABORT)
-        for address in (*held_limits(channel), *settings):
+        for address in (*held_limits(channel, motion), *settings):
             if channel.describes(*address):
                 yield from refusal(channel.require_fit, *address, 0)
         yield from refusal(
-            channel.require_mappable, objects.outputs(torque_offset), objects.inputs(told, channel)
+            channel.require_mappable, objects.outputs(motion), objects.inputs(told, channel)
         )
 
 
-def held_limits(channel: ProcessChannel) -> tuple[ObjectAddress, ...]:
-    """Return the objects of limits that the drive's EDS has. Nothing is sent."""
-    return tuple(address for address in servo_limits.OBJECTS if channel.describes(*address))
+def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress, ...]:
+    """Return the objects of limits that the drive's EDS has, and that the drive obeys in this mode.
+    Sends nothing.
+    """
+    return tuple(
+        address
+        for address in servo_limits.OBJECTS
+        if address not in motion.unheld and channel.describes(*address)
+    )
 
 
-def lacks(channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float) -> Lacks:
-    """Return the limits and values that the drive does not have, according to its EDS. Nothing is
-    sent.
+def lacks(
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
+) -> Lacks:
+    """Return the limits and values that the drive does not have, according to its EDS. Nothing
+    is sent.
 
     Args:
         channel: The drive.
-        scales: Units of the drive.
-        told: Objects that the drive sends in every cycle.
+        scales: Its units.
+        told: What it tells in every cycle.
+        motion: The mode of operation.
         cycle_s: Control cycle, s.
     """
-    held = held_limits(channel)
+    held = held_limits(channel, motion)
     missing = {
         field: f"{what} ({_name(address)})"
         for address, (field, what) in servo_limits.FIELDS.items()
         if address not in held
     }
-    words = [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
-    supply, temperature = _name(scales.supply_object), _name(scales.temperature_object)
-    words += [
-        text
-        for there, text in (
-            (
-                told.supply,
-                f"not monitored: supply voltage ({supply}); servo.supply_object names it",
-            ),
-            (
-                told.temperature,
-                f"not monitored: temperature ({temperature}); servo.temperature_object names it",
-            ),
-            (told.voltage, "not recorded: motor voltage; servo.voltage_object names it"),
-            (told.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
-            (told.speed, "no motor speed (606Ch): computed from the change of the position"),
-            (
-                told.current if scales.current_object or told.current != objects.TORQUE else None,
-                "no motor current (6078h): the current is computed from the torque 6077h",
-            ),
-            *_rated_values(channel, scales),
-            (
-                channel.describes(*objects.CYCLE) or None,
-                f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
-                "maker's tool",
-            ),
-            (
-                channel.describes(*objects.ON_ABORT) or None,
-                "no reaction to a lost master (6007h), so that the drive counts as one without a "
-                "watchdog; set servo.stops_alone: true if the drive's manual states that the "
-                "drive takes the power off when the heartbeat of this program ends",
-            ),
-        )
-        if there is None
-    ]
+    words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
+    words += [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
+    words += _replaced(channel, scales, told, cycle_s)
     return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
 
 
-def _rated_values(
-    channel: ProcessChannel, scales: ServoScales
-) -> Iterator[tuple[bool | None, str]]:
-    """Yield for each rated value whether the drive has its object, None if not, and a text."""
-    for what, rated in (
-        ("rated current", scales.rated_current_object),
-        ("rated torque", scales.rated_torque_object),
+def _replaced(
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float
+) -> Iterator[str]:
+    """Yield what is not monitored, and what replaces a missing object."""
+
+    def place(address: ObjectAddress | None) -> str:
+        if address is None:
+            return ""
+        single = ", which is no process data" if channel.describes(*address) else ""
+        return f" ({_name(address)}{single})"
+
+    supply, temperature, voltage = map(
+        place, (scales.supply_object, scales.temperature_object, scales.voltage_object)
+    )
+    for there, text in (
+        (told.supply, f"not monitored: supply voltage{supply}; servo.supply_object names it"),
+        (
+            told.temperature,
+            f"not monitored: temperature{temperature}; servo.temperature_object names it",
+        ),
+        (told.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
+        (told.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
+        (told.speed, "no motor speed (606Ch): computed from the change of the position"),
+        (
+            told.current if told.current in (scales.current_object, objects.CURRENT) else None,
+            "no motor current (6078h): the current is computed from the torque 6077h",
+        ),
+        *(
+            (
+                channel.describes(*rated) or None,
+                f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
+                f"values are; read it with the maker's tool",
+            )
+            for what, rated in (
+                ("rated current", scales.rated_current_object),
+                ("rated torque", scales.rated_torque_object),
+            )
+        ),
+        (
+            channel.describes(*objects.CYCLE) or None,
+            f"no interpolation period (60C2h): set the period to {cycle_s * 1e3:g} ms with the "
+            f"maker's tool",
+        ),
+        (
+            channel.describes(*objects.ON_ABORT) or None,
+            "no reaction to a lost master (6007h), so that the drive counts as one without a "
+            "watchdog; servo.stops_alone: true where its manual says that it takes the power "
+            "off when the heartbeat of this program ends",
+        ),
     ):
-        yield (
-            channel.describes(*rated) or None,
-            f"not checked: {what} ({_name(rated)}), the unit of the drive's values is a "
-            "thousandth of it; read it with the maker's tool",
-        )
+        if there is None:
+            yield text
 
 
-def _name(address: tuple[int, int]) -> str:
+def _name(address: ObjectAddress) -> str:
     index, subindex = address
     return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
 
 
 def refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, torque_offset: bool, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield an error for each unit that differs from the bench file, a cycle time that cannot be
     set, and each missing object.
     """
-    yield from unit_refusals(channel, scales, torque_offset, cycle_s)
+    if (error := cia402_mode.not_offered(channel, motion)) is not None:
+        yield error
+    yield from unit_refusals(channel, scales, motion, cycle_s)
     inputs = objects.inputs(told, channel)
-    unmappable = list(refusal(channel.require_mappable, objects.outputs(torque_offset), inputs))
+    unmappable = list(refusal(channel.require_mappable, objects.outputs(motion), inputs))
     yield from unmappable
     if not unmappable:
         for layout in inputs:
@@ -146,9 +165,15 @@ def refusals(
 
 
 def unit_refusals(
-    channel: ProcessChannel, scales: ServoScales, torque_offset: bool, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield the errors that the mapping of the process data does not detect."""
+    """Yield refusals that mapping the process data does not detect."""
+    if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
+        yield ConfigurationError(
+            f"vendor 1018h:01h: the drive says {channel.read(*VENDOR):X}h, its EDS file "
+            f"{scales.vendor_id:X}h, whose units are used here: name the drive's own EDS file, or "
+            f"set servo.device"
+        )
     yield from scales.mismatches(channel)
     yield from velocity_unit.refusals(channel, scales)
     milliseconds = round(cycle_s * 1e3)
@@ -157,12 +182,12 @@ def unit_refusals(
             f"the cycle time is {cycle_s * 1e3:g} ms; it must be a whole number of milliseconds "
             "(60C2h)"
         )
-    if torque_offset:
+    if motion.takes_offset:
         yield from _offset_refusals(channel)
 
 
 def _offset_refusals(channel: ProcessChannel) -> Iterator[ConfigurationError]:
-    for error in refusal(channel.read, *objects.TORQUE_OFFSET):
+    for error in refusal(channel.read, *TORQUE_OFFSET):
         words = f"{channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
         offset_error = ConfigurationError(words)
         offset_error.__cause__ = error

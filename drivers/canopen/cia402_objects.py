@@ -7,25 +7,23 @@ the drive's EDS contains them.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.canopen import cia402
+from drivers.canopen.motion import OUTPUT_PDO, Motion
 from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales
 
-OUTPUT_PDO: Final = 1
 SUPPLY_EVERY: Final = 10
-FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, SUPPLY_EVERY))
+FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (8, SUPPLY_EVERY))
 """Data bytes of each PDO and its period in cycles, for a drive with all objects and a 16-bit
 voltage object.
 """
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
 """Data bytes and periods of the PDOs if the torque offset is mapped."""
-TORQUE_OFFSET: Final = (0x60B2, 0)
 ABORT_IS_FAULT: Final = 1
 POSITION: Final = (0x6064, 0)
-TARGET: Final = (0x607A, 0)
 CURRENT: Final = (0x6078, 0)
 TORQUE: Final = (0x6077, 0)
 SPEED_ACTUAL: Final = (0x606C, 0)
@@ -38,14 +36,13 @@ MODE_DISPLAY: Final = (0x6061, 0)
 MODES: Final = (0x6502, 0)
 ERROR_CODE: Final = (0x603F, 0)
 NEEDED: Final[Mapping[ObjectAddress, str]] = {
-    cia402.CONTROLWORD: "it switches the power off",
-    cia402.STATUSWORD: "it shows whether the power is off",
-    MODE: "it selects cyclic synchronous position",
-    MODE_DISPLAY: "it shows whether that mode is active",
-    POSITION: "the limits are checked against it",
-    TARGET: "it carries the commanded position",
+    cia402.CONTROLWORD: "it takes the power off",
+    cia402.STATUSWORD: "it tells whether the power is off",
+    MODE: "it selects the mode of operation",
+    MODE_DISPLAY: "it tells whether that mode is in force",
+    POSITION: "it is what the limits are checked against",
 }
-"""Objects that every drive must have, with the purpose of each."""
+"""Objects without which no drive can be used, and what for; the mode adds its own."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +57,7 @@ class Cyclic:
         voltage: Motor voltage.
         supply: Supply voltage.
         temperature: Temperature.
+        torque: Torque, for a drive that tells a current as well.
     """
 
     current: ObjectAddress | None
@@ -69,20 +67,22 @@ class Cyclic:
     voltage: ObjectAddress | None
     supply: ObjectAddress | None
     temperature: ObjectAddress | None
+    torque: ObjectAddress | None = None
 
 
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
     """Return the objects that a drive sends in every cycle, according to its EDS. Nothing is sent.
 
-    Objects that the bench file names are assumed to exist; the checks report those that do not.
+    Objects that are named for this drive are taken for there; the checks refuse those that are not.
     """
     named = scales.named_objects
 
-    def told(address: ObjectAddress) -> ObjectAddress | None:
-        there = address in named or channel.describes(*address, mappable=True)
-        return address if there else None
+    def told(address: ObjectAddress | None) -> ObjectAddress | None:
+        if address is None or address in named:
+            return address
+        return address if channel.describes(*address, mappable=True) else None
 
-    current, unit_A = scales.current_object, scales.named_current_unit_A
+    current, unit_A = told(scales.current_object), scales.named_current_unit_A
     if current is None:
         current, unit_A = told(CURRENT), scales.current_unit_A
     if current is None:
@@ -95,13 +95,13 @@ def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
         told(scales.voltage_object),
         told(scales.supply_object),
         told(scales.temperature_object),
+        told(TORQUE) if channel.latches and current not in (None, TORQUE) else None,
     )
 
 
-def outputs(torque_offset: bool) -> list[PdoLayout]:
-    """Return the outputs of a control cycle; ``torque_offset`` maps 60B2h as well."""
-    commanded: tuple[ObjectAddress, ...] = (cia402.CONTROLWORD, TARGET)
-    return [PdoLayout(OUTPUT_PDO, (*commanded, TORQUE_OFFSET) if torque_offset else commanded)]
+def outputs(motion: Motion) -> list[PdoLayout]:
+    """Return the outputs of a control cycle in a mode of operation."""
+    return [PdoLayout(OUTPUT_PDO, (cia402.CONTROLWORD, *motion.outputs))]
 
 
 def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
@@ -121,6 +121,19 @@ def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
     slow = [address for address in (told.supply, told.temperature) if address is not None]
     if slow:
         layouts.append(PdoLayout(len(layouts) + 1, tuple(slow), SUPPLY_EVERY))
+    return layouts if told.torque is None else _beside(layouts, told.torque, channel)
+
+
+def _beside(
+    layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
+) -> list[PdoLayout]:
+    """Return the layouts with the torque in the last one with room for it. It is held against the
+    current and not needed otherwise, so that it takes no frame of its own.
+    """
+    for at in reversed(range(1, len(layouts))):
+        if channel.fit_together([*layouts[at].objects, torque]):
+            more = replace(layouts[at], objects=(*layouts[at].objects, torque))
+            return [*layouts[:at], more, *layouts[at + 1 :]]
     return layouts
 
 

@@ -1,8 +1,7 @@
-"""Position servo for CiA 402 drives in cyclic synchronous position mode, over any transport."""
+"""Position servo for CiA 402 drives, in any mode of operation and over any transport."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -11,15 +10,15 @@ from drivers import servo_limits
 from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
-from drivers.canopen.cia402_values import CyclicValues
+from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
+from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
 from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.errors import (
     ConfigurationError,
     DeviceError,
     DriveFault,
-    ObjectAccessError,
     StateError,
 )
 from drivers.interfaces import (
@@ -33,7 +32,13 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.lacks import Lacks
-from drivers.objects import ObjectAddress, ProcessChannel, optional, read_identity, refusal
+from drivers.objects import (
+    ProcessChannel,
+    identity_doubts,
+    optional,
+    read_identity,
+    refusal,
+)
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
@@ -43,7 +48,7 @@ _INT16: Final = range(-(1 << 15), 1 << 15)
 
 
 class Cia402Servo(Servo):
-    """A drive in cyclic synchronous position mode. No method but :meth:`enable` leads toward power.
+    """A drive that follows a position. Only :meth:`enable` ever moves it toward power.
 
     Args:
         channel: The device.
@@ -53,9 +58,9 @@ class Cia402Servo(Servo):
         watch_s: Time without a heartbeat of the control loop after which the drive stops by itself,
             s.
         state_timeout_s: Time-out for reaching a state, s.
-        torque_offset: Whether to map 60B2h, which :meth:`set_torque_offset` needs.
-        stops_alone: Whether the drive switches the power off by itself when the heartbeat ends;
-            None to decide this by object 6007h in the EDS.
+        motion: Mode of operation; cyclic synchronous position unless given.
+        stops_alone: Whether the drive takes the power off by itself when the control loop is
+            silent; None where its EDS shows it (6007h).
     """
 
     def __init__(
@@ -65,15 +70,16 @@ class Cia402Servo(Servo):
         scales: ServoScales,
         watch_s: float = WATCH_S,
         state_timeout_s: float = 1.0,
-        torque_offset: bool = False,
+        motion: Motion | None = None,
         stops_alone: bool | None = None,
     ) -> None:
         self._channel = channel
         self._link = link
         self._clock = link.clock
         self._scales = scales
+        self._motion = motion or CyclicPosition()
         self._told = objects.cyclic(channel, scales)
-        self._held = cia402_checks.held_limits(channel)
+        self._held = cia402_checks.held_limits(channel, self._motion)
         self._inputs = objects.inputs(self._told, channel)
         self._values = CyclicValues(channel, scales, self._told, self._inputs)
         self._watch_s = watch_s
@@ -85,14 +91,16 @@ class Cia402Servo(Servo):
         self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE
         self._target = 0
-        self._takes_offset = torque_offset
-        self._offset = 0
         self._previous = 0
         self._staged_in = 0
 
     def identity(self) -> Identity:
         """Read the drive's identity."""
         return read_identity(self._channel)
+
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield the numbers of 1018h that differ from the EDS file's."""
+        yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
         """Read the drive's state from the device (6041h)."""
@@ -103,16 +111,22 @@ class Cia402Servo(Servo):
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and values that the drive does not have, according to its EDS. Nothing
-        is sent.
-        """
-        return cia402_checks.lacks(self._channel, self._scales, self._told, cycle_s)
+        """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
+        return cia402_checks.lacks(self._channel, self._scales, self._told, self._motion, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
         """Return a text with the setting to change if the reported speed is ``factor`` times the
         true speed.
         """
         return velocity_unit.remedy(self._scales, factor)
+
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        """Return the factor of the nearest known unit to a rough factor."""
+        return velocity_unit.nearest_factor(self._scales, factor, spread)
+
+    def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
+        """Return the keys that set the unit of the speed, and their values."""
+        return velocity_unit.settings(self._scales, factor)
 
     def limit_steps(self) -> LimitSteps:
         """Return the resolution of each limit at the joint: one unit of its object."""
@@ -123,6 +137,8 @@ class Cia402Servo(Servo):
         for address, value in servo_limits.encode(limits, self._scales).items():
             if address in self._held:
                 yield from refusal(self._channel.require_fit, *address, value)
+        for address, value in self._motion.settings(limits):
+            yield from refusal(self._channel.require_fit, *address, value)
 
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
@@ -133,27 +149,13 @@ class Cia402Servo(Servo):
             ObjectAccessError: The drive refuses a limit.
         """
         servo_limits.write(self._channel, self._scales, limits, self._held)
+        for address, value in self._motion.settings(limits):
+            servo_limits.store(self._channel, address, value)
+        self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
         """Read each value by SDO; NaN for values that the drive does not have."""
-        scales, told = self._scales, self._told
-        counts, speed, current, supply, temperature = map(
-            self._read_or_nan,
-            (
-                objects.POSITION,
-                objects.SPEED_ACTUAL,
-                told.current,
-                scales.supply_object,
-                scales.temperature_object,
-            ),
-        )
-        return ServoReadings(
-            counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
-            speed * scales.joint_speed_unit_rad_s * scales.sign,
-            current * told.current_unit_A * scales.sign,
-            supply * scales.supply_unit_V,
-            temperature * scales.temperature_unit_C,
-        )
+        return read_once(self._channel, self._scales, self._told)
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""
@@ -170,15 +172,21 @@ class Cia402Servo(Servo):
         sent.
         """
         yield from cia402_checks.description_refusals(
-            self._channel, self._scales, self._told, self._takes_offset
+            self._channel, self._scales, self._told, self._motion
         )
+        if self._motion.needs_watch and self.watch_s is None:
+            yield ConfigurationError(
+                f"mode {self._motion.words} needs a drive that takes the power off when it hears "
+                f"nothing of this program any more, as its last command would go on: it has no "
+                f"6007h; set servo.stops_alone: true where its manual says that it does"
+            )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield an error for each unit that differs from the bench file, a cycle time that cannot
         be set, and each missing object.
         """
         yield from cia402_checks.refusals(
-            self._channel, self._scales, self._told, self._takes_offset, cycle_s
+            self._channel, self._scales, self._told, self._motion, cycle_s
         )
 
     def prepare(self, cycle_s: float) -> None:
@@ -200,9 +208,7 @@ class Cia402Servo(Servo):
             )
         self._word = cia402.DISABLE_VOLTAGE
         channel = self._channel
-        for error in cia402_checks.unit_refusals(
-            channel, self._scales, self._takes_offset, cycle_s
-        ):
+        for error in cia402_checks.unit_refusals(channel, self._scales, self._motion, cycle_s):
             raise error
         for address, value in (
             (objects.CYCLE, round(cycle_s * 1e3)),
@@ -211,11 +217,12 @@ class Cia402Servo(Servo):
         ):
             if channel.describes(*address):
                 servo_limits.store(channel, address, value)
-        self._offset = 0
-        outputs = objects.outputs(self._takes_offset)
+        self._motion.offset = 0
+        outputs = objects.outputs(self._motion)
         channel.map_process_data(outputs, self._inputs, cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
         self._values.begin(self._cycle_ns)
+        self._motion.begin(cycle_s)
         channel.watch(self._watch_s)
         channel.unwatch()
         self._stage(channel.read(*objects.POSITION))
@@ -234,10 +241,10 @@ class Cia402Servo(Servo):
         if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
             raise self.fault()
         controlword(state, Command.ENABLE)
+        self._motion.reset()
         try:
             self._channel.watch(self._watch_s)
             self._word = cia402.DISABLE_VOLTAGE
-            self._offset = 0
             self._stage(self._channel.read(*objects.POSITION))
             self._walk(in_mode=self._select_mode())
         except DeviceError:
@@ -254,8 +261,8 @@ class Cia402Servo(Servo):
         """
         self._command(Command.DISABLE)
         self._await(lambda state: not state.energised, "a de-energised state")
-        if self._takes_offset:
-            self._channel.write(*objects.TORQUE_OFFSET, 0)
+        if self._motion.takes_offset:
+            self._channel.write(*TORQUE_OFFSET, 0)
         self._channel.unwatch()
 
     def quick_stop(self) -> None:
@@ -306,14 +313,14 @@ class Cia402Servo(Servo):
             ConfigurationError: The drive was not prepared for a torque offset, or the torque is
                 beyond the range of 60B2h.
         """
-        if not self._takes_offset:
+        if not self._motion.takes_offset:
             super().set_torque_offset(torque_N_m)
         units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
         if units not in _INT16:
             raise ConfigurationError(
                 f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits"
             )
-        self._offset = units if self._word == cia402.ENABLE_OPERATION else 0
+        self._motion.offset = units if self._word == cia402.ENABLE_OPERATION else 0
         self._stage(self._target)
 
     def sample(self) -> ServoSample:
@@ -331,23 +338,12 @@ class Cia402Servo(Servo):
             self._previous = self._target
             self._staged_in = self._channel.cycle
         self._target = counts
-        if self._takes_offset:
-            self._channel.stage(objects.OUTPUT_PDO, self._word, counts, self._offset)
-        else:
-            self._channel.stage(objects.OUTPUT_PDO, self._word, counts)
-
-    def _read_or_nan(self, address: ObjectAddress | None) -> float:
-        if address is None:
-            return math.nan
-        try:
-            return self._channel.read(*address)
-        except (ConfigurationError, ObjectAccessError):
-            return math.nan
+        self._motion.stage(self._channel, self._word, counts, self._values.observed)
 
     def _command(self, command: Command) -> None:
         # The cyclic controlword is changed first, so that no later exchange can undo the command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
-        self._offset = 0
+        self._motion.offset = 0
         if self._cycle_ns:
             self._stage(self._target)
         self._channel.insist(*cia402.CONTROLWORD, self._word)
@@ -356,10 +352,10 @@ class Cia402Servo(Servo):
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> bool:
-        """Select the mode and wait until it is active; return whether it is."""
-        cia402_mode.select(self._channel)
+        """Select the mode and wait for it; returns whether it came."""
+        cia402_mode.select(self._channel, self._motion)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
-            if cia402_mode.in_force(self._channel):
+            if cia402_mode.in_force(self._channel, self._motion):
                 return True
             if not in_time:
                 break
@@ -372,9 +368,9 @@ class Cia402Servo(Servo):
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()
             if state in cia402_mode.NEEDED_IN and not in_mode:
-                in_mode = cia402_mode.in_force(self._channel)
+                in_mode = cia402_mode.in_force(self._channel, self._motion)
                 if not in_mode and not in_time:
-                    raise cia402_mode.not_shown(self._channel, state, self._timeout_s)
+                    raise cia402_mode.not_shown(self._channel, self._motion, state, self._timeout_s)
                 if not in_mode:
                     continue
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:

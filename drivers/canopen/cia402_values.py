@@ -8,9 +8,12 @@ from collections.abc import Sequence
 from itertools import chain
 from typing import Final
 
+from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402_objects import Cyclic
+from drivers.canopen.motion import Observed
 from drivers.clock import NS
-from drivers.interfaces import ServoSample
+from drivers.errors import ConfigurationError, ObjectAccessError
+from drivers.interfaces import ServoReadings, ServoSample
 from drivers.objects import ObjectAddress, PdoLayout, ProcessChannel
 from drivers.units import ServoScales, Unwrapper
 
@@ -65,6 +68,22 @@ class CyclicValues:
         statusword, position, *_ = self._channel.latest(self._numbers[0])
         return statusword, position
 
+    def observed(self) -> Observed:
+        """Return what a loop in this program needs of the last exchange."""
+        channel, scales = self._channel, self._scales
+        values: list[int] = []
+        for number in self._numbers:
+            values += channel.latest(number)
+        position, speed = values[1], self._told.speed
+        return Observed(
+            values[0],
+            scales.joint_angle_rad(position),
+            self._change(position)
+            if speed is None
+            else values[self._at[speed]] * scales.joint_speed_unit_rad_s * scales.sign,
+            channel.fresh,
+        )
+
     def sample(self, following_counts: int) -> ServoSample:
         """Return the sample of the last exchange.
 
@@ -84,13 +103,17 @@ class CyclicValues:
             self._change(position)
             if told.speed is None
             else values[at[told.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
-            values[at[told.current]] * told.current_unit_A * scales.sign,
+            values[at[told.current]] * told.current_unit_A * scales.sign * scales.current_sign,
             values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V * scales.sign,
             values[at.get(told.supply, _NOT_TOLD)] * scales.supply_unit_V,
             values[at.get(told.temperature, _NOT_TOLD)] * scales.temperature_unit_C,
             following_counts * scales.joint_rad_per_count,
             int(values[0]),
             channel.fresh,
+            values[at.get(told.torque, _NOT_TOLD)]
+            * scales.motor_torque_unit_N_m
+            * scales.sign
+            * scales.current_sign,
         )
 
     def _change(self, position: int) -> float:
@@ -105,3 +128,33 @@ class CyclicValues:
                 moved = (position - before) * self._scales.joint_rad_per_count
                 self._speed = moved * NS / ((cycle - then) * self._cycle_ns)
         return self._speed
+
+
+def read_once(channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> ServoReadings:
+    """Read each value of a drive outside the cycle; NaN for values that the drive does not have."""
+    counts, speed, current, supply, temperature = (
+        _read_or_nan(channel, address)
+        for address in (
+            objects.POSITION,
+            objects.SPEED_ACTUAL,
+            told.current,
+            scales.supply_object,
+            scales.temperature_object,
+        )
+    )
+    return ServoReadings(
+        counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+        speed * scales.joint_speed_unit_rad_s * scales.sign,
+        current * told.current_unit_A * scales.sign * scales.current_sign,
+        supply * scales.supply_unit_V,
+        temperature * scales.temperature_unit_C,
+    )
+
+
+def _read_or_nan(channel: ProcessChannel, address: ObjectAddress | None) -> float:
+    if address is None:
+        return math.nan
+    try:
+        return channel.read(*address)
+    except (ConfigurationError, ObjectAccessError):
+        return math.nan

@@ -12,6 +12,7 @@ from drivers.objects import (
     VENDOR,
     PdoLayout,
     ProcessChannel,
+    identity_doubts,
     optional,
     read_identity,
     refusal,
@@ -52,6 +53,10 @@ class Cia406Encoder(Encoder):
     def identity(self) -> Identity:
         """Read the encoder's identity."""
         return read_identity(self._channel)
+
+    def identity_doubts(self) -> Iterator[str]:
+        """Yield the numbers of 1018h that differ from the EDS file's."""
+        yield from identity_doubts(self._channel)
 
     def reading(self) -> float:
         """Read the position (6004h); NaN where the encoder refuses it."""

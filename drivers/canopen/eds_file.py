@@ -35,13 +35,15 @@ class Described(ObjectDictionary):
     """Objects of a device as its EDS describes them.
 
     Attributes:
-        faults: Reason, with file and line, why the description of an object cannot be used, by
-            index and subindex. Such an object is left out.
+        faults: Index and subindex of each object whose description cannot be used, to why; with
+            file and line. Such an object is left out.
+        identity: Vendor and product number of the file's header; None where it has none.
     """
 
     def __init__(self) -> None:
         super().__init__()  # type: ignore[no-untyped-call]
         self.faults: dict[Address, str] = {}
+        self.identity: tuple[int | None, int | None] = (None, None)
 
 
 def read_eds(eds: Path, node_id: int) -> Described:
@@ -113,11 +115,18 @@ class _Reader:
     def dictionary(self) -> Described:
         """Return the objects that can be used, and the faults of the others."""
         described = Described()
+        described.identity = self._header("VendorNumber"), self._header("ProductNumber")
         for index in sorted({*self._heads, *self._members}):
             item = self._item(index, described.faults)
             if item is not None:
                 described.add_object(item)
         return described
+
+    def _header(self, key: str) -> int | None:
+        try:
+            return integer(self._sections.get("DEVICEINFO", Section("", 0)).text(key))
+        except ValueError:
+            return None
 
     def _item(self, index: int, faults: dict[Address, str]) -> Any:
         head = self._heads.get(index, Section(f"{index:04X}", 1))

@@ -188,6 +188,7 @@ class CanopenLink(Link):
             node.missing = node.expected
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
+            node.sent()
             self._missing += node.expected
         self.sync_ns = self.clock.now_ns()
         self.send(_SYNC, b"")

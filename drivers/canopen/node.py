@@ -78,6 +78,7 @@ class CanopenNode:
         self._wire = wire
         self._dictionary = dictionary
         self._staged: dict[int, tuple[int, struct.Struct]] = {}
+        self._then: dict[int, bytes] = {}
         self._numbered: dict[int, Input] = {}
         self._slow: list[Input] = []
 
@@ -85,6 +86,11 @@ class CanopenNode:
     def label(self) -> str:
         """Name of the device in messages."""
         return f"node {self.node_id}"
+
+    @property
+    def latches(self) -> bool:
+        """The values of an exchange are those of the SYNC."""
+        return True
 
     @property
     def fresh(self) -> bool:
@@ -146,6 +152,12 @@ class CanopenNode:
         found = (self._dictionary.get_variable(*address) for address in addresses)
         return sum(len(item) for item in found if item is not None) <= PDO_BITS
 
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the default value of an object in the EDS. Sends nothing."""
+        item = self._dictionary.get_variable(index, subindex)
+        default = None if item is None else item.default
+        return default if isinstance(default, int) else None
+
     def require_watchable(self) -> None:
         """Check that the EDS contains a heartbeat consumer; the errors are those of :meth:`watch`.
         Nothing is sent.
@@ -201,7 +213,7 @@ class CanopenNode:
         self._command(0x80)
         self._disarm()
         self._produce_heartbeat()
-        self.outputs, self._staged = {}, {}
+        self.outputs, self._staged, self._then = {}, {}, {}
         for layout, (identifier, packing) in zip(
             outputs, configure(self, self._dictionary, RECEIVE, outputs), strict=True
         ):
@@ -224,6 +236,20 @@ class CanopenNode:
         """Set the values that RPDO ``number`` contains from the next exchange on."""
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
+        if self._then:
+            self._then.pop(identifier, None)
+
+    def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
+        """Set the values of RPDO ``number`` for the next exchange, and those after it."""
+        identifier, packing = self._staged[number]
+        self.outputs[identifier] = packing.pack(*values)
+        self._then[identifier] = packing.pack(*then)
+
+    def sent(self) -> None:
+        """Note that the outputs went out: values that were staged for once give way."""
+        if self._then:
+            self.outputs.update(self._then)
+            self._then.clear()
 
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the values of the last valid frame of TPDO ``number``."""

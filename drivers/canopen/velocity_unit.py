@@ -8,6 +8,7 @@ from typing import Final
 
 from drivers.errors import ConfigurationError
 from drivers.objects import ObjectAddress, ProcessChannel, optional
+from drivers.remedies import KNOWN_SPREAD
 from drivers.units import ServoScales
 
 UNIT: Final[ObjectAddress] = (0x60A9, 0)
@@ -24,10 +25,6 @@ _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0
 """Codes of the time units: second, minute, hour."""
 _SAME: Final = 0.01
 """Relative difference up to which two units count as equal."""
-_FOUND: Final = 1.6
-"""Greatest ratio between a measured unit and a known unit at which both count as equal; known units
-differ by far more.
-"""
 
 
 def decode(word: int) -> float | None:
@@ -66,9 +63,44 @@ def remedy(scales: ServoScales, factor: float) -> str:
     return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
 
+def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
+    """Return the keys of the drive in the bench file, and their values, that correct it; none where
+    no key does.
+    """
+    if factor <= 0.0:
+        return ()
+    unit = scales.motor_speed_unit_rad_s / factor
+    name = _known(unit, scales)
+    if name is not None:
+        return (("velocity_unit_rad_s", None), ("velocity_unit", name))
+    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.3g}")))
+
+
+def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
+    """Return the factor of the known unit that is nearest to a rough one; that one where none is
+    within ``spread``.
+    """
+    if factor <= 0.0:
+        return factor
+    own = scales.motor_speed_unit_rad_s
+    name = _known(own / factor, scales, spread)
+    return factor if name is None else own / _units(scales)[name]
+
+
+def _units(scales: ServoScales) -> dict[str, float]:
+    return {"rpm": RPM, "counts_per_s": scales.count_rad}
+
+
+def _known(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str | None:
+    """Return the name of the nearest unit of speed; None for one without a name."""
+    known = _units(scales)
+    name = min(known, key=lambda name: abs(math.log(unit / known[name])))
+    return name if known[name] / spread <= unit <= known[name] * spread else None
+
+
 def _words(unit: float, scales: ServoScales) -> str:
-    for name, known in (("rpm", RPM), ("counts_per_s", scales.count_rad)):
-        if known / _FOUND <= unit <= known * _FOUND:
-            words = name.replace("counts_per_s", "counts per second")
-            return f"606Ch is in {words}: set servo.velocity_unit: {name}"
+    name = _known(unit, scales)
+    if name is not None:
+        words = name.replace("counts_per_s", "counts per second")
+        return f"606Ch is in {words}: set servo.velocity_unit: {name}"
     return f"set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about {unit:.2g}"

@@ -60,7 +60,7 @@ class Layout:
     obstacle: str = ""
 
 
-def read_dbc(path: Path) -> dict[str, Layout]:
+def load_dbc(path: Path) -> Database:
     """Read a DBC file.
 
     Returns:
@@ -78,13 +78,25 @@ def read_dbc(path: Path) -> dict[str, Layout]:
             f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
         ) from error
     try:
-        database = _load(data)
+        return _load(data)
     except DbcError as error:
         raise ConfigurationError(
             f"{path}{_explain(str(error))}; correct it with a DBC editor"
         ) from error
     except _NotTextError as error:
         raise ConfigurationError(f"{path}: is not a text file: {error}") from error
+
+
+def read_dbc(path: Path) -> dict[str, Layout]:
+    """Read the messages of a DBC file that a drive can speak.
+
+    Returns:
+        Message name to layout.
+
+    Raises:
+        ConfigurationError: As :func:`load_dbc`.
+    """
+    database = load_dbc(path)
     counts = Counter(message.name for message in database.messages)
     layouts = {message.name: _layout(message) for message in database.messages}
     twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}

@@ -13,6 +13,7 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.cia402 import CONTROLWORD
 from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
 from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
+from drivers.errors import ConfigurationError
 from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
@@ -106,6 +107,11 @@ class EposSerialNode(ObjectAccess):
         self._before: tuple[int, int] | None = None
 
     @property
+    def latches(self) -> bool:
+        """The values of an exchange are read one after another."""
+        return False
+
+    @property
     def fresh(self) -> bool:
         """Whether everything that was due at the last exchange was written and read."""
         return self._complete
@@ -167,6 +173,16 @@ class EposSerialNode(ObjectAccess):
         """Set the values that output ``number`` carries from the next exchange on."""
         for output, value in zip(self._outputs[number], values, strict=True):
             output.value = value
+
+    def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
+        """Refuse: on a line without a watchdog no command may outlast this program.
+
+        Raises:
+            ConfigurationError: Always.
+        """
+        raise ConfigurationError(
+            f"{self.label}: over a serial line only positions are commanded; use servo.mode csp"
+        )
 
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of input ``number``."""

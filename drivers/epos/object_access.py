@@ -158,6 +158,12 @@ class ObjectAccess:
         """Return True: objects are asked for one by one."""
         return True
 
+    def stated(self, index: int, subindex: int) -> int | None:
+        """Return the default value of an object in the EDS. Sends nothing."""
+        item = self._dictionary.get_variable(index, subindex)
+        default = None if item is None else item.default
+        return default if isinstance(default, int) else None
+
     def require_watchable(self) -> None:
         """Check nothing: the protocol has no watchdog, and the link's guard stands in for it."""
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -14,6 +13,7 @@ from drivers.mock.encoder import SimulatedEncoder
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts import constants
 from drivers.mock.sampler import Sampler
+from drivers.mock.traits import Traits
 from drivers.mock.transmitter import SimulatedTransmitter
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.serial_line import SimulatedLine
@@ -49,7 +49,7 @@ def simulated_bench(
     encoder_node: int = ENCODER_NODE,
     transmitter_node: int | None = None,
     rating: Rating | None = None,
-    shown: Container[tuple[int, int]] | None = None,
+    traits: Traits | None = None,
 ) -> SimulatedBench:
     """Build a bench and boot its devices. The same seed gives the same bytes on the bus.
 
@@ -60,8 +60,8 @@ def simulated_bench(
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
         transmitter_node: Node identifier of the pressure transmitter; None for a bench without one.
-        rating: Rated values of the drive; None for 15 A.
-        shown: Index and subindex of the objects that the drive has on its bus; None for all.
+        rating: Rated values of the drive; 15 A unless given.
+        traits: What the drive differs in from the simulated drive's own kind.
 
     Returns:
         The bench, at rest at angle 0, with power off; all devices are in PRE-OPERATIONAL after
@@ -72,9 +72,8 @@ def simulated_bench(
     bus = SimulatedBus(clock, bitrate)
     plant = SimulatedMachine(machine, noise)
     sampler = Sampler(plant)
-    drive = SimulatedDrive(
-        bus, clock, drive_node, sampler, int(offsets.integers(1 << 32)), rating, shown
-    )
+    offset_us = int(offsets.integers(1 << 32))
+    drive = SimulatedDrive(bus, clock, drive_node, sampler, offset_us, rating, traits)
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()

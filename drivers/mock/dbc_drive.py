@@ -15,8 +15,8 @@ from typing import Final
 
 from drivers.clock import SimulatedClock
 from drivers.dbc.codec import crc8_j1850
-from drivers.mock.drive import encoder_resolution
 from drivers.mock.plant.machine import Reading
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer

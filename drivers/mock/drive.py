@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
@@ -13,20 +13,22 @@ from drivers.clock import SimulatedClock
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
+from drivers.mock.drive_modes import CSP, CST, CSV, PP, Mover
 from drivers.mock.plant.machine import Reading
-from drivers.mock.plant.parts import constants
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
+from drivers.mock.traits import OwnObjects, Traits
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer
 
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
 CONNECTION_LOST: Final = 0x8100
-CSP: Final = 8
 
 _VOLTAGE: Final = key(0x2100)
 _TEMPERATURE: Final = key(0x2101)
+_ON_ABORT: Final = key(0x6007)
 _ERROR_CODE: Final = key(0x603F)
 _CONTROLWORD: Final = key(0x6040)
 _STATUSWORD: Final = key(0x6041)
@@ -40,11 +42,6 @@ _MAX_CURRENT: Final = key(0x6073)
 _TORQUE: Final = key(0x6077)
 _CURRENT: Final = key(0x6078)
 _DC_LINK: Final = key(0x6079)
-_TARGET: Final = key(0x607A)
-_TARGET_MIN: Final = key(0x607D, 1)
-_TARGET_MAX: Final = key(0x607D, 2)
-_MAX_SPEED: Final = key(0x607F)
-_TORQUE_OFFSET: Final = key(0x60B2)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
@@ -55,6 +52,9 @@ _INTERNAL_LIMIT: Final = 0x0800
 _FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
+_MS: Final = 1_000_000
+_LONGEST_PERIOD: Final = 20
+"""Greatest time between targets that a drive interpolates over if it measures it, ms."""
 _WHOLE: Final = 1e-6
 """Tolerance, in units, for a value that should be a whole number of units."""
 _AT_LIMIT: Final = 0.98
@@ -88,18 +88,22 @@ class QuickStop(IntEnum):
 
 
 class SimulatedDrive(SimulatedNode):
-    """A position servo in cyclic synchronous position mode.
+    """A position servo, in cyclic synchronous position mode unless ``traits`` offer others.
 
-    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
-    6078h is the mean current since the last SYNC, per mille of 6075h. 60B2h (per mille of 6076h)
-    adds torque to the output of the position loop while the drive follows targets, but not in
-    ramps. The power stage is on only in the states of :data:`POWERED`. ``shown`` are the addresses
-    of the objects that the drive has on its bus, because drives of most makers lack some objects;
-    None for all.
+    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h are counts per second
+    (squared), unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
+    mille of 6075h. 60B2h (per mille of 6076h) adds torque to the position loop's output while
+    targets are followed, but not in ramps. The power stage is on only in the states of
+    :data:`POWERED`.
 
     Attributes:
+        traits: What it differs in from other drives.
         power_state: State of the power drive system.
         entered: Function that is called with each new state at the time of the change.
+        speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
+            :meth:`use_speed_unit`.
+        deaf_to: Orders that the drive ignores.
+        current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
     """
 
     def __init__(
@@ -110,32 +114,47 @@ class SimulatedDrive(SimulatedNode):
         sampler: Sampler,
         clock_offset_us: int = 0,
         rating: Rating | None = None,
-        shown: Container[tuple[int, int]] | None = None,
+        traits: Traits | None = None,
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
-        if shown is not None:
-            self.objects.remove_except(shown)
+        self.traits = traits or Traits()
+        self._own = OwnObjects(self.traits)
+        self._own.add_to(self.objects)
         self.power_state = State.SWITCH_ON_DISABLED
         self.entered: list[Callable[[State], None]] = []
+        self.current_sign = 1
+        self.deaf_to: frozenset[Command] = frozenset()
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
         self._increments, self._revolutions = encoder_resolution(self._machine.constants)
-        self._counts_per_rad = self._increments / self._revolutions / (2.0 * math.pi)
+        counts_per_turn = self._increments / self._revolutions
+        self._counts_per_rad = counts_per_turn / (2.0 * math.pi)
+        self.speed_unit = self.traits.speed_unit(counts_per_turn)
         rating = rating or Rating()
         torque_constant = self._motor.torque_constant_N_m_A
         self._rated_current_mA = round(rating.current_A * 1e3)
         torque = rating.torque_N_m or torque_constant * rating.current_A
-        self._rated_torque_mN_m = round(torque * 1e3)
+        self._rated_torque = round(torque / self.traits.rated_torque_unit_N_m)
         self._per_mille_A = 1e6 / self._rated_current_mA
         self._per_mille_torque_A = 1e3 * torque_constant / torque
         self._ramp = Timer(clock, self._ramp_done)
         self._last_word = 0
-        self._demand = 0.0
-        self._period_ns = 1_000_000
+        self._mover = Mover(
+            sampler,
+            clock,
+            self._values,
+            self._counts_per_rad,
+            self.speed_unit,
+            1.0 / self._per_mille_torque_A,
+        )
+        self._period_ns = _MS
+        # A drive without 60C2h measures the time between targets.
+        self._told_period = key(0x60C2, 1) in self.objects.entries
+        self._followed_ns = 0
         self._flags = 0
         objects = self.objects
-        objects.checks[0x6060] = _check_mode
+        objects.checks[0x6060] = self._check_mode
         objects.checks[0x605A] = _check_quick_stop
         objects.checks[0x60C2] = self._check_disabled
         objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
@@ -150,7 +169,12 @@ class SimulatedDrive(SimulatedNode):
         """Return to SWITCH ON DISABLED, and store this machine's constants in the dictionary."""
         values = self._values
         values[key(0x6075)] = self._rated_current_mA
-        values[key(0x6076)] = self._rated_torque_mN_m
+        values[key(0x6076)] = self._rated_torque
+        if _ON_ABORT not in self.objects.entries:
+            values[_ON_ABORT] = 0  # a drive without the object has no such reaction
+        self._own.restore(values, self._rated_current_mA * 1e-3)
+        for index in (0x6084, 0x6085):
+            values[key(index)] = round(values[key(index)] / self.speed_unit)
         values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
         values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
         values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
@@ -158,6 +182,13 @@ class SimulatedDrive(SimulatedNode):
         self._last_word = self._flags = 0
         self._read_period()
         self._enter(State.SWITCH_ON_DISABLED)
+
+    def use_speed_unit(self, counts_per_s: float) -> None:
+        """Show and take speeds in another unit from now on, as a drive does that was made so."""
+        values = self._values
+        for address in (key(0x607F), key(0x6084), key(0x6085)):
+            values[address] = round(values[address] * self.speed_unit / counts_per_s)
+        self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
         """Switch the power off at once."""
@@ -182,6 +213,7 @@ class SimulatedDrive(SimulatedNode):
         if (
             window != _WINDOW_OFF
             and self.power_state is State.OPERATION_ENABLED
+            and self._mover.positions
             and abs(reading.following_error_counts) > window
         ):
             self._flags |= _FOLLOWING_ERROR_BIT
@@ -205,7 +237,7 @@ class SimulatedDrive(SimulatedNode):
         """React to the loss of the master as 6007h defines; no reaction in states without power."""
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
-        match self.objects.integer(0x6007):
+        match self._values[_ON_ABORT]:
             case 1:
                 self._fault(code or CONNECTION_LOST, COMMUNICATION, announce=False)
             case 2:
@@ -218,13 +250,17 @@ class SimulatedDrive(SimulatedNode):
         values = self._values
         self.stamp(self._sampler.time_ns)
         values[_POSITION] = reading.motor_counts
-        values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
-        values[_CURRENT] = clamp_i16(round(reading.current_A * self._per_mille_A))
-        values[_TORQUE] = clamp_i16(round(reading.current_A * self._per_mille_torque_A))
+        speed = reading.motor_velocity_rad_s * self._counts_per_rad
+        values[_VELOCITY] = round(speed / self.speed_unit)
+        current = reading.current_A * self._per_mille_A
+        values[_CURRENT] = clamp_i16(self.current_sign * round(current))
+        torque = reading.current_A * self._per_mille_torque_A
+        values[_TORQUE] = clamp_i16(self.current_sign * round(torque))
         values[_DC_LINK] = round(reading.supply_V * 1e3)
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
         values[_FOLLOWING] = round(reading.following_error_counts)
+        self._own.measure(values, reading)
 
     def _obey(self, word: int) -> None:
         rising = word & ~self._last_word
@@ -237,6 +273,8 @@ class SimulatedDrive(SimulatedNode):
                 self.clear_errors()
             return
         order = command(word)
+        if order in self.deaf_to:
+            return
         following = TRANSITIONS.get((self.power_state, order))
         if following is None:
             return
@@ -249,6 +287,7 @@ class SimulatedDrive(SimulatedNode):
 
     def _enter(self, state: State) -> None:
         self._ramp.stop()
+        self._mover.stop()
         self._sampler.advance(self._clock.now_ns())
         was = self.power_state
         self.power_state = state
@@ -257,7 +296,7 @@ class SimulatedDrive(SimulatedNode):
         self._flags &= ~_TARGET_REACHED
         if state is State.OPERATION_ENABLED:
             self._machine.power(True)
-            self._demand = float(self._sampler.peek(self._clock.now_ns()).motor_counts)
+            self._mover.start(self._sampler.peek(self._clock.now_ns()).motor_counts)
         elif state not in POWERED:
             self._machine.power(False)
         elif state is State.QUICK_STOP_ACTIVE and was is not state:
@@ -273,7 +312,8 @@ class SimulatedDrive(SimulatedNode):
             case QuickStop.RAMP | QuickStop.RAMP_AND_STAY:
                 self._brake(self.objects.integer(0x6085))
 
-    def _brake(self, deceleration: int) -> None:
+    def _brake(self, units: int) -> None:
+        deceleration = units * self.speed_unit
         now = self._clock.now_ns()
         speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
         self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)
@@ -301,32 +341,26 @@ class SimulatedDrive(SimulatedNode):
         self._brake(self.objects.integer(0x6084 if reaction == 1 else 0x6085))
 
     def _follow(self) -> None:
-        values = self._values
-        if values[_MODE] != CSP:
-            return
-        wanted = values[_TARGET]
-        target: float = min(max(wanted, values[_TARGET_MIN]), values[_TARGET_MAX])
-        reach = values[_MAX_SPEED] * self._period_ns * 1e-9
-        step = target - self._demand
-        if step > reach or step < -reach:
-            target = self._demand + math.copysign(reach, step)
-        if (
-            target != wanted
-            or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit * self._per_mille_A
-        ):
+        if not self._told_period:
+            now = self._clock.now_ns()
+            past = now - self._followed_ns
+            self._period_ns = min(max(round(past / _MS), 1), _LONGEST_PERIOD) * _MS
+            self._followed_ns = now
+        limited = self._mover.follow(self._period_ns)
+        greatest = _AT_LIMIT * self._current_limit * self._per_mille_A
+        if limited or abs(self._values[_CURRENT]) >= greatest:
             self._flags |= _INTERNAL_LIMIT
         else:
             self._flags &= ~_INTERNAL_LIMIT
-        self._demand = target
-        self._machine.track(target, self._period_ns)
-        self._machine.feed(values[_TORQUE_OFFSET] / self._per_mille_torque_A)
 
     def _show_status(self) -> None:
         word = self.power_state | self._flags | _VOLTAGE_ENABLED
         if self.state is Nmt.OPERATIONAL:
             word |= _REMOTE
-        if self.power_state is State.OPERATION_ENABLED and self._values[_MODE] == CSP:
-            word |= _FOLLOWS
+        if self.power_state is State.OPERATION_ENABLED:
+            mode = self._values[_MODE]
+            if mode in (CSP, CSV, CST) or (mode == PP and self._mover.acknowledged):
+                word |= _FOLLOWS
         self._values[_STATUSWORD] = word
 
     def _greatest(self, per_mille_A: float) -> int:
@@ -345,27 +379,16 @@ class SimulatedDrive(SimulatedNode):
         value, exponent = self.objects.integer(0x60C2, 1), self.objects.integer(0x60C2, 2)
         self._period_ns = value * 10 ** (9 + exponent)
 
+    def _check_mode(self, _subindex: int, value: int) -> None:
+        if value and not (value > 0 and self.traits.modes >> value - 1 & 1):
+            raise SdoAbortError(od.OUT_OF_RANGE)
+        loops = {value, self._values[_MODE]} & {CSV, CST, PP}
+        if loops and self.power_state in POWERED and value != self._values[_MODE]:
+            raise SdoAbortError(od.DEVICE_STATE)
+
     def _check_disabled(self, _subindex: int, _value: int) -> None:
         if self.power_state in POWERED:
             raise SdoAbortError(od.DEVICE_STATE)
-
-
-def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
-    """Return a number of motor encoder increments and the motor turns that they correspond to
-    (608Fh).
-
-    With an exact sensor the machine counts microradians of the joint; with 100 turns this ratio is
-    exact to about 1e-9.
-    """
-    counts = machine.sensing.motor_counts_per_turn
-    if counts:
-        return counts, 1
-    return round(2e8 * math.pi / machine.motor.gear_ratio), 100
-
-
-def _check_mode(_subindex: int, value: int) -> None:
-    if value not in (0, CSP):
-        raise SdoAbortError(od.OUT_OF_RANGE)
 
 
 def _check_quick_stop(_subindex: int, value: int) -> None:

@@ -23,6 +23,7 @@ from drivers.epos.frames import (
 from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError, key
 from drivers.mock.drive import SimulatedDrive
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.traits import current_A
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer
 
@@ -31,7 +32,7 @@ WRONG_NODE: Final = 0x0F00FFB9
 _BAD_TOGGLE: Final = 0x05030000
 _TARGET: Final = 0x607A
 _MEANS: Final = (0x6077, 0x6078)
-"""Objects of torque and current, whose values are means since the last reading."""
+"""Torque and current, means since they were read last; so is a current of the drive's own."""
 _VOLTAGE: Final = 0x2100
 _SUPERVISION_NS: Final = 1_000_000
 _VALUE_BYTES: Final = 4
@@ -60,6 +61,8 @@ class SimulatedEposPort:
         self._gateway = bus.attach()
         self._decoder = FrameDecoder()
         self._supervision = Timer(clock, self._supervise)
+        own = (shown.address[0] for shown in drive.traits.own if shown.quantity is current_A)
+        self._means = {*_MEANS, *own}
         self._voltage = bytes(2)
         self._upload = b""
         self._download: tuple[int, int, int, bytes] | None = None
@@ -154,7 +157,7 @@ class SimulatedEposPort:
         return index, subindex
 
     def _read(self, index: int, subindex: int) -> bytes:
-        if index in _MEANS:
+        if index in self._means:
             self._drive.latch()
             if key(_VOLTAGE) in self._objects.entries:
                 self._voltage = self._objects.read(_VOLTAGE, 0)

@@ -1,44 +1,165 @@
-"""EDS files of the simulated drive with the objects that drives of common makes have.
+"""Drives of common makes: the objects that their EDS files lack of those of the simulated drive,
+and those that they have instead, in their units.
 
-For each make, the module lists the objects of the simulated drive that the EDS file of the make
-lacks.
-
-A simulated drive with such an EDS file has only the objects of that file. The lists are from files
-of the makers; objects that exist in the simulated drive alone are missing in all of them.
+A simulated drive that is given such a description shows only its objects. The lists are those of
+files of the makers, shortened to what a servo uses; those of Nanotec, Copley and Technosoft follow
+their manuals. They are written apart from the drivers' data on makes, so that one tests the other.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
+from canopen.objectdictionary import ObjectDictionary
+
+from drivers.canopen.device_data import identity
+from drivers.canopen.eds_file import addresses
 from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.traits import PP, Shown, Traits, current_A, supply_V, temperature_C
 
 _OWN: Final = frozenset({0x2100, 0x2101})
-LACKS: Final[Mapping[str, frozenset[int]]] = {
-    "EPOS4": _OWN | {0x1009, 0x100A, 0x1013, 0x6072, 0x6073, 0x6075, 0x6078, 0x6079, 0x60C2},
-    "Elmo": _OWN | {0x1013, 0x6079},
-    "Trinamic": _OWN | {0x1013, 0x6007, 0x603F, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079, 0x607F},
-    "Faulhaber": _OWN
-    | {0x1013, 0x6007, 0x603F, 0x605A, 0x6065, 0x6072, 0x6073, 0x6075, 0x6076}
-    | {0x6078, 0x6079, 0x60C2},
-    "Schunk": _OWN
-    | {0x1013, 0x6007, 0x603F, 0x605A, 0x6072, 0x6076, 0x6078, 0x6079, 0x607F, 0x6085},
+MAKES: Final[Mapping[str, Traits]] = {
+    "EPOS4": Traits(
+        0xFB,
+        0x65510000,
+        _OWN | {0x1009, 0x100A, 0x1013, 0x6072, 0x6073, 0x6075, 0x6078, 0x6079, 0x60C2},
+        (
+            Shown((0x30D1, 2), "i", current_A, 1e-3),
+            Shown((0x3001, 1), "I", None, 1e-3),
+            Shown((0x2200, 1), "H", supply_V, 0.1, mappable=False),
+            Shown((0x3201, 1), "h", temperature_C, 0.1, mappable=False),
+        ),
+        rpm=True,
+        rated_torque_unit_N_m=1e-6,
+    ),
+    "EPOS2": Traits(
+        0xFB,
+        0x62200000,
+        _OWN | {0x1009, 0x100A, 0x603F, 0x605A, 0x6072, 0x6073, 0x6075, 0x6076, 0x6079},
+        (
+            Shown((0x2027, 0), "h", current_A, 1e-3),
+            Shown((0x6078, 0), "h", current_A, 1e-3),
+            Shown((0x6410, 1), "H", None, 1e-3),
+        ),
+        rpm=True,
+        modes=PP,
+    ),
+    "Elmo": Traits(
+        0x9A,
+        0x30923,
+        _OWN | {0x1013, 0x6079},
+        (Shown((0x22A2, 0), "H", temperature_C, 1.0),),
+    ),
+    "Trinamic": Traits(
+        0x286,
+        0x1270,
+        _OWN | {0x1013, 0x6007, 0x603F, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079, 0x607F},
+    ),
+    "Faulhaber": Traits(
+        0x147,
+        0x30,
+        _OWN
+        | {0x1013, 0x6007, 0x603F, 0x605A, 0x6065, 0x6072, 0x6073, 0x6075, 0x6076}
+        | {0x6078, 0x6079, 0x60C2},
+        rpm=True,
+    ),
+    "Schunk": Traits(
+        0,
+        0,
+        _OWN | {0x1013, 0x6007, 0x603F, 0x605A, 0x6072, 0x6076, 0x6078, 0x6079, 0x607F, 0x6085},
+    ),
+    "Nanotec": Traits(
+        0x26C,
+        0x44,
+        _OWN | {0x1013, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079},
+        (
+            Shown((0x203B, 1), "I", None, 1e-3),
+            Shown((0x4014, 1), "i", supply_V, 1e-3),
+            Shown((0x4014, 3), "i", temperature_C, 0.1),
+        ),
+        rpm=True,
+    ),
+    "Copley": Traits(
+        0xAB,
+        0x3300,
+        _OWN | {0x6073, 0x6078, 0x6079},
+        (
+            Shown((0x2201, 0), "h", supply_V, 0.1),
+            Shown((0x2202, 0), "h", temperature_C, 1.0),
+        ),
+        speed_counts_per_s=0.1,
+    ),
+    "Technosoft": Traits(
+        0x1A3,
+        0x1AB46E5,
+        _OWN | {0x1013, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079},
+        speed_counts_per_s=1000.0 / 65536.0,
+    ),
 }
-"""Indices that are missing, by make."""
+"""Make to what it differs in."""
+LACKS: Final[Mapping[str, frozenset[int]]] = {name: make.lacks for name, make in MAKES.items()}
+"""Make to the indices that are missing."""
 _HEAD: Final = re.compile(r"\[([0-9A-Fa-f]{4})(?:sub[0-9A-Fa-f]+)?\]\s*$")
+_STANDARD: Final = frozenset({(0x6078, 0)})
+"""Objects of CiA 402 that some make has in a unit of its own."""
+_TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
+"""Struct code to data type of CiA 301."""
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file for a make: that of the simulated drive without the missing
-    objects.
+    """Return the text of the EDS file of a make: the simulated drive's without what it lacks, and
+    with what it has besides.
     """
+    traits = MAKES[make]
     kept, keep = [], True
     for line in DRIVE_EDS.read_text(encoding="ascii").splitlines():
         if line.startswith("["):
             head = _HEAD.match(line)
-            keep = head is None or int(head[1], 16) not in LACKS[make]
+            keep = head is None or int(head[1], 16) not in traits.lacks
         if keep:
             kept.append(line)
-    return "\n".join(kept) + "\n"
+    text = "\n".join(kept) + "\n"
+    text = text.replace("0x000007FF", f"0x{traits.vendor_id:08X}")
+    text = text.replace("0x00000402", f"0x{traits.product_code:08X}")
+    indices = sorted({own.address[0] for own in traits.own if own.address[1]})
+    return (
+        text
+        + "".join(map(_record, indices))
+        + "".join(_section(own) for own in traits.own if own.address not in _STANDARD)
+    )
+
+
+def described_drive(dictionary: ObjectDictionary) -> Traits:
+    """Return the kind of simulated drive for an EDS: of the make that its vendor and objects lead
+    to, with the objects that it describes.
+    """
+    vendor, product = identity(dictionary)
+    shown = addresses(dictionary)
+    found = [
+        make
+        for make in MAKES.values()
+        if make.vendor_id == vendor and all(own.address in shown for own in make.own)
+    ]
+    traits = max(found, key=lambda make: len(make.own), default=Traits())
+    return replace(traits, product_code=product or traits.product_code, shown=shown)
+
+
+def _record(index: int) -> str:
+    return (
+        f"\n[{index:04X}]\nParameterName=Record {index:04X}\nObjectType=0x9\nSubNumber=2\n"
+        f"\n[{index:04X}sub0]\nParameterName=Highest subindex\nObjectType=0x7\n"
+        f"DataType=0x0005\nAccessType=const\nDefaultValue=4\nPDOMapping=0\n"
+    )
+
+
+def _section(shown: Shown) -> str:
+    index, subindex = shown.address
+    name = f"{index:04X}sub{subindex:X}" if subindex else f"{index:04X}"
+    return (
+        f"\n[{name}]\nParameterName=Object {name}\nObjectType=0x7\n"
+        f"DataType=0x{_TYPES[shown.code]:04X}\nAccessType=ro\n"
+        f"PDOMapping={int(shown.mappable)}\n"
+    )

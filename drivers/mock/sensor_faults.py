@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Protocol
 
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import SimulatedDrive
+from drivers.mock.plant.machine import SimulatedMachine
 
 _MODE_DISPLAY = key(0x6061)
 
@@ -59,6 +61,12 @@ def freeze(encoder: Sensor) -> None:
 def reverse(encoder: Sensor) -> None:
     """Reverse the sign of the counts, as with two wires swapped."""
     encoder.distort = _negated
+
+
+def on_motor_shaft(encoder: Sensor, machine: SimulatedMachine) -> None:
+    """Count the motor's turns, as an encoder that is mounted on the other end of the gear."""
+    per_turn = encoder.counts_per_turn / (2.0 * math.pi) * machine.constants.motor.gear_ratio
+    encoder.distort = lambda _: math.floor(machine.truth().angle_rad * per_turn)
 
 
 def refuse_mode(drive: SimulatedDrive) -> None:

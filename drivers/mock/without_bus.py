@@ -12,8 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.drive import Rating, encoder_resolution
+from drivers.mock.drive import Rating
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10

@@ -22,7 +22,7 @@ RUN_FILE: Final = "run.json"
 """Same as in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by 0.1 s."""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
-_MOVES: Final = frozenset({"run", "resume", "jog"})
+_MOVES: Final = frozenset({"run", "resume", "jog", "commission"})
 _LONGEST: Final = 300
 """Number of characters of an exception's message that are shown; the traceback has all."""
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})

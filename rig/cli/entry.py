@@ -29,6 +29,14 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
     "resume": ("rig.cli.commands.resume:command", "Continue a run that stopped."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
+    "watch": (
+        "rig.cli.commands.watch:command",
+        "Show a recording live in Foxglove or PlotJuggler.",
+    ),
+    "commission": (
+        "rig.cli.commands.commission:command",
+        "Go through a new bench with the operator, step by step.",
+    ),
     "check": (
         "rig.cli.commands.check:command",
         "Connect to a bench and read it back; nothing moves.",
@@ -144,7 +152,7 @@ def cli(verbose: bool) -> None:
         # Everything important is reported as an error of this program; without a handler the log
         # would be printed. matplotlib warns of folders that cannot be written and continues without
         # them.
-        for name in ("can", "canopen", "matplotlib"):
+        for name in ("can", "canopen", "foxglove", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
 
 

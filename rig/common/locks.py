@@ -271,7 +271,9 @@ def _fcntl(place: _Place) -> ModuleType:
     except ImportError as error:
         # Windows lacks it; a bench is not used without a lock.
         raise StorageError(
-            f"{place.subject}: this system cannot lock files; use Linux or macOS"
+            f"{place.subject}: this system cannot lock files; use Linux or macOS. Without fcntl "
+            f"two programs could drive one bench. Recordings can be identified, diagnosed, "
+            f"simulated, exported and looked at here"
         ) from error
     return fcntl
 

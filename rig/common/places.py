@@ -71,7 +71,8 @@ def replacing(path: Path) -> Iterator[Path]:
     draft = target.with_name(f".{target.name}.new")
     try:
         yield draft
-        with open(draft, "rb") as stream:
+        # For writing: Windows flushes no other descriptor to the disk.
+        with open(draft, "r+b") as stream:
             os.fsync(stream.fileno())
         os.replace(draft, target)
     finally:

@@ -21,7 +21,15 @@ from drivers.canopen.eds_file import read_eds
 from drivers.errors import ConfigurationError
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
-from rig.config.configuration import Document, Loc, NonNegative, Positive, Schema, load_located
+from rig.config.configuration import (
+    Document,
+    Loc,
+    NonNegative,
+    Positive,
+    Schema,
+    load_located,
+    located_text,
+)
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
 from rig.config.gas_section import GasGeneratorSection, PressureSection
 from rig.config.limits_section import LimitsSection
@@ -233,6 +241,11 @@ class Bench(Schema):
                     "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; "
                     "use amt21"
                 )
+            if self.servo.mode not in (None, "csp"):
+                raise ValueError(
+                    f"servo.mode {self.servo.mode} needs a CAN bus: over a serial line only "
+                    f"positions are sent; use csp"
+                )
         if (
             isinstance(self.encoder, Amt21Section)
             and (self.encoder.port == MOCK) is not self.simulated
@@ -292,7 +305,20 @@ def load_bench(name: str | Path) -> Document[Bench]:
         InputError: The file is missing or not valid; the message lists every problem with its place
             in the file.
     """
-    document = load_located(resolve(name, "benches"), Bench, follow_bench)
+    return _in_use(load_located(resolve(name, "benches"), Bench, follow_bench))
+
+
+def bench_from_text(text: str, path: Path) -> Document[Bench]:
+    """Return the bench of a text that is to become a file beside ``path``, or in its place.
+
+    Raises:
+        InputError: It is not valid; every problem with its place in the text.
+    """
+    return _in_use(located_text(path, text, Bench, follow_bench))
+
+
+def _in_use(document: Document[Bench]) -> Document[Bench]:
+    """Check a bench further, and return it with the limits in force."""
     bench = document.value
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES

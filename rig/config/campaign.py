@@ -17,13 +17,8 @@ from rig.common.errors import InputError
 from rig.common.table_tree import csv_rows, row
 from rig.common.text import stored_path
 from rig.common.yaml_tree import DocumentError, Node, read_text
-from rig.config.campaign_sections import (
-    ANGLE_TIME,
-    BenchSection,
-    ChannelSection,
-    ModelSection,
-    RecordingSection,
-)
+from rig.config.campaign_columns import ChannelSection
+from rig.config.campaign_sections import ANGLE_TIME, BenchSection, ModelSection, RecordingSection
 from rig.config.configuration import Document, Loc, Schema, load_located
 
 
@@ -159,7 +154,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             )
     # A term may be declared without a declared load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
-        r.known_load and r.role == "fit" for r in campaign.recordings
+        (r.known_load or r.exported) and r.role == "fit" for r in campaign.recordings
     ):
         yield (
             ("model",),
@@ -173,7 +168,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
     yield from _check_validation(campaign)
-    units = {_torque_unit(recording, campaign.bench) for recording in campaign.recordings}
+    units = {_torque_unit(r, campaign.bench) for r in campaign.recordings if not r.exported}
     if len(units) > 1:
         yield (
             ("bench",),
@@ -225,7 +220,9 @@ def _way(recording: RecordingSection) -> str:
 
 def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield loaded recordings for validation if the model would have no working load."""
-    fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
+    fitted = any(
+        r.role == "fit" and (r.stage == "loaded" or r.exported) for r in campaign.recordings
+    )
     if fitted or campaign.model.held.keys() >= set(LOAD_PARAMETERS):
         return
     for index, recording in enumerate(campaign.recordings):
@@ -247,6 +244,14 @@ def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
 
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     channels: Mapping[str, ChannelSection] = recording.channels
+    if recording.exported:
+        for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
+            yield (
+                (name,),
+                f"no `channels`, which only a file of `rig export` may lack, and that states its "
+                f"{name} itself; add `channels`, or remove `{name}`",
+            )
+        return
     if "time" not in channels and recording.rate is None:
         yield ("channels",), "no `time` channel and no `rate`; state one of them"
     if "time" in channels and recording.rate is not None:
@@ -286,6 +291,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
             yield ("channels", name, "unsigned"), _UNSIGNED.get(name, _UNSIGNED_OTHER)
 
 
+_BESIDE_EXPORT = {"file", "role", "channels"}
+"""Keys of a recording that may stand where the file is one of `rig export`."""
 _UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (

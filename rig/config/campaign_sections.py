@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
+from identification.diagnosis.catalogue import ENTRIES
 from identification.model.ladder import LADDER, NOMINAL
 from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Hoist, Model, Pendulum
 from rig.common.instants import iso_time
+from rig.config.campaign_columns import ChannelSection, ReadSection
 from rig.config.campaign_gas import (
     Constant,
     GasGeneratorSection,
@@ -20,9 +23,16 @@ from rig.config.campaign_gas import (
     measured,
     uncertain,
 )
-from rig.config.catalogue import EFFECTS
 from rig.config.configuration import Schema, nearest
 
+CATALOGUE: Mapping[str, tuple[str, ...]] = {
+    group: tuple(e.name for e in ENTRIES.values() if e.group == group)
+    for group in dict.fromkeys(e.group for e in ENTRIES.values())
+}
+"""Group to names of the physical effects that a bench may be declared to have, or be diagnosed
+with.
+"""
+EFFECTS: tuple[str, ...] = tuple(name for names in CATALOGUE.values() for name in names)
 FITTED_TERMS = ("offset", "load_dependent_friction")
 """Additional terms that the estimators of this version can fit."""
 _BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
@@ -67,12 +77,6 @@ def _known_channel(name: str) -> str:
     if name not in (*CHANNELS, ANGLE_TIME):
         raise ValueError(f"unknown channel; {nearest(name, [*CHANNELS, ANGLE_TIME])}")
     return name
-
-
-def _not_zero(value: float) -> float:
-    if value == 0:
-        raise ValueError("the scale is 0, which makes all samples 0; state another scale")
-    return value
 
 
 def _not_nothing(value: float) -> float:
@@ -284,59 +288,12 @@ class ControllerSection(Schema):
         return Controller(**self.model_dump())
 
 
-class ReadSection(Schema):
-    """How to read a delimited text file; other formats need no such settings.
-
-    Attributes:
-        delimiter: Delimiter of the columns, one character; found from the first line if not stated.
-        skip_rows: Number of lines before the header, or before the first row of numbers if there is
-            no header.
-        decimal: Decimal separator.
-    """
-
-    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
-    skip_rows: int = Field(default=0, ge=0)
-    decimal: Literal[".", ","] = "."
-
-    @model_validator(mode="after")
-    def _told_apart(self) -> ReadSection:
-        if self.delimiter == self.decimal == ",":
-            raise ValueError("delimiter and decimal are both a comma; numbers cannot be separated")
-        return self
-
-
-class ChannelSection(Schema):
-    """The column of a channel: SI value = scale * column + offset.
-
-    Attributes:
-        column: Name of the column, or its index from 0.
-        scale: SI units per unit of the column; a negative scale reverses the sign.
-        offset: Value that is added after the scale, SI.
-        average: Whether each sample is the mean over the period that ends at its time.
-        unsigned: Whether the column contains magnitudes; such a column is rejected, because the
-            sign of the torque is needed.
-    """
-
-    column: str | Annotated[int, Field(ge=0)]
-    scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
-    offset: float = 0.0
-    average: bool = False
-    unsigned: bool = False
-
-    @model_validator(mode="before")
-    @classmethod
-    def _short_form(cls, data: object) -> object:
-        return (
-            {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
-        )
-
-
 class RecordingSection(Schema):
     """One entry of `recordings`, for one file or several.
 
     Attributes:
-        file: File name or pattern (with `*`) relative to the campaign file, or a list of them: csv,
-            mat, npz, npy, mcap, jsonl or parquet; text files may be gzipped.
+        file: File name or glob relative to the campaign file, or a list of them, of any format of
+            the reference of file formats; all may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         moment_arm: Radius L1 at which this contact force acts, m; that of the bench if not stated.
@@ -355,7 +312,8 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`.
+            `{column: ...}`. Left out for a file of `rig export` (csv, mat, mcap, parquet): it
+            states channels, stage, masses, loads and constants itself.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
@@ -372,7 +330,14 @@ class RecordingSection(Schema):
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
-    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection] = Field(
+        default_factory=dict
+    )
+
+    @property
+    def exported(self) -> bool:
+        """Whether the file must describe itself, as those of `rig export` do."""
+        return not self.channels
 
     @property
     def known_load(self) -> bool:

@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+import math
+from pathlib import Path
+from typing import Annotated, Final, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from drivers.canopen.device_data import SIMULATED, DeviceData, devices, match
+from drivers.canopen.eds_file import read_eds
+from drivers.canopen.motion import ModeName
 from drivers.canopen.velocity_unit import RPM
-from rig.config.configuration import Positive, Schema
+from drivers.errors import ConfigurationError
+from rig.config.configuration import Positive, Schema, nearest
 
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
+NO_DEVICE: Final = "none"
+"""Name in place of the device data's, for none."""
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 
@@ -29,70 +37,111 @@ class Bus(Schema):
     bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
 
 
+class PositionLoopSection(Schema):
+    """The position loop of this program, for drives that take a speed (`csv`) or torque (`cst`).
+
+    Gains that are null follow from the cycle and, for a torque, from the inertia.
+
+    Attributes:
+        position_gain_1_s: Speed command per position error.
+        speed_gain_N_m_s_rad: Torque command per speed error, at the joint; for `cst`.
+        reset_1_s: Inverse reset time of the speed loop; for `cst`.
+        inertia_kg_m2: Inertia at the joint, identified or from the drawings; `cst` needs it.
+        drive_limits_speed: Whether the drive itself limits the speed in torque mode, to
+            `limits.speed_deg_s` or less, as set with the maker's tool (for example 6080h). `cst`
+            needs it, as a torque that is left standing for the time-out of the drive's watchdog
+            accelerates the joint.
+    """
+
+    position_gain_1_s: Positive | None = None
+    speed_gain_N_m_s_rad: Positive | None = None
+    reset_1_s: Positive | None = None
+    inertia_kg_m2: Positive | None = None
+    drive_limits_speed: bool = False
+
+
 class ServoSection(Schema):
     """A CiA 402 drive on CANopen, and the scales that convert its units to SI. A run checks the
     section against the device before it starts.
 
+    Keys that are null are taken from the [data of the drive's maker](devices.md), where the program
+    has them, and otherwise are as in CiA 402.
+
     Attributes:
         kind: The protocol of the drive.
         node: CANopen node number.
+        device: Name of the maker's data; null for those that the identity in the EDS file leads
+            to, `none` for none.
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
         sign: 1 if the drive counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the drive's position reads zero.
+        current_sign: -1 where the drive's current is negative while it drives its own count up,
+            else 1.
         rated_current_A: Rated motor current; the unit of the drive's current objects is a
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
             of it (6076h).
-        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h. The unit is checked against
-            60A9h, if the drive has this object, and against the position as soon as the joint
-            moves. Null for `velocity_unit_rad_s`.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units; null for one count
-            per second.
-        voltage_object: Index and subindex of the motor voltage.
-        voltage_unit_V: Voltage of one unit of that object.
-        temperature_object: Index and subindex of the drive's temperature.
-        temperature_unit_C: Temperature of one unit of that object.
-        supply_object: Index and subindex of the supply voltage.
-        supply_unit_V: Voltage of one unit of that object.
-        current_object: Index and subindex of the maker's own object of the motor current; null for
-            6078h or, if the drive does not have 6078h, the torque 6077h.
-        current_unit_A: Current of one unit of this object; not used for 6078h and 6077h, whose
-            units follow from the rated values.
-        rated_current_object: Index and subindex of the rated motor current.
-        rated_current_object_unit_A: Current of one unit of that object.
-        rated_torque_object: Index and subindex of the rated motor torque.
-        rated_torque_object_unit_N_m: Torque of one unit of that object.
-        stops_alone: Whether the drive switches the power off by itself when the heartbeat of this
-            program ends; null to decide this by object 6007h in the EDS file. False reduces the
-            limits, as for every drive without a watchdog.
-        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none;
-            if a file is named, the simulated drive has only the objects of this file.
-        quick_stop_option: Reaction of the drive to a quick stop (605Ah): 2 brakes and switches the
-            power off, 6 brakes and stays in the state quick stop active.
+        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
+            drive has it, and against the position as soon as the joint moves. Null for
+            `velocity_unit_rad_s`.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. Where neither this
+            nor the data of the maker say it, one count per second.
+        voltage_object: Index and subindex of the motor voltage; CiA 402 has none.
+        voltage_unit_V: Voltage of one unit of that object; 0.01 unless stated.
+        temperature_object: Index and subindex of the drive's temperature; CiA 402 has none.
+        temperature_unit_C: Temperature of one unit of that object; 0.1 unless stated.
+        supply_object: Index and subindex of the supply voltage; 6079h in CiA 402.
+        supply_unit_V: Voltage of one unit of that object; 0.001 unless stated.
+        current_object: Index and subindex of the maker's own object of the motor current; in CiA
+            402 6078h or, where the drive has none, the torque 6077h.
+        current_unit_A: Current of one unit of that object, 0.001 unless stated; not used for 6078h
+            and 6077h of CiA 402, whose unit follows from the rated values.
+        rated_current_object: Index and subindex of the rated motor current; 6075h in CiA 402.
+        rated_current_object_unit_A: Current of one unit of that object; 0.001 unless stated.
+        rated_torque_object: Index and subindex of the rated motor torque; 6076h in CiA 402.
+        rated_torque_object_unit_N_m: Torque of one unit of that object; 0.001 unless stated.
+        mode: How the drive is commanded. `csp` sends positions in every cycle. `csv` and `cst` send
+            speeds and torques: this program closes the position loop, and the drive must notice a
+            silent program by itself. `pp` sends set-points, between which the drive moves in ramps;
+            for slow motions. Null for the mode of the maker's data, else `csp`.
+        position_loop: The position loop of `csv` and `cst`.
+        profile_acceleration_deg_s2: Acceleration of the ramps of `pp`, at the joint (6083h, 6084h).
+        stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
+            program any more; null where its EDS file shows it (6007h). False cuts the limits, as
+            for every drive without a watchdog.
+        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none,
+            and shows only the objects of the file if one is named.
+        quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
+            off, 6 brakes and stays in the state quick stop active.
         quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
     """
 
     kind: Literal["canopen"] = "canopen"
     node: NodeId = 1
+    device: str | None = None
     counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
     sign: Sign = 1
     offset_deg: float = 0.0
+    current_sign: Sign = 1
     rated_current_A: Positive = 15.0
     rated_torque_N_m: Positive = 0.45
     velocity_unit: Literal["counts_per_s", "rpm"] | None = None
     velocity_unit_rad_s: Positive | None = None
-    voltage_object: ObjectAddress = (0x2100, 0)
-    voltage_unit_V: Positive = 0.01
-    temperature_object: ObjectAddress = (0x2101, 0)
-    temperature_unit_C: Positive = 0.1
-    supply_object: ObjectAddress = (0x6079, 0)
-    supply_unit_V: Positive = 0.001
+    voltage_object: ObjectAddress | None = None
+    voltage_unit_V: Positive | None = None
+    temperature_object: ObjectAddress | None = None
+    temperature_unit_C: Positive | None = None
+    supply_object: ObjectAddress | None = None
+    supply_unit_V: Positive | None = None
     current_object: ObjectAddress | None = None
-    current_unit_A: Positive = 0.001
-    rated_current_object: ObjectAddress = (0x6075, 0)
-    rated_current_object_unit_A: Positive = 0.001
-    rated_torque_object: ObjectAddress = (0x6076, 0)
-    rated_torque_object_unit_N_m: Positive = 0.001
+    current_unit_A: Positive | None = None
+    rated_current_object: ObjectAddress | None = None
+    rated_current_object_unit_A: Positive | None = None
+    rated_torque_object: ObjectAddress | None = None
+    rated_torque_object_unit_N_m: Positive | None = None
+    mode: ModeName | None = None
+    position_loop: PositionLoopSection = PositionLoopSection()
+    profile_acceleration_deg_s2: Positive = 2000.0
     stops_alone: bool | None = None
     eds: str | None = None
     quick_stop_option: Literal[2, 6] = 2
@@ -107,10 +156,59 @@ class ServoSection(Schema):
             )
         return self
 
-    @property
-    def motor_speed_unit_rad_s(self) -> float | None:
-        """Motor speed of one unit of 606Ch, rad/s; None for one count per second."""
-        return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
+    @model_validator(mode="after")
+    def _torque_is_bounded(self) -> Self:
+        loop = self.position_loop
+        if self.mode == "cst" and (loop.inertia_kg_m2 is None or not loop.drive_limits_speed):
+            raise ValueError(
+                "mode cst needs position_loop.inertia_kg_m2, and a drive that limits the speed by "
+                "itself: position_loop.drive_limits_speed: true"
+            )
+        return self
+
+    @field_validator("device")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        names = [NO_DEVICE, *devices()]
+        if name is not None and name not in names:
+            raise ValueError(f"there are no such device data; {nearest(name, names)}")
+        return name
+
+    def device_data(self, folder: Path) -> DeviceData | None:
+        """Return what is known of drives of this maker; None for nothing.
+
+        An EDS file that cannot be read leads to nothing here; it is refused elsewhere.
+
+        Args:
+            folder: Folder of the bench file.
+        """
+        if self.device is not None:
+            return devices().get(self.device)
+        if self.eds is None:
+            return devices()[SIMULATED]
+        try:
+            return match(read_eds(folder / self.eds, self.node))
+        except ConfigurationError:
+            return None
+
+    def commanded(self, data: DeviceData | None) -> ModeName:
+        """Return the mode of operation, as stated here, by the maker's data, or else `csp`."""
+        return self.mode or (data.mode if data is not None else None) or "csp"
+
+    def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
+        """Return the motor speed of one unit of 606Ch, rad/s; None for one count per second.
+
+        Args:
+            data: What is known of the drive.
+        """
+        if self.velocity_unit is not None or self.velocity_unit_rad_s is not None:
+            return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
+        if data is None:
+            return None
+        counts_per_s = data.velocity_unit_counts_per_s
+        if counts_per_s is not None:
+            return counts_per_s * 2.0 * math.pi / self.counts_per_motor_turn
+        return RPM if data.velocity_unit == "rpm" else None
 
 
 class EncoderSection(Schema):

@@ -115,7 +115,18 @@ def load_located(
             once.
     """
     try:
-        root, duplicates = parse(read_text(path))
+        text = read_text(path)
+    except DocumentError as error:
+        raise InputError(_format(path, error.mark, "document", error.message)) from error
+    return located_text(path, text, schema, prepare)
+
+
+def located_text(
+    path: Path, text: str, schema: type[M], prepare: Callable[[Node], Node] | None = None
+) -> Document[M]:
+    """Validate the text of a configuration file as :func:`load_located` does."""
+    try:
+        root, duplicates = parse(text)
     except DocumentError as error:
         raise InputError(_format(path, error.mark, "document", error.message)) from error
     found: list[_Found] = [(mark, key, message, _ABSENT) for mark, key, message in duplicates]

@@ -9,11 +9,13 @@ from contextlib import suppress
 from typing import Protocol
 
 from drivers.clock import NS, Clock
+from drivers.errors import DriveFault
 from drivers.interfaces import RawFrame
 from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
-from rig.control.safety import Latch, Trip, check_stage_time
+from rig.control.motion_witness import MotionWitness
+from rig.control.safety import Check, Latch, Trip, check_stage_time
 from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
@@ -45,10 +47,11 @@ class TripError(Exception):
 
     Args:
         trip: The limit that was violated.
+        explanation: What explains it, to be added to its message.
     """
 
-    def __init__(self, trip: Trip) -> None:
-        super().__init__(trip.message)
+    def __init__(self, trip: Trip, explanation: str = "") -> None:
+        super().__init__(f"{trip.message}{explanation}")
         self.trip = trip
 
 
@@ -70,6 +73,7 @@ class Cycle:
         stale: Number of cycles in which a part of the sample was missing.
         count: Number of cycles so far.
         timing: Statistics of the lateness of the cycles.
+        units: Samples that prove the units; None once they did, and on a bench without constants.
     """
 
     def __init__(
@@ -93,11 +97,14 @@ class Cycle:
         self._reports_temperature, self._reports_supply = not lacks.temperature, not lacks.supply
         self._limits = self._checkable(limits)
         self._witness: SpeedWitness | None = SpeedWitness(devices.servo, limits.gear_ratio)
+        nominal = devices.nominal
+        self.units = None if nominal is None else MotionWitness(devices.servo, nominal)
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._fresh_ns = self._powered_ns = self._start_ns
         self._time_limit_s: float | None = None
         self._age_s = self._late_s = self._target = 0.0
+        self._torque = math.nan
         self._start_grid(self._start_ns)
         self.count = 0
         self.overruns = 0
@@ -185,6 +192,23 @@ class Cycle:
             DeviceError: A device or the bus failed.
             StorageError: The recording cannot be written.
         """
+        try:
+            self._follow(targets, segment, stage, keep, compensate)
+        except DriveFault as fault:
+            # A drive that holds a limit in another unit ends the motion by itself.
+            if self.units is not None:
+                fault.args = (f"{fault}{self.units.explanation()}",)
+            raise
+
+    def _follow(
+        self,
+        targets: Iterable[float],
+        segment: int,
+        stage: str,
+        keep: Callable[[Sample], object] | None,
+        compensate: Callable[[Sample | None], float] | None,
+    ) -> None:
+        """Follow targets as :meth:`follow` does."""
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
         time_limit_s = self._time_limit_s
@@ -199,8 +223,12 @@ class Cycle:
                 self._servo.set_torque_offset(compensate(sample))
             sample = self._exchange(target, segment)
             trip = judge(sample, self._age_s, self._late_s, limits)
+            units = self.units
+            if units is not None:
+                units.take(sample, self._torque)
             if trip is not None:
-                raise TripError(trip)
+                too_fast = trip.check is Check.SPEED
+                raise TripError(trip, "" if units is None else units.explanation(too_fast))
             if self._witness is not None and self._witness.decided(sample):
                 self._witness = None
             if keep is not None:
@@ -263,6 +291,7 @@ class Cycle:
             begin_ns += late_ns
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
+        self._torque = servo.motor_torque_N_m
         fresh = servo.fresh and encoder.fresh
         pressure = math.nan
         if self._pressure is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -221,8 +222,31 @@ class PhaseHandlers:
         cycle.use(planned.limits)
         self._first_samples = []
         self._follow(planned.targets.tolist(), keep=self._first_samples.append)
+        self._prove_units()
         cycle.use(plan.limits)
         return Event.DONE
+
+    def _prove_units(self) -> None:
+        """Hold what the devices reported against each other and the bench file.
+
+        This takes milliseconds while the drive holds, as the weight check does. While the joint
+        hardly moves, the next pass goes on with it.
+
+        Raises:
+            ConfigurationError: A unit, sign, ratio or constant is wrong.
+        """
+        if self.cycle.units is None:
+            return
+        proof = self.cycle.units.require()
+        shown = {
+            name: None if math.isnan(factor) else factor for name, factor in proof.found.items()
+        }
+        self._recorder.event(self.cycle.now_ns, "units", stage=self.stage.name, factors=shown)
+        if proof.moved:
+            self.cycle.units = None
+            if proof.unproven:
+                self._operator.tell(proof.unproven)
+        self.cycle.resume()
 
     def _weigh(self) -> Event:
         """Compare the friction measured at low amplitude with the confirmed mass, while the drive
@@ -233,7 +257,8 @@ class PhaseHandlers:
         """
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
-        if level is None and self._pass + 1 < len(self.stage.first_passes):
+        undecided = level is None or self.cycle.units is not None
+        if undecided and self._pass + 1 < len(self.stage.first_passes):
             self._pass += 1
             self.cycle.resume()
             return Event.FIRST_PASS

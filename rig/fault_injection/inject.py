@@ -7,7 +7,6 @@ import errno
 import io
 import os
 import re
-import resource
 import signal
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -31,6 +30,7 @@ from rig.control.cycle import Progress
 from rig.control.operator import Operator, Verb
 from rig.control.sequencer import Outcome
 from rig.control.session import Inputs, execute
+from rig.fault_injection.file_limit import FileLimit
 from rig.fault_injection.scene import Scene, impossible
 from rig.planning.plan import Plan
 from rig.runs.recorder import Recorder
@@ -91,7 +91,7 @@ class FaultInjector:
         self._weight_kg: float | None = None
         self._answer_after_s: float | None = None
         self._file: _DyingFile | None = None
-        self._limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+        self._disk = FileLimit()
 
     def attach(self, bench: SimulatedBench | SimulatedDbcBench) -> Clock:
         """Attach to a bench; returns the clock for the host."""
@@ -122,7 +122,7 @@ class FaultInjector:
                 inputs, plan, devices, path, operator, stop, progress, self._start_recording
             )
         finally:
-            resource.setrlimit(resource.RLIMIT_FSIZE, self._limits)
+            self._disk.restore()
 
     def _observe(self, stage: str, phase: Phase) -> None:
         """Note the start of a phase, and trigger the faults that wait for it."""
@@ -251,7 +251,7 @@ class FaultInjector:
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
 
     def _fill_disk(self) -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (0, self._limits[1]))
+        self._disk.fill()
 
     def _break_recorder(self) -> None:
         if self._file is not None:

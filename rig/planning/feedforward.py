@@ -190,6 +190,10 @@ def require_torque_offset(bench: Document[Bench]) -> None:
                 ("bus", "interface"), f"{text}: use a CANopen drive, or run without feed-forward"
             )
         )
+    mode = value.servo.commanded(value.servo.device_data(bench.path.parent))
+    if mode != "csp":
+        text = f"feed-forward needs servo.mode csp, and this drive is commanded in {mode}"
+        raise InputError(bench.problem(("servo", "mode"), f"{text}: run without it"))
     bench.require(
         (("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value)
     )

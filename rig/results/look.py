@@ -21,6 +21,7 @@ def described(look: Look) -> str:
     parts += [f"  {note}" for note in look.notes]
     parts += [f"  {_clock_words(look)}"]
     cells = [_row(column) for column in look.columns]
+    parts += [f"  doubt: {words}" for words in look.doubts]
     parts += [table(("column", "unit", "may be", "least", "greatest", "course", "notes"), cells)]
     return "\n".join(parts)
 
@@ -90,6 +91,7 @@ def _log_record(look: Look) -> dict[str, Any]:
         "name": look.name,
         "format": look.format,
         "notes": list(look.notes),
+        "doubts": list(look.doubts),
         "clock": None if look.clock is None else _clock_record(look.clock),
         "columns": [_column_record(column) for column in look.columns],
     }

@@ -12,17 +12,19 @@ from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.config.campaign import Campaign
-from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSection
-from rig.config.configuration import Document, Loc, nearest
+from rig.config.campaign_sections import ANGLE_TIME, RecordingSection
+from rig.config.configuration import Document
 from rig.runs.alignment import aligned
+from rig.sources.channels import read_channels
 from rig.sources.contradictions import doubts, unit_row_doubts
-from rig.sources.formats import open_table
+from rig.sources.formats import Table
 from rig.sources.plausible import (
     gear_finding,
     sign_errors,
     unit_hints,
     value_errors,
 )
+from rig.sources.readers import open_table
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,
@@ -33,8 +35,6 @@ from rig.sources.repair import (
     fill_missing,
 )
 from rig.sources.session import Read
-from rig.sources.table import Table
-from rig.sources.wraps import unwrapped
 
 Rows = NDArray[np.intp]
 
@@ -68,15 +68,17 @@ def build(
         bench = replace(bench, moment_arm=float(section.moment_arm))
         unsure.pop("bench.moment_arm", None)
     try:
-        table = open_table(file, section.read)
-        channels, found = _read_channels(table, section, document, index)
+        table = open_table(file, section.read.beside(document.path.parent))
+        channels, unread, found = read_channels(table, section, document, index)
         digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     finite = channels["time"][np.isfinite(channels["time"])]
     first, last = (float(finite[0]), float(finite.max())) if finite.size else (0.0, 0.0)
     channels, skipped, cut = _windowed(file, channels, section)
-    channels, timing, mended = _mend(table, channels, skipped, stamped=section.rate is None)
+    channels, timing, mended = _mend(
+        table, channels, unread + skipped, stamped=section.rate is None
+    )
     stamps = channels.pop(ANGLE_TIME, None)
     found += [*cut, *mended, *unit_row_doubts(table, section)]
     doubted = _doubts(file, channels, section, bench)
@@ -127,42 +129,6 @@ def _doubts(
     return [*notes, *(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)]
 
 
-def _read_channels(
-    table: Table, section: RecordingSection, document: Document[Campaign], index: int
-) -> tuple[dict[str, Array], list[str]]:
-    """Return the canonical channels in SI units, including time, each of shape (n,), and notes."""
-    columns: dict[str, int] = {}
-    problems = []
-    notes: list[str] = []
-    for name, channel in section.channels.items():
-        found = _find(table, channel.column)
-        if isinstance(found, int):
-            columns[name] = found
-            if isinstance(channel.column, str) and table.names[found] != channel.column:
-                notes.append(f"`{name}`: {channel.column!r} is column {table.names[found]!r}")
-        else:
-            problems.append(document.problem(_column_loc(index, name), found, channel.column))
-    if problems:
-        raise InputError(problems)
-    # Several channels may use one column, which is read once.
-    wanted = sorted(set(columns.values()))
-    data = dict(zip(wanted, table.read(wanted), strict=True))
-    lengths = {name: len(data[column]) for name, column in columns.items()}
-    if len(set(lengths.values())) > 1:
-        listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise InputError(
-            f"{table.path}: channels differ in length: {listed}; they must have the same rows"
-        )
-    channels = {}
-    for name, column in columns.items():
-        values, note = unwrapped(name, data[column])
-        notes += [f"`{name}`: {note}"] if note else []
-        channels[name] = _to_si(values, section.channels[name])
-    if section.rate is not None:
-        channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
-    return channels, notes
-
-
 def _windowed(
     file: Path, channels: dict[str, Array], section: RecordingSection
 ) -> tuple[dict[str, Array], int, list[str]]:
@@ -211,52 +177,6 @@ def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
             f"(positive drives it forward) and its inertia"
         )
     return notes
-
-
-def _find(table: Table, column: str | int) -> int | str:
-    """Return the index of a column, or an error message."""
-    if isinstance(column, int):
-        count = len(table.names)
-        return (
-            column
-            if column < count
-            else f"{table.path} has {count} columns, index 0 to {count - 1}"
-        )
-    matches = [k for k, name in enumerate(table.names) if name == column]
-    if len(matches) == 1:
-        return matches[0]
-    if not matches:
-        matches = [k for k, name in enumerate(table.names) if name.endswith(f".{column}")]
-        if len(matches) == 1:
-            return matches[0]
-    if matches:
-        return (
-            f"{table.path} has {len(matches)} columns of this name; give the index, one of "
-            f"{matches}"
-        )
-    named = [name for name in table.names if name]
-    if not named:
-        return (
-            f"{table.path} has no header line below the skipped rows; give the index, 0 to "
-            f"{len(table.names) - 1}"
-        )
-    listed = f"columns are {', '.join(named[:20])}{', ...' if len(named) > 20 else ''}"
-    suggestion = nearest(column, named)
-    return f"no such column in {table.path}; " + (
-        f"{suggestion} {listed}" if "did you" in suggestion else listed
-    )
-
-
-def _column_loc(index: int, name: str) -> Loc:
-    return ("recordings", index, "channels", name)
-
-
-def _to_si(values: Array, channel: ChannelSection) -> Array:
-    if channel.scale == 1.0 and channel.offset == 0.0:
-        return np.ascontiguousarray(values)
-    scaled: Array = values * channel.scale
-    scaled += channel.offset
-    return scaled
 
 
 def _mend(

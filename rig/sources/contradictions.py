@@ -13,7 +13,7 @@ import numpy as np
 from identification.recording import CHANNELS, Array
 from rig.config.campaign_sections import RecordingSection
 from rig.sources.columns import UNITS
-from rig.sources.table import Table
+from rig.sources.formats import Table
 
 BLOCK_S = 0.02
 """Time over which samples are averaged before a position is differentiated, s."""

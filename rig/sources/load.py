@@ -19,10 +19,12 @@ from rig.common.text import stored_path
 from rig.config.campaign import Campaign, load_campaign
 from rig.config.campaign_sections import RecordingSection, WindowSection
 from rig.config.configuration import Document, Loc
+from rig.runs.export import read_back
+from rig.runs.export.description import sidecar
 from rig.sources.build import build
-from rig.sources.formats import FORMATS
+from rig.sources.formats import format_of
+from rig.sources.readers import FORMATS, unknown_format
 from rig.sources.session import Read, on_session_clock
-from rig.sources.table import format_of
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
@@ -84,7 +86,11 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     read: list[Read] = []
     for file, index, section in _expand(document, problems):
         try:
-            read.append(build(file, section, bench, document, index))
+            read.append(
+                _exported(file, section, document, index)
+                if section.exported
+                else build(file, section, bench, document, index)
+            )
         except InputError as error:
             problems.extend(error.problems)
     if problems:
@@ -92,8 +98,44 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     named = iter(_distinct_names([r for one in read for r in one.recordings]))
     files = [replace(one, recordings=tuple(islice(named, len(one.recordings)))) for one in read]
     recordings = tuple(on_session_clock(files, document))
-    tables = {str(file): sha256_file(file) for file in document.other_files()}
+    others = dict.fromkeys(document.other_files())
+    for section in campaign.recordings:
+        others |= dict.fromkeys(section.read.beside(document.path.parent).other_files)
+    tables = {str(file): sha256_file(file) for file in others}
     return Dataset(recordings, campaign.model.model(), tables)
+
+
+def _exported(
+    file: Path, section: RecordingSection, document: Document[Campaign], index: int
+) -> Read:
+    """Read a file of ``rig export``, which describes itself.
+
+    Constants that the campaign states replace the file's, and so does the role.
+
+    Raises:
+        InputError: It is another file, or its numbers do not fit its description.
+    """
+    given = document.value.bench
+    bench = {name: getattr(given.bench(), name) for name in given.model_fields_set}
+    try:
+        found = read_back(file, format_of(file), bench)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+    if found is None:
+        raise InputError(
+            document.problem(
+                ("recordings", index),
+                f"no `channels`, and {file.name} is no file of `rig export`, which could go "
+                f"without (a CSV file needs {sidecar(file).name} beside it)",
+            )
+        )
+    unsure = given.uncertainties()
+    for k, one in enumerate(found):
+        kept = {n: v for n, v in one.uncertainties.items() if n.partition(".")[2] not in bench}
+        role = section.role if "role" in section.model_fields_set else one.role
+        found[k] = replace(one, role=role, uncertainties={**kept, **unsure})
+    first, last = (min(r.time[0] for r in found), max(r.time[-1] for r in found))
+    return Read(tuple(found), float(first), float(last), section, index)
 
 
 def _expand(
@@ -161,11 +203,7 @@ def _files(
                     )
                 )
             elif format_of(file) not in FORMATS:
-                problems.append(
-                    document.problem(
-                        loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}"
-                    )
-                )
+                problems.append(document.problem(loc, f"{file.name}: {unknown_format(file)}"))
             else:
                 yield loc, file
 

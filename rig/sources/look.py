@@ -9,18 +9,22 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from identification.recording import CHANNELS, Array, Recording
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
+from rig.config.campaign_columns import ReadSection
+from rig.sources.channels import on_one_time
 from rig.sources.columns import UNITS, Guess, channel_unit, guess_channels, split_unit
-from rig.sources.formats import FORMATS, open_table
-from rig.sources.repair import GAP_PERIODS
-from rig.sources.table import Table, format_of
-from rig.sources.wraps import unwrapped
+from rig.sources.contradictions import doubts
+from rig.sources.formats import Table, format_of
+from rig.sources.plausible import sign_errors, unit_hints, value_errors
+from rig.sources.readers import FORMATS, open_table, unknown_format
+from rig.sources.repair import GAP_PERIODS, MIN_SAMPLES
+from rig.sources.wraps import unwrapped, unwrapped_counts
 
 STRIP = 40
 """Number of values in the small picture of a column."""
@@ -106,6 +110,7 @@ class Look:
         clock: Of the column that may be time; None without one.
         guesses: Channel to the column that may hold it.
         notes: What was recognised on reading.
+        doubts: Guessed channels that contradict each other or themselves.
     """
 
     name: str
@@ -114,6 +119,7 @@ class Look:
     clock: Clock | None
     guesses: Mapping[str, Guess]
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def look_at_file(path: Path, options: ReadSection) -> Look:
@@ -124,7 +130,7 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
     """
     kind = format_of(path)
     if kind not in FORMATS:
-        raise InputError(f"{path}: unknown format; readable are {', '.join(FORMATS)}")
+        raise InputError(f"{path}: {unknown_format(path)}")
     try:
         table = open_table(path, options)
         series = _series(table)
@@ -142,8 +148,12 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
         channel: guess._replace(column=leaves.index(str(guess.column)))
         for channel, guess in guess_channels(leaves).items()
     }
+    guesses = _time_of_most(table, leaves, guesses)
     columns = tuple(
-        _column(k, table.names[k], split_unit(leaves[k])[1], series[k], guesses)
+        _column(
+            *(k, table.names[k], split_unit(leaves[k])[1], series[k], guesses),
+            scale=table.counts.get(k),
+        )
         for k in range(len(table.names))
     )
     time = guesses.get("time")
@@ -151,7 +161,54 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
     if time is not None and isinstance(time.column, int):
         found = series[time.column]
         clock = _clock(time.column, found, time.scale) if isinstance(found, np.ndarray) else None
-    return Look(path.name, kind, columns, clock, guesses, table.notes)
+    doubted = _doubts(table, series, guesses)
+    return Look(path.name, kind, columns, clock, guesses, table.notes, doubted)
+
+
+def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) -> dict[str, Guess]:
+    """Return the guesses with the time of the base that holds most of the other channels."""
+    if not table.bases or "time" not in guesses or len(guesses) < 2:
+        return guesses
+    bases = [table.bases[int(g.column)] for name, g in guesses.items() if name != "time"]
+    most = max(dict.fromkeys(bases), key=bases.count)
+    own = [k if table.bases[k] == most else -1 for k in range(len(leaves))]
+    there = {k: leaves[k] for k in own if k >= 0}
+    time = guess_channels(there.values()).get("time")
+    if time is None:
+        return guesses
+    place = next(k for k, leaf in there.items() if leaf == time.column)
+    return guesses | {"time": time._replace(column=place)}
+
+
+def _doubts(
+    table: Table, series: list[Array | str], guesses: Mapping[str, Guess]
+) -> tuple[str, ...]:
+    """Return doubts about the guessed channels, as the loading of a campaign has them."""
+    data = {k: values for k, values in enumerate(series) if isinstance(values, np.ndarray)}
+    used = {name: int(g.column) for name, g in guesses.items() if int(g.column) in data}
+    if "time" not in used:
+        return ()
+    try:
+        raw, _, _ = on_one_time(table, used, data)
+    except InputError as error:
+        return tuple(error.problems)
+    channels = {name: values * guesses[name].scale for name, values in raw.items()}
+    rows = len(channels["time"])
+    channels = {name: values for name, values in channels.items() if len(values) == rows}
+    known = np.isfinite(channels["time"])
+    known &= np.concatenate(([True], np.diff(channels["time"]) > 0))
+    channels = {name: values[known] for name, values in channels.items()}
+    if len(channels["time"]) < MIN_SAMPLES:
+        return ()
+    if "angle" not in channels:
+        # The gear ratio is not known, and the speed may be of either shaft.
+        channels.pop("velocity", None)
+    found = list(value_errors(channels))
+    if not found:
+        found += sign_errors(channels, driven_by_weight=False)
+        found += unit_hints(channels, 1.0, has_lever=False)
+        found += doubts(channels, 1.0, driven_by_weight=False)
+    return tuple(found)
 
 
 def look_at_recording(recording: Recording) -> Look:
@@ -185,15 +242,21 @@ def _series(table: Table) -> list[Array | str]:
 
 
 def _column(
-    index: int, name: str, unit: str, values: Array | str, guesses: Mapping[str, Guess]
+    index: int,
+    name: str,
+    unit: str,
+    values: Array | str,
+    guesses: Mapping[str, Guess],
+    scale: tuple[float, float] | None = None,
 ) -> Column:
     channel = next((c for c, guess in guesses.items() if guess.column == index), "")
-    si, scale = UNITS.get(unit, ("", 1.0))
+    si, size = UNITS.get(unit, ("", 1.0))
     if channel and si != channel_unit(channel):
-        scale = 1.0
+        size = 1.0
+    wrap = unwrapped if scale is None else partial(unwrapped_counts, scale=scale)
     nan = float("nan")
     if isinstance(values, str):
-        return Column(name, index, channel, unit, scale, 0, 0, nan, nan, 0.0, 0.0, "", values, ())
+        return Column(name, index, channel, unit, size, 0, 0, nan, nan, 0.0, 0.0, "", values, ())
     known = values[np.isfinite(values)]
     step = _step(known)
     return Column(
@@ -201,14 +264,14 @@ def _column(
         index=index,
         channel=channel,
         unit=unit,
-        scale=scale,
+        scale=size,
         samples=len(values),
         missing=len(values) - len(known),
         low=float(known.min()) if known.size else nan,
         high=float(known.max()) if known.size else nan,
         step=step,
         flicker=_flicker(known, step),
-        wrap=unwrapped(channel or "angle", values)[1],
+        wrap=wrap(channel or "angle", values)[1],
         problem="",
         strip=_strip(values),
     )

@@ -21,6 +21,8 @@ LEVELS = 8
 may be a switched output.
 """
 DAY_S = 86400.0
+WHOLE_TOLERANCE = 1e-3
+"""Largest distance of a count from a whole number after the file's scale was taken off."""
 ORDINARY_SHARE = 0.125
 """Greatest step other than an overflow, as a share of the modulus; with larger steps the direction
 of a step is uncertain.
@@ -69,6 +71,29 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
                 f"as unsigned ones, and was read as signed numbers"
             )
     return values, ""
+
+
+def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tuple[Array, str]:
+    """Undo the wraps of a counter that the file has scaled.
+
+    Args:
+        name: The channel that the column feeds.
+        values: Values in the file's unit, shape (n,).
+        scale: Factor and offset: value = factor x count + offset.
+
+    Returns:
+        As :func:`unwrapped`.
+    """
+    factor, offset = scale
+    if name in TIMES or not np.isfinite(factor) or factor == 0.0:
+        return values, ""
+    counts = (values - offset) / factor
+    whole = np.rint(counts)
+    known = np.isfinite(counts)
+    if not known.any() or np.max(np.abs(counts - whole)[known]) > WHOLE_TOLERANCE:
+        return values, ""
+    turned, note = unwrapped(name, whole)
+    return (values + factor * (turned - whole), note) if note else (values, "")
 
 
 def _in_window(values: Array, modulus: float) -> bool:

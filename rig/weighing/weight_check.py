@@ -169,10 +169,14 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weig
     elif abs(mass - item.weight_kg) <= allowed:
         verdict, rest = Verdict.RIGHT, "the weight is taken as right"
     else:
-        verdict, rest = (
-            Verdict.WRONG,
-            "hang the right weight, or look for what else rubs, then go on with `rig resume`",
+        # No weight rubs on an empty lever: then it is the bench, or the unit of its torque.
+        first = (
+            "hang the right weight, or look for what else rubs"
+            if item.weight_kg
+            else "take every weight off, and look for what rubs, and for a changed torque "
+            "constant or unit of the current"
         )
+        verdict, rest = Verdict.WRONG, f"{first}, then go on with `rig resume`"
     return Weighing(item.stage, item.weight_kg, verdict, mass, sigma, f"{found}; {rest}")
 
 

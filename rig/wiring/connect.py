@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -13,7 +12,8 @@ import drivers.mock
 from drivers.amt21.link import EncoderLink
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
-from drivers.canopen.eds_file import addresses, read_eds
+from drivers.canopen.device_data import DeviceData
+from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
 from drivers.clock import Clock, RealClock
 from drivers.dbc.link import DbcLink
@@ -24,19 +24,19 @@ from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.can_drives.bench import SimulatedCanBench, simulated_can_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.drive import Rating
+from drivers.mock.makes import described_drive
 from drivers.mock.plant.parts import constants
-from drivers.units import EncoderScales, ServoScales
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
-from rig.config.bench import Bench, Constants
+from rig.config.bench import Bench
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
-from rig.config.limits_section import LimitsSection
 from rig.config.serial_bus import Amt21Section, SerialBus
-from rig.wiring.devices import Devices
+from rig.wiring.devices import Devices, Nominal
 from rig.wiring.guard import Guard
 from rig.wiring.resources import resources
+from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 from rig.wiring.serial_devices import amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -108,6 +108,7 @@ def connect(
                 pressure=wired.pressure,
                 ignite=wired.ignite,
                 lock=lock,
+                nominal=nominal_of(bench),
             )
         finally:
             link.close()
@@ -161,12 +162,13 @@ def _wire(
         link, simulated = _link(document, bench.servo, bus, seed, attach)
         hang = None if simulated is None else simulated.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
-        scales = servo_scales(bench.servo, bench.machine)
+        data = servo_data(document)
+        scales = servo_scales(bench.servo, bench.machine, data)
         servo = Cia402Servo(
             drive,
             link,
             scales,
-            torque_offset=torque_offset,
+            motion=servo_motion(bench.servo, scales, data, torque_offset),
             stops_alone=bench.servo.stops_alone,
         )
     pressure: PressureTransmitter | None = None
@@ -195,7 +197,7 @@ def _epos(
     assert isinstance(bench.servo, ServoSection)
     simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
     eds, node = eds_path(document, "servo"), bench.servo.node
-    scales = servo_scales(bench.servo, bench.machine)
+    scales = servo_scales(bench.servo, bench.machine, servo_data(document))
     guard = Guard(bus.port, bus.baud, node, eds, scales) if simulated is None else None
     link = epos_link(bus, simulated, clock, guard)
     return link, Cia402Servo(link.add_node(node, eds), link, scales), simulated, guard
@@ -218,11 +220,13 @@ def _simulated_bench(
     )
     transmitter_node = None if bench.pressure is None else bench.pressure.node
     rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
-    shown = (
-        None if servo.eds is None else addresses(read_eds(eds_path(document, "servo"), servo.node))
+    traits = (
+        None
+        if servo.eds is None
+        else described_drive(read_eds(eds_path(document, "servo"), servo.node))
     )
     simulated = simulated_bench(
-        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, shown
+        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating, traits
     )
     return simulated, simulated.clock if attach is None else attach(simulated)
 
@@ -279,6 +283,24 @@ def _simulated_dbc(
     return bench, bench.clock
 
 
+def nominal_of(bench: Bench) -> Nominal:
+    """Return the constants of a bench that its motions are held against.
+
+    Rated values that the file leaves to their defaults say nothing of this motor.
+    """
+    machine, servo = bench.machine, bench.servo
+    stated = servo.model_fields_set
+    own = isinstance(servo, ServoSection) and {"rated_current_A", "rated_torque_N_m"} <= stated
+    return Nominal(
+        machine.torque_constant_N_m_A,
+        machine.gear_ratio,
+        servo.rated_current_A if own and isinstance(servo, ServoSection) else None,
+        servo.rated_torque_N_m if own and isinstance(servo, ServoSection) else None,
+        bench.encoder.sign,
+        machine.back_emf_constant_V_s_rad,
+    )
+
+
 def device_files(document: Document[Bench]) -> dict[str, Path]:
     """Return the files that describe the devices' objects or signals (EDS, DBC): name to path.
 
@@ -298,6 +320,12 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
     return found
 
 
+def servo_data(document: Document[Bench]) -> DeviceData | None:
+    """Return what is known of drives of the maker of a bench's drive; None for nothing."""
+    servo = document.value.servo
+    return servo.device_data(document.path.parent) if isinstance(servo, ServoSection) else None
+
+
 def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
     """Return a device's EDS file: packaged for a simulated device, else as the bench file names it.
 
@@ -312,39 +340,3 @@ def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pr
         text = "missing; a real device needs its manufacturer's EDS file, relative to this file"
         raise InputError(document.problem((section, "eds"), text))
     return _TWIN_EDS[section]
-
-
-def servo_scales(servo: ServoSection, machine: Constants) -> ServoScales:
-    """Return the drive's scales in SI units."""
-    return ServoScales(
-        counts_per_turn=servo.counts_per_motor_turn,
-        gear_ratio=machine.gear_ratio,
-        rated_current_A=servo.rated_current_A,
-        rated_torque_N_m=servo.rated_torque_N_m,
-        sign=servo.sign,
-        offset_rad=math.radians(servo.offset_deg),
-        velocity_unit_rad_s=servo.motor_speed_unit_rad_s,
-        voltage_object=servo.voltage_object,
-        voltage_unit_V=servo.voltage_unit_V,
-        temperature_object=servo.temperature_object,
-        temperature_unit_C=servo.temperature_unit_C,
-        supply_object=servo.supply_object,
-        supply_unit_V=servo.supply_unit_V,
-        current_object=servo.current_object,
-        named_current_unit_A=servo.current_unit_A,
-        torque_constant_N_m_A=machine.torque_constant_N_m_A,
-        rated_current_object=servo.rated_current_object,
-        rated_current_object_unit_A=servo.rated_current_object_unit_A,
-        rated_torque_object=servo.rated_torque_object,
-        rated_torque_object_unit_N_m=servo.rated_torque_object_unit_N_m,
-    )
-
-
-def encoder_scales(encoder: EncoderSection, limits: LimitsSection) -> EncoderScales:
-    """Return the joint encoder's scales in SI units."""
-    return EncoderScales(
-        counts_per_turn=encoder.counts_per_turn,
-        sign=encoder.sign,
-        offset_rad=math.radians(encoder.offset_deg),
-        middle_rad=limits.middle_rad,
-    )

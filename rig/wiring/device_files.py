@@ -21,7 +21,8 @@ from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, wire
 from rig.config.serial_bus import SerialBus
-from rig.wiring.connect import eds_path, encoder_scales, servo_scales
+from rig.wiring.connect import eds_path, servo_data
+from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 
 Role = Literal["servo", "encoder", "pressure"]
 _WORDS: dict[Role, str] = {
@@ -94,10 +95,10 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
         refused: list[DeviceError]
         told: tuple[str, ...] = ()
         try:
-            profile = _profile(bench, role, link, link.add_node(number, eds))
+            profile = _profile(document, role, link, link.add_node(number, eds))
             refused = list(profile.description_refusals())
             if not refused and isinstance(profile, Cia402Servo):
-                told = profile.lacks(bench.cycle_s).words
+                told = (*_maker(document), *profile.lacks(bench.cycle_s).words)
         except ConfigurationError as error:
             refused = [error]
         yield from (Finding(Cause.FILES, f"servo: {text}", refused=False) for text in told)
@@ -110,10 +111,24 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
             yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)
 
 
-def _profile(bench: Bench, role: Role, link: Link, node: ProcessChannel) -> _Described:
+def _maker(document: Document[Bench]) -> Iterator[str]:
+    """Yield what the drive's maker is known to do otherwise than CiA 402."""
+    servo, data = document.value.servo, servo_data(document)
+    if isinstance(servo, ServoSection) and servo.eds is None and servo.device is None:
+        return  # the simulated drive
+    if data is not None:
+        yield f"known of {data.name}, where the bench file does not say otherwise: {data.words}"
+        yield from data.remarks
+
+
+def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessChannel) -> _Described:
+    bench = document.value
     if role == "servo":
         assert isinstance(bench.servo, ServoSection)
-        return Cia402Servo(node, link, servo_scales(bench.servo, bench.machine))
+        data = servo_data(document)
+        scales = servo_scales(bench.servo, bench.machine, data)
+        motion = servo_motion(bench.servo, scales, data)
+        return Cia402Servo(node, link, scales, motion=motion, stops_alone=bench.servo.stops_alone)
     if role == "encoder":
         assert isinstance(bench.encoder, EncoderSection)
         return Cia406Encoder(node, encoder_scales(bench.encoder, bench.limits))

@@ -13,6 +13,27 @@ from rig.wiring.guard import Guard
 
 
 @dataclass(frozen=True)
+class Nominal:
+    """What the bench file states of its machine, to be held against the first motion.
+
+    Attributes:
+        torque_constant_N_m_A: Motor torque per ampere.
+        gear_ratio: Motor turns per joint turn.
+        rated_current_A: Rated motor current, stated in the file or held by the drive; else None.
+        rated_torque_N_m: Rated motor torque, likewise.
+        encoder_sign: Sign of the joint encoder.
+        back_emf_constant_V_s_rad: Voltage per rad/s of the motor; None where it is not stated.
+    """
+
+    torque_constant_N_m_A: float
+    gear_ratio: float
+    rated_current_A: float | None = None
+    rated_torque_N_m: float | None = None
+    encoder_sign: int = 1
+    back_emf_constant_V_s_rad: float | None = None
+
+
+@dataclass(frozen=True)
 class Devices:
     """The devices of a run.
 
@@ -29,6 +50,7 @@ class Devices:
         guard: Process that stops a drive without a watchdog when this program dies; None where
         there is none.
         lock: Lock that keeps other programs off the bench; None for a simulated bench.
+        nominal: Constants of the bench file that motions are held against; None for none.
     """
 
     link: Link
@@ -41,6 +63,7 @@ class Devices:
     pressure: PressureTransmitter | None = None
     ignite: Callable[[], None] | None = None
     lock: Lock | None = None
+    nominal: Nominal | None = None
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data; nothing is energised.

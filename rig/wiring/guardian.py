@@ -203,7 +203,7 @@ def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
     scales = dict(told["scales"])
     for name, value in scales.items():
         if isinstance(value, list):
-            scales[name] = tuple(value)
+            scales[name] = tuple(tuple(v) if isinstance(v, list) else v for v in value)
     link.open()
     return Cia402Servo(node, link, ServoScales(**scales)), clock
 

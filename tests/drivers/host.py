@@ -11,19 +11,28 @@ import can
 from drivers.can.port import PythonCanPort
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.cia406 import Cia406Encoder
-from drivers.canopen.eds_file import addresses, read_eds
+from drivers.canopen.eds_file import read_eds
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.motion import CyclicPosition, Motion
 from drivers.canopen.node import CanopenNode
 from drivers.clock import NS
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
+from drivers.mock.makes import described_drive
 from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.traits import Traits
 from drivers.units import EncoderScales, ServoScales
 
 CYCLE_S = 0.001
 SCALES = ServoScales(
-    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+    counts_per_turn=4096,
+    gear_ratio=100.0,
+    rated_current_A=15.0,
+    rated_torque_N_m=0.45,
+    voltage_object=(0x2100, 0),
+    temperature_object=(0x2101, 0),
+    known_objects=((0x2100, 0), (0x2101, 0)),
 )
 
 
@@ -63,16 +72,19 @@ def make_host(
     python_can: bool = False,
     torque_offset: bool = False,
     eds: Path | None = None,
+    motion: Motion | None = None,
+    traits: Traits | None = None,
 ) -> Host:
     """Return an open link to a booted bench, natively or through python-can; nothing is
     prepared. A drive with an EDS of its own shows only the objects of that file.
     """
-    shown = None if eds is None else addresses(read_eds(eds, DRIVE_NODE))
-    bench = simulated_bench(machine or Machine(), seed, bitrate, shown=shown)
+    if eds is not None:
+        traits = described_drive(read_eds(eds, DRIVE_NODE))
+    bench = simulated_bench(machine or Machine(), seed, bitrate, traits=traits)
     port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
     link = CanopenLink(bench.clock, lambda: port, "simulated bus")
     drive = link.add_node(DRIVE_NODE, eds or DRIVE_EDS)
-    servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
+    servo = Cia402Servo(drive, link, scales, motion=motion or CyclicPosition(torque_offset))
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
     link.open()

@@ -10,8 +10,9 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.cia402_objects import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET
+from drivers.canopen.cia402_objects import FRAMES, FRAMES_WITH_OFFSET
 from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
@@ -21,7 +22,12 @@ from drivers.servo_limits import OBJECTS
 from drivers.units import ServoScales
 
 SCALES = ServoScales(
-    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+    counts_per_turn=4096,
+    gear_ratio=100.0,
+    rated_current_A=15.0,
+    rated_torque_N_m=0.45,
+    voltage_object=(0x2100, 0),
+    temperature_object=(0x2101, 0),
 )
 UNITY = ServoScales(
     counts_per_turn=math.tau, gear_ratio=1.0, rated_current_A=15.0, rated_torque_N_m=1000.0
@@ -95,6 +101,10 @@ class Drive:
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
         return (index, subindex) not in self.lacks
 
+    @property
+    def latches(self) -> bool:
+        return True
+
     def fit_together(self, addresses: Any) -> bool:
         return len(addresses) <= 3
 
@@ -151,6 +161,8 @@ class Drive:
 
 def make(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia402Servo:
     whole: Any = drive
+    offset = options.pop("torque_offset", False)
+    options.setdefault("motion", CyclicPosition(offset))
     return Cia402Servo(whole, whole, scales, **options)
 
 
@@ -177,8 +189,8 @@ def fail(error: BaseException) -> Callable[[], None]:
 
 
 def test_the_frames_that_the_bus_load_is_reckoned_from() -> None:
-    assert FRAMES == ((6, 1), (8, 1), (8, 1), (2, 1), (6, 10))
-    assert FRAMES_WITH_OFFSET == ((8, 1), (8, 1), (8, 1), (2, 1), (6, 10))
+    assert FRAMES == ((6, 1), (8, 1), (8, 1), (2, 1), (8, 10))
+    assert FRAMES_WITH_OFFSET == ((8, 1), (8, 1), (8, 1), (2, 1), (8, 10))
 
 
 @pytest.mark.parametrize("offset", [False, True])
@@ -198,7 +210,7 @@ def test_preparing(offset: bool) -> None:
                 PdoLayout(1, ((0x6041, 0), (0x6064, 0), (0x6078, 0)), mean=(0x6078, 0)),
                 PdoLayout(2, ((0x606C, 0), (0x1013, 0))),
                 PdoLayout(3, ((0x2100, 0),)),
-                PdoLayout(4, ((0x6079, 0), (0x2101, 0)), 10),
+                PdoLayout(4, ((0x6079, 0), (0x2101, 0), (0x6077, 0)), 10),
             ],
             CYCLE_S,
         ),
@@ -699,23 +711,27 @@ def test_a_sample_in_si_units() -> None:
         sign=-1,
         offset_rad=0.25,
         velocity_unit_rad_s=0.5,
+        voltage_object=(0x2100, 0),
         voltage_unit_V=0.02,
+        temperature_object=(0x2101, 0),
+        current_sign=-1,
     )
     servo = make(drive, scales)
-    drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251)}
+    drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251, 60)}
     drive.fresh = False
     sample = servo.sample()
     assert sample == ServoSample(
         device_time_s=2.5,
         motor_angle_rad=pytest.approx(-math.pi + 25.0),
         velocity_rad_s=pytest.approx(-0.15),
-        current_A=pytest.approx(-0.6),
+        current_A=pytest.approx(0.6),
         voltage_V=pytest.approx(-3.0),
         supply_voltage_V=pytest.approx(59.9),
         temperature_C=pytest.approx(25.1),
         following_error_rad=0.0,
         statusword=0x1640,
         fresh=False,
+        motor_torque_N_m=pytest.approx(0.027),
     )
     # The drive's clock counts microseconds in 32 bits.
     drive.inputs[2] = (30, 100)

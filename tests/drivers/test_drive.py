@@ -12,10 +12,10 @@ import pytest
 
 from drivers.errors import DeviceError, DriveFault, ObjectAccessError
 from drivers.interfaces import ServoState
-from drivers.mock.drive import encoder_resolution
 from drivers.mock.plant.machine import Reading
 from drivers.mock.plant.parts.constants import Machine, Motor, Sensing
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
 
 from .host import SCALES, Host, enabled, make_host, prepared
@@ -265,7 +265,7 @@ def test_settings_that_must_not_change_under_power(host: Host) -> None:
 
 
 @pytest.mark.parametrize(
-    ("index", "value"), [(0x6060, 1), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
+    ("index", "value"), [(0x6060, 3), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
 )
 def test_settings_the_drive_does_not_have(host: Host, index: int, value: int) -> None:
     with pytest.raises(ObjectAccessError, match="06090030"):

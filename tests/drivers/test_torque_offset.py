@@ -10,6 +10,7 @@ import pytest
 
 from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.canopen.link import CanopenLink
+from drivers.canopen.motion import CyclicPosition
 from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
@@ -165,7 +166,8 @@ def test_a_drive_that_lacks_the_object_is_refused_before_power(tmp_path: Path) -
     for path, hidden in ((eds, False), (DRIVE_EDS, True)):
         bench = simulated_bench(Machine(), 1)
         link = CanopenLink(bench.clock, lambda bench=bench: bench.bus, "simulated bus")
-        servo = Cia402Servo(link.add_node(DRIVE_NODE, path), link, SCALES, torque_offset=True)
+        node, motion = link.add_node(DRIVE_NODE, path), CyclicPosition(torque_offset=True)
+        servo = Cia402Servo(node, link, SCALES, motion=motion)
         link.open()
         if hidden:
             del bench.drive.objects.entries[0x60B2 << 8]

@@ -7,7 +7,7 @@ import pytest
 
 from identification.diagnosis.catalogue import ENTRIES
 from rig.cli.entry import status
-from rig.config.catalogue import CATALOGUE, EFFECTS
+from rig.config.campaign_sections import CATALOGUE, EFFECTS
 
 
 def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:

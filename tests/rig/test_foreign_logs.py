@@ -17,12 +17,12 @@ from mcap.writer import CompressionType, Writer
 
 from identification.recording import Recording
 from rig.common.errors import InputError
-from rig.config.campaign_sections import ReadSection
+from rig.config.campaign_columns import ReadSection
 from rig.sources import load_source
-from rig.sources.arrays import MatTable
-from rig.sources.delimited import DelimitedTable
-from rig.sources.logs import McapTable
-from rig.sources.parquet import ParquetTable
+from rig.sources.formats.arrays import MatTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.parquet import ParquetTable
 
 PLAIN = ReadSection()
 N = 300
@@ -351,7 +351,7 @@ def test_lists_and_stamps_of_mcap(tmp_path: Path) -> None:
     write_joint_states(tmp_path / "log.mcap")
     assert not any("image" in name for name in McapTable(tmp_path / "log.mcap").names)
     recording = load_file(tmp_path, "log.mcap", STATES)
-    np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 * 1e-9)
+    np.testing.assert_array_equal(recording.time, np.arange(N) * 1_000_001 / 1e9)
     np.testing.assert_array_equal(recording.channels["angle"], ANGLE)
     np.testing.assert_array_equal(recording.channels["current"], CURRENT)
     assert recording.notes == ()
@@ -487,3 +487,19 @@ def test_with_a_rate_every_row_is_a_sample(tmp_path: Path) -> None:
     path.write_text(BENCH + text)
     with pytest.raises(InputError, match=r"`current`: 299 of 599|`current`: 300 of 600"):
         load_source(path)
+
+
+def test_nanoseconds_in_text_are_rounded_with_a_word(tmp_path: Path) -> None:
+    lines = [
+        f"{FIRST_NS + k * 1_000_000},{row.split(',', 1)[1]}" for k, row in enumerate(lines_of())
+    ]
+    channels = CHANNELS.replace("time: t", "time: {column: t, scale: 1.0e-9}")
+    recording = load(tmp_path, HEAD + "\n".join(lines), channels)
+    assert np.max(np.abs(recording.time - recording.time[0] - TIME)) < 5e-7
+    assert "column 't' holds integers beyond 2^53: rounded to multiples of 256" in recording.notes
+
+
+def test_a_row_of_units_with_a_dash_for_none(tmp_path: Path) -> None:
+    recording = load(tmp_path, HEAD + "s,A,-,rad\n" + "\n".join(lines_of()))
+    is_truth(recording)
+    assert any("read as units: s, A, -, rad" in note for note in recording.notes)

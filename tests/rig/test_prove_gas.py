@@ -75,14 +75,16 @@ def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
     strengths = gas_simulate.simulate_gas(sealed, ONE, SEED)
     assert strengths["pressure"] > 0.1
     truth = unseal(sealed.truth, sealed.digest)
-    assert truth["effects"] == draw_gas(*ONE, SEED).machine.effects
+    assert truth.effects == draw_gas(*ONE, SEED).machine.effects
     dataset = load_source(sealed.campaign)
     assert all(
         r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings
     )
     text = sealed.campaign.read_text()
     assert not [
-        word for word in ("leakage", *map(str, truth["parameters"].values())) if word in text
+        word
+        for word in ("leakage", *map(str, truth.record(1)["parameters"].values()))
+        if word in text
     ]
     other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
     assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}

@@ -19,7 +19,7 @@ from rig.results.prove.draw import Kind, Rig, apportion, assignment, draw
 from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.results.prove.folder import write
 from rig.results.prove.generate import as_recorded
-from rig.results.prove.score import STRONG
+from rig.results.prove.scoring.score import STRONG
 from rig.results.prove.seal import seal, unseal
 from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
 from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
@@ -205,9 +205,9 @@ def test_a_weight_on_the_joint_hangs_there_for_its_recording_alone() -> None:
 
 def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:
     path = tmp_path / "0001.json"
-    digest = seal(path, {"kind": "one", "effects": {"backlash": {"gap_rad": 0.01}}}, "salt")
-    assert unseal(path, digest)["effects"] == {"backlash": {"gap_rad": 0.01}}
-    assert seal(tmp_path / "other.json", {"kind": "nothing", "effects": {}}, "salt") != digest
+    digest = seal(path, {"truth": 1, "effects": {"backlash": {"gap_rad": 0.01}}}, "salt")
+    assert unseal(path, digest).effects == {"backlash": {"gap_rad": 0.01}}
+    assert seal(tmp_path / "other.json", {"truth": 1, "effects": {}}, "salt") != digest
     changed = {**json.loads(path.read_text()), "effects": {}}
     path.write_text(json.dumps(changed))
     with pytest.raises(InputError, match="the truth was changed"):

@@ -352,7 +352,7 @@ def test_globs_names_and_roles(tmp_path: Path) -> None:
         load_source(campaign(tmp_path, "file: one"))
     (tmp_path / "a.xlsx").write_text("x")
     with pytest.raises(
-        InputError, match=r"a\.xlsx: unknown format; readable are csv, tsv, txt, mat"
+        InputError, match=r"a\.xlsx: unknown format \(a workbook; .*\); readable are csv, tsv"
     ):
         load_source(campaign(tmp_path, "file: a.xlsx"))
 

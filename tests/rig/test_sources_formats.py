@@ -17,13 +17,13 @@ from mcap.writer import Writer
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
-from rig.config.campaign_sections import ReadSection
-from rig.sources.arrays import MatTable, NpzTable
-from rig.sources.delimited import DelimitedTable
-from rig.sources.formats import open_table
-from rig.sources.logs import McapTable
-from rig.sources.parquet import ParquetTable
-from rig.sources.table import format_of
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats import format_of
+from rig.sources.formats.arrays import MatTable, NpzTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.parquet import ParquetTable
+from rig.sources.readers import open_table
 
 PLAIN = ReadSection()
 
@@ -244,8 +244,8 @@ def test_mat_that_is_hdf5_broken_or_complex(tmp_path: Path) -> None:
     path = tmp_path / "a.mat"
     header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
     path.write_bytes(header + bytes(384) + b"\x89HDF\r\n\x1a\n" + bytes(500))
-    with pytest.raises(InputError, match=r"v7\.3 \(HDF5\) is not read; .*'-v7'"):
-        MatTable(path)
+    with pytest.raises(InputError, match="cannot be read"):
+        open_table(path, ReadSection())
     path.write_bytes(b"garbage" * 40)
     with pytest.raises(InputError, match="cannot be read"):
         MatTable(path)
@@ -297,7 +297,7 @@ def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     def refuse(name: str) -> object:
         raise ImportError(name)
 
-    monkeypatch.setattr("rig.sources.parquet.importlib.import_module", refuse)
+    monkeypatch.setattr("rig.sources.formats.parquet.importlib.import_module", refuse)
     with pytest.raises(InputError, match=r"pip install loadrig\[parquet\]"):
         ParquetTable(tmp_path / "a.parquet")
 
@@ -325,7 +325,7 @@ def test_mcap_json(tmp_path: Path) -> None:
     np.testing.assert_array_equal(x, VALUE)
     np.testing.assert_array_equal(on, [0, 0, 0, 1, 1, 1])
     np.testing.assert_allclose(time, TIME, atol=1e-6)
-    with pytest.raises(InputError, match=r"several topics \(/drive, /other\)"):
+    with pytest.raises(InputError, match=r"several time bases \(/drive, /other\)"):
         table.read([0, 3])
 
 
@@ -333,7 +333,8 @@ def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_mcap(path, [("/sample", 0, b"\x01")], "protobuf")
     with pytest.raises(
-        InputError, match=r"no JSON messages; found /sample \(protobuf\); .* opened by its folder"
+        InputError,
+        match=r"protobuf messages; found /sample \(protobuf .*\); .* opened by its folder",
     ):
         McapTable(path)
     path.write_bytes(path.read_bytes()[:40])

@@ -10,8 +10,8 @@ from abc import ABC, abstractmethod
 from typing import ClassVar, Final
 
 from drivers.clock import SimulatedClock
-from drivers.mock.drive import encoder_resolution
 from drivers.mock.plant.machine import Reading
+from drivers.mock.resolution import encoder_resolution
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.bus import SimulatedBus
 from drivers.mock.wires.timer import Timer

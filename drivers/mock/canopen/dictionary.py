@@ -92,6 +92,7 @@ class DeviceDictionary:
         texts: Texts of the string objects by key.
         checks: Hooks ``(subindex, value)`` by index.
         written: Hooks ``(subindex, value)`` by index.
+        deaf: Indices whose writes are acknowledged and ignored.
     """
 
     def __init__(self, eds: Path, node_id: int) -> None:
@@ -100,6 +101,7 @@ class DeviceDictionary:
         self.texts: dict[int, str] = {}
         self.checks: dict[int, Callable[[int, int], None]] = {}
         self.written: dict[int, Callable[[int, int], None]] = {}
+        self.deaf: frozenset[int] = frozenset()
         self.reset(0, 0xFFFF)
 
     def remove_except(self, kept: Container[tuple[int, int]]) -> None:
@@ -171,6 +173,8 @@ class DeviceDictionary:
             raise SdoAbortError(OUT_OF_RANGE)
         if check := self.checks.get(index):
             check(subindex, value)
+        if index in self.deaf:
+            return
         self.values[key(index, subindex)] = value
         if written := self.written.get(index):
             written(subindex, value)

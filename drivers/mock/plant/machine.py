@@ -16,6 +16,7 @@ from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
 from drivers.mock.plant.gas_pack import gas_vector, lit, unlit
+from drivers.mock.plant.loop_modes import close_loops, spin, take_over
 from drivers.mock.plant.machine_pack import drive_vector, friction_vector
 from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.record import (
@@ -200,6 +201,14 @@ class SimulatedMachine:
             s[loops.MODE] = loops.OFF
             s[loops.OFFSET] = 0.0
 
+    def control(self, position: bool, speed: bool) -> None:
+        """Close or open the drive's position and speed loops before the joint moves."""
+        close_loops(self._d, self.constants.loops, position, speed)
+
+    def spin(self, speed_rad_s: float) -> None:
+        """Command a joint speed from now on, without the position loop."""
+        spin(self._s, self._d, speed_rad_s)
+
     def rest(self, seconds: float) -> None:
         """Advance the time with the power off and the joint at rest, so that the motor cools."""
         self._x[extra.RUN] += seconds
@@ -233,7 +242,8 @@ class SimulatedMachine:
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
-        if s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
+        opened = take_over(s, self._d, self.constants.loops)
+        if not opened and s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
             s[loops.TARGET_STEP] = 0.0
         s[loops.MODE] = loops.BRAKE
         s[loops.OFFSET] = 0.0
@@ -331,8 +341,7 @@ class SimulatedMachine:
         """Return the present sensor values, and start new means of current and voltage.
 
         Raises:
-            ConfigurationError: The angles are NaN, because the equations diverge with these
-                constants.
+            ConfigurationError: The equations diverge with these constants: the angles are NaN.
         """
         s = self._s
         theta = float(s[loops.THETA])

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import os
-import pty
 import select
 import socket
 import threading
-import tty
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
@@ -47,6 +45,10 @@ class Ports:
 
         Bytes are lost if the host does not read and the buffer is full, as in a real adapter.
         """
+        # Imported here, as Windows has no pseudo-terminals.
+        import pty
+        import tty
+
         ours, theirs = pty.openpty()
         tty.setraw(theirs)
         os.set_blocking(ours, False)

@@ -10,8 +10,8 @@ voltage       U = R I + L dI/dt + Ke omega_motor (eq. 1)
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -56,6 +56,9 @@ class Equation:
         owner: Index of each row's recording, shape (n,).
         time: Time stamp of each row, s, shape (n,).
         sigma: Noise of one row.
+        own: Mean square of each recording's own noise over the square of ``sigma``, at least 1, by
+            the recording's index. The noise of a recording may depend on its motion, as where a
+            controller amplifies the rounding of an encoder.
     """
 
     name: str
@@ -68,6 +71,7 @@ class Equation:
     owner: np.ndarray
     time: Array
     sigma: float
+    own: Mapping[int, float] = field(default_factory=dict)
 
     def rows(self, per_view: Callable[[View], Array]) -> Array:
         """Return full-rate series, shape (m,) or (k, m) per view, as rows, shape (n, k)."""
@@ -88,7 +92,7 @@ def equations(
     """
     if before:
         known = {e.name: e for e in before}
-        torque = _torque(views, nominal, unit, known["torque"].sigma) if "torque" in known else None
+        torque = _torque(views, nominal, unit, known["torque"]) if "torque" in known else None
         kept = tuple(e for e in before if e.name != "torque")
         return kept if torque is None else (torque, *kept)
     found = (
@@ -174,7 +178,7 @@ def _build(
     measured: Callable[[View], Array],
     tangent: Callable[[View], Array],
     names: Sequence[str],
-    sigma: float | None = None,
+    before: Equation | None = None,
 ) -> Equation | None:
     residual = _stack(name, views, kept, measured)[:, 0]
     if len(residual) < 2 * len(names) + 8:
@@ -187,29 +191,29 @@ def _build(
     ]
     columns = _stack(name, views, kept, tangent)
     when = np.concatenate(times)
-    if sigma is not None:
-        return Equation(
-            name,
-            unit,
-            tuple(views),
-            tuple(kept),
-            residual,
-            columns,
-            tuple(names),
-            owner,
-            when,
-            sigma,
-        )
+    found = Equation(
+        name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, 1.0
+    )
+    if before is not None:
+        return replace(found, sigma=before.sigma, own=before.own)
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
     if name == "breakaway":
-        sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
-    else:
-        sigma = noise(without_tones(rest, owner, when), owner, views[0].low_pass)
-    found = Equation(
-        name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma
-    )
-    return replace(found, sigma=max(math.hypot(sigma, held_voltage(found)), least_noise(found)))
+        scatter = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+        return replace(found, sigma=max(scatter, least_noise(found)))
+    rest = without_tones(rest, owner, when)
+    scatter = noise(rest, owner, views[0].low_pass)
+    sigma = max(math.hypot(scatter, held_voltage(found)), least_noise(found))
+    return replace(found, sigma=sigma, own=_own_noise(found, rest / sigma))
+
+
+def _own_noise(equation: Equation, rest: Array) -> dict[int, float]:
+    """Return the mean square of each recording's own noise in whitened rows, at least 1."""
+    low_pass, owner = equation.views[0].low_pass, equation.owner
+    return {
+        index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2)
+        for index in np.unique(owner).tolist()
+    }
 
 
 def held_voltage(equation: Equation) -> float:
@@ -246,7 +250,7 @@ def _step(view: View) -> float:
 
 
 def _torque(
-    views: Sequence[View], nominal: Nominal, unit: str, sigma: float | None = None
+    views: Sequence[View], nominal: Nominal, unit: str, before: Equation | None = None
 ) -> Equation | None:
     # With a flexible transmission the rotor's unknown share of the inertia moves otherwise than the
     # valve.
@@ -267,7 +271,7 @@ def _torque(
         lambda v: np.asarray(v.torque - nominal.torque(v)),
         tangent,
         (*nominal.free, *(("rotor",) if gives else ())),
-        sigma,
+        before,
     )
 
 

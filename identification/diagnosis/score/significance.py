@@ -156,19 +156,34 @@ def beyond_noise(joint: Joint) -> set[str]:
     return {
         e.name
         for e in joint.equations
-        if float(np.mean(joint.residual[joint.stack.part(e.name)] ** 2)) > NOISE
+        if float(np.mean(over_own_noise(joint, e) ** 2)) > NOISE
         or greatest_mean_square(joint, e) > EXCESS_OF_ONE
     }
 
 
-def greatest_mean_square(joint: Joint, equation: Equation) -> float:
-    """Return the mean-square mismatch of an equation over the noise's, in the recording in which it
-    is greatest.
+def over_own_noise(joint: Joint, equation: Equation) -> Array:
+    """Return the residual of a fit in an equation, over the own noise of each row's recording,
+    shape (n,).
     """
-    rows = joint.residual[joint.stack.part(equation.name)]
+    powers = np.array([equation.own.get(index, 1.0) for index in equation.owner.tolist()])
+    return np.asarray(joint.residual[joint.stack.part(equation.name)] / np.sqrt(powers))
+
+
+def greatest_mean_square(joint: Joint, equation: Equation) -> float:
+    """Return the mean-square mismatch of an equation over that of the recording's own noise, in the
+    recording in which it is greatest.
+    """
+    rows = over_own_noise(joint, equation)
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )
+
+
+def level(equation: Equation) -> float:
+    """Return the mean square of an equation's noise over all rows, each with its recording's own
+    noise, over the square of the equation's noise.
+    """
+    return float(np.mean([equation.own.get(index, 1.0) for index in equation.owner.tolist()]))
 
 
 def size_p_value(joint: Joint, only: str = "") -> float:
@@ -187,10 +202,10 @@ def size_p_value(joint: Joint, only: str = "") -> float:
     for equation in joint.equations:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
-        rows = joint.stack.part(equation.name)
-        powers = np.minimum(np.abs(joint.residual[rows]), OUTLIER) ** 2
+        rows = over_own_noise(joint, equation)
+        powers = np.minimum(np.abs(rows), OUTLIER) ** 2
         chances.append(_beyond(powers, EXCESS))
-        chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
+        chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
         if equation.name == "torque":
             chances += [
                 _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views

@@ -10,6 +10,7 @@ from __future__ import annotations
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.start import NEAR_FLOOR
 from identification.diagnosis.rows.families import families
+from identification.diagnosis.score.significance import level
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
 """Coordinates of hysteresis; in a single sine they are equivalent."""
@@ -27,9 +28,9 @@ def is_hysteretic(joint: Joint) -> bool:
     instead.
     """
     rows = joint.residual[joint.stack.part("torque")]
-    if float(rows @ rows) <= NEAR_FLOOR * len(rows):
-        return False
     torque = next(e for e in joint.equations if e.name == "torque")
+    if float(rows @ rows) <= NEAR_FLOOR * level(torque) * len(rows):
+        return False
     gains = {}
     for name, columns in families(torque):
         scored = joint.stack.independent(name, "torque", columns)

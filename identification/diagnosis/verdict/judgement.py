@@ -22,6 +22,8 @@ from identification.diagnosis.score.significance import (
     LEVEL,
     NOISE,
     greatest_mean_square,
+    level,
+    over_own_noise,
 )
 from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, probability
 from identification.diagnosis.selection.search import Search
@@ -161,7 +163,10 @@ def _insufficient(found: Search, share: float = ADEQUATE_SHARE) -> bool:
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     equation = next(e for e in found.final.equations if e.name == worst.equation)
-    left = worst.after > NEAR_FLOOR or greatest_mean_square(found.final, equation) > EXCESS_OF_ONE
+    left = (
+        worst.after > NEAR_FLOOR * level(equation)
+        or greatest_mean_square(found.final, equation) > EXCESS_OF_ONE
+    )
     return worst.explained < share and left
 
 
@@ -175,7 +180,8 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
     """
     equations = {e.name: e for e in joint.equations}
     return any(
-        e.before > least or greatest_mean_square(joint, equations[e.equation]) > EXCESS_OF_ONE
+        float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
+        or greatest_mean_square(joint, equations[e.equation]) > EXCESS_OF_ONE
         for e in judges
     )
 

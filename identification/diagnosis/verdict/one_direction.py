@@ -13,6 +13,7 @@ import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.score.significance import level
 from identification.diagnosis.selection.removal import NEARLY_ALL
 
 
@@ -24,7 +25,8 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
     """
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
-    if float(rows @ rows) <= NEAR_FLOOR * len(rows):
+    torque = next(e for e in joint.equations if e.name == "torque")
+    if float(rows @ rows) <= NEAR_FLOOR * level(torque) * len(rows):
         return ()
     return tuple(name for name, gain in _gains(joint) if gain >= NEARLY_ALL * beyond)
 

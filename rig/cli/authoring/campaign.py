@@ -21,16 +21,11 @@ from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
 from rig.config.bench import Constants
 from rig.config.campaign import Campaign
-from rig.config.campaign_sections import (
-    BenchSection,
-    ChannelSection,
-    ModelSection,
-    ReadSection,
-    RecordingSection,
-)
+from rig.config.campaign_columns import ChannelSection, ReadSection
+from rig.config.campaign_sections import BenchSection, ModelSection, RecordingSection
 from rig.sources.columns import guess_channels, guess_mass
-from rig.sources.formats import FORMATS, open_table
-from rig.sources.table import format_of
+from rig.sources.formats import format_of
+from rig.sources.readers import FORMATS, open_table, unknown_format
 from rig.terminal.prompt import Asker
 
 
@@ -45,7 +40,7 @@ def read_names(paths: Sequence[Path]) -> list[DataFile]:
         if not path.is_file():
             problems.append(f"{path}: no such file; name recordings ({', '.join(FORMATS)})")
         elif format_of(path) not in FORMATS:
-            problems.append(f"{path}: unknown format; readable are {', '.join(FORMATS)}")
+            problems.append(f"{path}: {unknown_format(path)}")
         else:
             try:
                 names = open_table(path, ReadSection()).names

@@ -1,7 +1,8 @@
-"""``rig export``: recordings for other tools."""
+"""``rig export``: recordings and raw traffic for other tools."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import click
@@ -9,18 +10,27 @@ import click
 from rig.cli import options as shared
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
-from rig.common.input_files import source_name
+from rig.common.input_files import is_file, source_name
 from rig.common.places import replacing, require_file
 from rig.results.sections import reading_notes
-from rig.runs.export import WRITERS, export, files
+from rig.runs.export import (
+    FORMATS,
+    TRAFFIC,
+    beside,
+    export,
+    export_beside,
+    export_traffic,
+    extension,
+    files,
+)
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 
 @click.command("export")
 @click.argument("source", type=click.Path(path_type=Path))
-@click.option(
-    "--format", "kind", type=click.Choice(list(WRITERS)), default="csv", show_default=True
-)
+@click.option("--format", "kind", type=click.Choice(FORMATS), default="csv", show_default=True)
 @shared.partial
 @click.option(
     "--out",
@@ -30,29 +40,38 @@ from rig.sources import load_source
 def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
-    Channels keep their canonical names and SI units. MATLAB and Parquet files hold all recordings,
-    and a field or column names each. A CSV file holds one recording; of several, each is written to
-    its own file, named OUT plus the recording's name. Excitations that a run stopped in are left
-    out unless --partial is given; their names then end in "(partial)".
+    Channels keep their canonical names and SI units. MATLAB, Parquet and MCAP files hold all
+    recordings, and a field, column or topic names each. A CSV file holds one recording; of several,
+    each is written to its own file, named OUT plus the recording's name. Excitations that a run
+    stopped in are left out unless --partial is given; their names then end in "(partial)".
+
+    Stages, masses, loads and constants go along, for a CSV file in FILE.csv.json, so that a
+    campaign reads an export back by `file:` alone.
+
+    candump (a .log file) and asc (Vector) are the raw CAN frames of a run. mcap holds them as well,
+    as can_msgs/msg/Frame, and the events.
 
     \b
     Example:
       rig export runs/demo --format csv --out demo.csv
       rig export runs/stopped --partial
+      rig export runs/demo --format candump
     """
-    path = out or Path(f"{source_name(source)}.{kind}")
+    path = out or Path(f"{source_name(source)}.{extension(kind)}")
     require_file(path, "--out")
+    if kind in TRAFFIC:
+        return _traffic(source, path, kind)
     dataset = load_source(source, partial=partial)
+    run = (source, read_record(source)) if is_file(source / RUN_FILE) else None
     wanted = files(dataset, path, kind)
-    taken = [
-        f"{place}: exists already; give --out another name" for place in wanted if place.exists()
-    ]
-    if taken:
-        raise InputError(taken)
+    descriptions = {place: beside(place, kind) for place in wanted}
+    _require_free([*wanted, *filter(None, descriptions.values())])
     for place, part in wanted.items():
         try:
             with replacing(place) as draft:
-                export(part, draft, kind)
+                export(part, draft, kind, run)
+            if (description := descriptions[place]) is not None:
+                export_beside(part, description)
         except OSError as error:
             raise InputError(f"{place}: cannot be written: {error.strerror}") from error
         count = sum(len(recording.time) for recording in part.recordings)
@@ -61,3 +80,34 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     for note in reading_notes(dataset.recordings):
         click.echo(note)
     return DONE
+
+
+def _traffic(source: Path, path: Path, kind: str) -> int:
+    if not is_file(source / RUN_FILE):
+        raise InputError(f"{source}: raw frames are in run folders only; name a run folder")
+    record = read_record(source)
+    _require_free([path])
+    try:
+        with replacing(path) as draft:
+            count = export_traffic(source, record, draft, kind)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}") from error
+    click.echo(f"{path}: {count.frames} CAN frames of {', '.join(count.parts)}")
+    if count.serial:
+        click.echo(f"{count.serial} pieces of serial lines left out, which are no CAN frames")
+    if count.errors and kind == "asc":
+        click.echo(f"{count.errors} error frames without identifier and data: asc has no place")
+    return DONE
+
+
+def _require_free(places: Iterable[Path]) -> None:
+    """Check that nothing is overwritten.
+
+    Raises:
+        InputError: Names every file that exists.
+    """
+    taken = [
+        f"{place}: exists already; give --out another name" for place in places if place.exists()
+    ]
+    if taken:
+        raise InputError(f"{place}: exists already; give --out another name" for place in taken)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,14 @@ if TYPE_CHECKING:
 @click.option("--delimiter", help="One character; found from the file where not given.")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", show_default=True)
 @click.option(
+    "--dbc",
+    multiple=True,
+    type=click.Path(dir_okay=False),
+    help="DBC file of recorded CAN traffic; may be given several times.",
+)
+@click.option("--bench", help="Bench file, or packaged name, whose map recorded CAN traffic has.")
+@click.option("--bus", help="Bus of recorded CAN traffic, as the file names it.")
+@click.option(
     "--campaign",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Write a first campaign file, with a comment on every key.",
@@ -30,6 +39,9 @@ def command(
     skip_rows: int,
     delimiter: str | None,
     decimal: str,
+    dbc: tuple[str, ...],
+    bench: str | None,
+    bus: str | None,
     campaign: Path | None,
     json_file: Path | None,
 ) -> None:
@@ -41,12 +53,14 @@ def command(
     Example:
       rig look log.csv
       rig look log.csv --campaign campaign.yaml
+      rig look traffic.blf --dbc drive.dbc
     """
     from rig.common.places import require_file, write_json
     from rig.results.look import described, look_record
 
     require_file(json_file, "--json")
     read: dict[str, Any] = {"skip_rows": skip_rows, "delimiter": delimiter, "decimal": decimal}
+    read |= {"dbc": dbc or None, "bench": bench, "bus": bus}
     looks = _looks(path, read)
     click.echo("\n\n".join(described(look) for look in looks))
     if json_file is not None:
@@ -55,11 +69,26 @@ def command(
         _write_campaign(campaign, path, looks, read)
 
 
+def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
+    """Return the names of files among the options, relative to the campaign file."""
+
+    def relative(name: str) -> str:
+        return Path(os.path.relpath(name, campaign.parent)).as_posix()
+
+    found: dict[str, Any] = {}
+    if "dbc" in read:
+        names = [relative(name) for name in read["dbc"]]
+        found["dbc"] = names[0] if len(names) == 1 else names
+    if "bench" in read and Path(read["bench"]).suffix:
+        found["bench"] = relative(read["bench"])
+    return found
+
+
 def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     from pydantic import ValidationError
 
     from rig.common.input_files import is_folder
-    from rig.config.campaign_sections import ReadSection
+    from rig.config.campaign_columns import ReadSection
     from rig.sources import load_source
     from rig.sources.look import look_at_file, look_at_recording
 
@@ -70,7 +99,9 @@ def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
     try:
         options = ReadSection(**read)
     except ValidationError as error:
-        raise InputError(f"--delimiter: {error.errors()[0]['msg']}") from error
+        first = error.errors()[0]
+        option = first["loc"][0] if first["loc"] else "delimiter"
+        raise InputError(f"--{option}: {first['msg']}") from error
     return [look_at_file(path, options)]
 
 
@@ -107,6 +138,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
         stand_in["resistance"] = 1.0
     answers = answer([file], given | stand_in, None, lambda _: None)
     told = {key: value for key, value in read.items() if value not in (None, 0, ".")}
+    told |= _beside(campaign, told)
     try:
         written = write_new(
             campaign, "campaign", campaign_text(campaign, [file], answers, told), load_campaign

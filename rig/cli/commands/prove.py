@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
 from rig.cli import options as shared
+from rig.common.errors import InputError
 
 
 @click.command("prove")
@@ -15,10 +17,24 @@ from rig.cli import options as shared
     "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many."
 )
 @click.option(
+    "--plant",
+    type=click.Choice(["own", "mujoco"]),
+    default="own",
+    show_default=True,
+    help="Simulated machine: the project's own, or MuJoCo's in worlds that draw loops, encoders, "
+    "loggers and motions too (needs the extra `mujoco`).",
+)
+@click.option(
+    "--seal",
+    "home",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Write sealed trials into this folder, for --from or other tools; nothing is diagnosed.",
+)
+@click.option(
     "--from",
     "source",
     type=click.Path(path_type=Path, file_okay=False, exists=True),
-    help="Campaigns sealed by someone else: rig-NNNN/campaign.yaml and sealed/NNNN.json.",
+    help="Judge campaigns sealed by someone else: NAME/campaign.yaml and sealed/NAME.yaml.",
 )
 @click.option(
     "--out",
@@ -38,6 +54,8 @@ from rig.cli import options as shared
 @shared.result_file
 def command(
     rigs: int,
+    plant: str,
+    home: Path | None,
     source: Path | None,
     out: Path,
     jobs: int,
@@ -49,45 +67,126 @@ def command(
     """Test the diagnosis blind: draw trials with injected effects, seal the truth, diagnose,
     unseal, score.
 
-    The SHA-256 of every sealed truth is printed before the first diagnosis starts.
+    The SHA-256 of every sealed truth is printed before the first diagnosis starts. With --from all
+    rigs are diagnosed before the first truth is opened.
 
     \b
     Example:
       rig prove --rigs 24 --jobs 2 --out proof
       rig prove --gas --rigs 100 --out gas-proof
+      rig prove --seal sealed --rigs 24 --seed 7
+      rig prove --plant mujoco --rigs 12 --jobs 2 --out mujoco-proof
       rig prove --from sealed-by-others --json proof.json
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.errors import InputError
     from rig.common.places import require_file, require_folder
-    from rig.common.result_files import Provenance
-    from rig.results.files import PAGE_FILE, write_page, write_record
-    from rig.results.prove.document import prove_document
-    from rig.results.prove.family import GAS, MOTION
-    from rig.results.prove.judge import judge
-    from rig.results.prove.run import PROOF_FILE, begin, work
-    from rig.results.prove.score import RESULT_FILE, proof_record
-    from rig.results.terminal import text
-    from rig.terminal.bar import ShareBar
 
+    _require_one_task(home, source, gas, plant)
     require_folder(out, "--out")
     require_file(json_file, "--json")
     started = time.perf_counter()
     try:
-        proof = begin(out, rigs, seed, source, GAS if gas else MOTION)
-        for sealed in proof.seals:
-            click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
-        with ShareBar() as bar:
-            rows = work(proof, judge, jobs, keep, bar)
-        provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
+        if home is not None:
+            require_folder(home, "--seal")
+            _seal(home, plant, rigs, seed, jobs)
+            return
+        if plant != OWN:
+            source = out / WORLDS
+            _seal(source, plant, rigs, seed, jobs)
+        if source is not None:
+            rows = _judge(source, out, rigs, seed, jobs)
+        else:
+            rows = _prove(out, rigs, seed, gas, jobs, keep)
+        _show(rows, out, seed, started, json_file)
     except OSError as error:
         raise InputError(
-            f"{error.filename or out}: cannot be written: {error.strerror}; give --out another "
-            f"place"
+            f"{error.filename or out}: cannot be written: {error.strerror}; give --out or --seal "
+            f"another place"
         ) from error
+
+
+def _show(
+    rows: list[dict[str, Any]], out: Path, seed: int, started: float, json_file: Path | None
+) -> None:
+    """Write a proof's result and report, and print it."""
+    from rig.common.result_files import Provenance
+    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.results.prove.run import PROOF_FILE
+    from rig.results.prove.scoring.document import prove_document
+    from rig.results.prove.scoring.score import RESULT_FILE, proof_record
+    from rig.results.terminal import text
+
+    provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     result = proof_record(rows, provenance)
     write_record(result, out / RESULT_FILE, json_file)
     document = prove_document(result, provenance)
     write_page(document, out / PAGE_FILE)
     click.echo(text(document))
     click.echo(f"report: {out / PAGE_FILE}")
+
+
+OWN, WORLDS = "own", "worlds"
+
+
+def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: str) -> None:
+    """Check that options do not contradict each other.
+
+    Raises:
+        InputError: They do.
+    """
+    if home is not None and source is not None:
+        raise InputError("--seal writes trials and --from reads them; give one of the two")
+    if gas and (home is not None or source is not None or plant != OWN):
+        raise InputError("--gas cannot be combined with --seal, --from or --plant; leave it out")
+    if source is not None and plant != OWN:
+        raise InputError("--from judges trials that are made already; leave --plant out")
+
+
+def _prove(
+    out: Path, rigs: int, seed: int, gas: bool, jobs: int, keep: bool
+) -> list[dict[str, Any]]:
+    """Draw, seal, diagnose and score trials; return their rows."""
+    from rig.results.prove.family import GAS, MOTION
+    from rig.results.prove.judge import judge
+    from rig.results.prove.run import begin, work
+    from rig.terminal.bar import ShareBar
+
+    proof = begin(out, rigs, seed, GAS if gas else MOTION)
+    for sealed in proof.seals:
+        click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
+    with ShareBar() as bar:
+        return work(proof, judge, jobs, keep, bar)
+
+
+def _seal(home: Path, plant: str, rigs: int, seed: int, jobs: int) -> None:
+    """Draw and seal trials for others; print their digests."""
+    from rig.results.prove.interchange.own import seal_own
+    from rig.terminal.bar import ShareBar
+
+    with ShareBar() as bar:
+        if plant == OWN:
+            sealed = seal_own(home, rigs, seed, jobs, bar)
+        else:
+            from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
+            from rig.results.prove.worlds.seal import seal_worlds
+
+            require_mujoco()
+            sealed = seal_worlds(home, MujocoPlant(), rigs, seed, jobs, bar)
+    for rig in sealed:
+        click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
+
+
+def _judge(source: Path, out: Path, rigs: int, seed: int, jobs: int) -> list[dict[str, Any]]:
+    """Diagnose and score rigs that others have sealed; return their rows."""
+    from rig.results.prove.absorbed import floors_of
+    from rig.results.prove.interchange.proof import begin_from, diagnose_all, score_all
+    from rig.results.prove.judge import judge, oracle_of
+    from rig.terminal.bar import ShareBar
+
+    proof = begin_from(out, rigs, seed, source)
+    for rig in proof.rigs:
+        click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
+    with ShareBar() as bar:
+        diagnose_all(proof, judge, jobs, bar)
+    with ShareBar() as bar:
+        return score_all(proof, oracle_of, floors_of, bar)

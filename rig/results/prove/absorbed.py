@@ -45,7 +45,17 @@ def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
         OSError: It cannot be written.
     """
     with TemporaryDirectory() as folder:
-        dataset = load_source(write(Path(folder), machine, reference, packed=False))
+        return floors_of(write(Path(folder), machine, reference, packed=False))
+
+
+def floors_of(campaign: Path) -> dict[str, float]:
+    """Return the nominal model's residual of a campaign of a rig without effects; empty where it
+    cannot be fitted.
+
+    Raises:
+        InputError: It cannot be read.
+    """
+    dataset = load_source(campaign)
     fitted = dataset.part("fit")
     try:
         _, joint = views_and_fit(dataset, bandwidth_of(fitted))

@@ -36,8 +36,8 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
     """
     rig = draw_gas(*assigned, seed)
     gas = rig.machine.gas
+    drawn = {k: v for k, v in rig._asdict().items() if k not in ("kind", "machine")}
     truth = {
-        "kind": rig.kind,
         "effects": rig.machine.effects,
         "parameters": {
             "a": 1e-3 * gas.burning_rate_mm_s,
@@ -56,8 +56,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
             "D": gas.valve.opening_diameter_m,
             "b": gas.valve.plate_width_m,
         },
-        **{name: value for name, value in rig._asdict().items() if name not in ("kind", "machine")},
-        "machine": asdict(rig.machine),
+        "maker": {**drawn, "machine": asdict(rig.machine)},
     }
     return seal_truth(out, number, truth)
 

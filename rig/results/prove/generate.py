@@ -24,6 +24,7 @@ from rig.results.prove.excitation import experiments
 from rig.results.prove.folder import CAMPAIGN_FILE, write
 from rig.results.prove.seal import seal
 from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
+from rig.results.prove.truth import strangers
 from rig.runs.truth import true_parameters
 
 
@@ -59,16 +60,22 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
     Raises:
         OSError: It cannot be written.
     """
-    truth = {
-        "kind": rig.kind,
-        "effects": as_recorded(rig.machine.effects),
-        "parameters": true_parameters(rig.machine),
+    return seal_truth(out, number, truth_of(rig))
+
+
+def truth_of(rig: Rig) -> dict[str, Any]:
+    """Return what is sealed of a trial."""
+    maker = {
         "machine": asdict(rig.machine),
         "pauses_s": rig.pauses_s,
         "gravity": rig.gravity,
         "seed": rig.seed,
     }
-    return seal_truth(out, number, truth)
+    return {
+        "effects": as_recorded(rig.machine.effects),
+        "parameters": true_parameters(rig.machine),
+        "maker": maker,
+    }
 
 
 def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
@@ -82,7 +89,8 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
     """
     where = place(out, number)
     where.truth.parent.mkdir(parents=True, exist_ok=True)
-    return where._replace(digest=seal(where.truth, {"rig": number, **truth}, secrets.token_hex(16)))
+    content = {"truth": 1, "rig": number, "outside": strangers(truth["effects"]), **truth}
+    return where._replace(digest=seal(where.truth, content, secrets.token_hex(16)))
 
 
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:

@@ -13,12 +13,14 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
-from identification.recording import Dataset
+from identification.recording import Dataset, RecordingError
 from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.prove.absorbed import residual_rms
+from rig.sources import load_source
 
 
 class Judgement(NamedTuple):
@@ -67,6 +69,29 @@ def judge(source: Path, seed: int) -> Judgement:
     later = time.perf_counter() - diagnosed
     asked = partial(_oracle, outcome.dataset, first, bandwidth)
     return Judgement(outcome.record(), named, asked, diagnosed - began, later, residual_rms(first))
+
+
+def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
+    """Fit the true structure to a campaign, some time after its diagnosis.
+
+    Args:
+        source: The campaign file.
+        names: The true effects, all of the catalogue.
+
+    Returns:
+        The record of :class:`identification.diagnosis.oracle.HeldOut`; None where the nominal model
+        cannot be fitted, or where there is nothing to hold it against.
+
+    Raises:
+        InputError: The source cannot be read.
+    """
+    dataset = load_source(source)
+    bandwidth = bandwidth_of(dataset.part("fit"))
+    try:
+        _, first = views_and_fit(dataset, bandwidth)
+        return _oracle(dataset, first, bandwidth, names)
+    except RecordingError:
+        return None
 
 
 def _oracle(

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from identification.diagnosis.catalogue import ENTRIES
-from rig.results.prove.excitation import experiments
 
 LIKE: Mapping[str, frozenset[str]] = {
     "direction": frozenset({"speed", "torque"}),
@@ -21,13 +20,20 @@ LIKE: Mapping[str, frozenset[str]] = {
 the direction in their sign, torque rises with the load, the machine warms with time, what changes
 with frequency shows where torque turns.
 """
+REFUSED = "refused"
+"""Verdict of a trial that could not be diagnosed."""
 OWN_RECORDING = ("wrong_weight", "encoder_slip")
 """Effects that show in one recording; that recording, rather than any coordinate, is their
 place.
 """
 
 
-def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+def located(
+    name: str,
+    true: Mapping[str, float],
+    diagnosis: Mapping[str, Any],
+    recordings: Sequence[str],
+) -> dict[str, Any]:
     """Score the place that a diagnosis gives for one injected effect.
 
     Args:
@@ -35,6 +41,7 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
         true: Its parameters; ``recording`` counts from 1.
         diagnosis: Record of ``rig diagnose --json``; of several effects the first one's location
             counts.
+        recordings: Names of all recordings, in the order in which ``recording`` counts them.
 
     Returns:
         ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is
@@ -43,12 +50,13 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
         nothing, which the power curve shows.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
-    if diagnosis["verdict"] == "nothing_missing" or where is None:
+    if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:
         return {"equation": None, "coordinate": None, "place": None, "found": None}
     entry = ENTRIES[name]
     expected, found = entry.coordinate.split(":")[0], where["coordinate"]
     if name in OWN_RECORDING:
-        own = experiments()[round(true["recording"]) - 1].name
+        at = round(true.get("recording", 0)) - 1
+        own = recordings[at] if 0 <= at < len(recordings) else None
         place = own in where["recordings"] and len(where["recordings"]) <= 2
     else:
         place = found == expected or found in LIKE.get(expected, ())

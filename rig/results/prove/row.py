@@ -8,7 +8,7 @@ from typing import Any
 
 from rig.results.prove.absorbed import left_over
 from rig.results.prove.judge import Judgement
-from rig.results.prove.located import located
+from rig.results.prove.located import REFUSED, located
 
 CONFIDENT = 0.9
 """Confidence above which an effect identified on a trial outside the catalogue counts as a gross
@@ -21,7 +21,7 @@ gives.
 WORTH = 0.05
 """Least held-out gain of the oracle over the noise at which gains are compared."""
 FAINT = 1e-12
-VERSION = 5
+VERSION = 6
 """Version of the rows and recordings: a proof begun with another one is not continued."""
 
 
@@ -32,6 +32,7 @@ def row_of(
     oracle: Mapping[str, Any] | None,
     digest: str,
     floor: Mapping[str, float] = MappingProxyType({}),
+    recordings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Score one trial's judgement against its truth.
 
@@ -43,16 +44,16 @@ def row_of(
         digest: Digest of the seal.
         floor: Equation to the nominal model's residual of the reference simulation; empty where
             that is not known.
+        recordings: Names of the recordings, in the order in which the truth counts them.
 
     Returns:
-        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where they have no
-        meaning for the kind of trial.
+        A row; ``refused`` is the message where no diagnosis was possible, else null; ``top1``,
+        ``alias``, ``exact`` and ``confident`` are null where they have no meaning for the kind of
+        trial.
     """
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
-    found = list(diagnosis["effects"])
-    verdict = diagnosis["verdict"]
-    single = kind == "one"
+    found, verdict = list(diagnosis["effects"]), diagnosis["verdict"]
     left = left_over(judgement.left, floor)
     return {
         "rig": truth["rig"],
@@ -67,13 +68,14 @@ def row_of(
         "named": [_named(effect) for effect in found],
         "p_value": diagnosis["p_value"],
         **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
-        "alarm": verdict != "nothing_missing",
+        "alarm": verdict not in ("nothing_missing", REFUSED),
+        "refused": diagnosis.get("message"),
         "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
         "baselines": {
             method: {"named": list(said), **_hits(kind, names, [(name,) for name in said])}
             for method, said in judgement.baselines.items()
         },
-        "location": located(names[0], truth["effects"][names[0]], diagnosis) if single else None,
+        "location": _location(truth, diagnosis, recordings),
         "parameters": _parameters(truth["effects"], found),
         "nominal": _nominal(truth["parameters"], diagnosis),
         **_held_out(diagnosis["fit"]),
@@ -82,6 +84,16 @@ def row_of(
         "seconds": judgement.seconds,
         "baseline_seconds": judgement.baseline_seconds,
     }
+
+
+def _location(
+    truth: Mapping[str, Any], diagnosis: Mapping[str, Any], recordings: Sequence[str]
+) -> dict[str, Any] | None:
+    """Score the place of a single effect; None for other kinds of trial."""
+    if truth["kind"] != "one":
+        return None
+    ((name, true),) = truth["effects"].items()
+    return located(name, true, diagnosis, recordings)
 
 
 def _named(effect: Mapping[str, Any]) -> dict[str, Any]:

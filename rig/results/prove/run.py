@@ -5,7 +5,7 @@ another.
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,8 +15,8 @@ import numpy as np
 from rig.common.errors import InputError
 from rig.common.input_files import is_file, read_json
 from rig.common.places import write_json
-from rig.common.provenance import sha256_file
 from rig.results.prove.absorbed import FLOOR_SUFFIX
+from rig.results.prove.excitation import experiments
 from rig.results.prove.family import FAMILIES, MOTION
 from rig.results.prove.generate import Sealed, place
 from rig.results.prove.judge import Judge
@@ -33,14 +33,12 @@ class Proof(NamedTuple):
 
     Attributes:
         out: Its folder.
-        source: Folder of campaigns sealed by someone else; None where trials are drawn here.
         seed: Seed of draws and diagnosis.
         seals: Every trial, its truth sealed.
         family: Family of the trials, from :data:`rig.results.prove.family.FAMILIES`.
     """
 
     out: Path
-    source: Path | None
     seed: int
     seals: tuple[Sealed, ...]
     family: str = MOTION
@@ -50,38 +48,33 @@ class Proof(NamedTuple):
         return self.out / ROWS / f"{number:04d}.json"
 
 
-def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MOTION) -> Proof:
+def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
     """Seal all trials, or continue a proof that was begun in this folder with the same settings.
 
     Raises:
-        InputError: The folder contains a proof with other settings, or ``source`` contains no
-            sealed campaigns.
+        InputError: The folder holds a proof with other settings.
         OSError: It cannot be written.
     """
-    home = None if source is None else str(source.resolve())
-    settings = {"rigs": rigs, "seed": seed, "from": home, "family": family, "row_version": VERSION}
+    settings = {"rigs": rigs, "seed": seed, "from": None, "family": family, "row_version": VERSION}
     file = out / PROOF_FILE
     if is_file(file):
-        return Proof(out, source, seed, _begun(file, settings, source or out), family)
+        begun = seals_begun(file, settings)
+        try:
+            seals = tuple(place(out, int(number), digest) for number, digest in begun.items())
+        except ValueError as error:
+            raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
+        return Proof(out, seed, seals, family)
     for name in (ROWS, "diagnoses"):
         (out / name).mkdir(parents=True, exist_ok=True)
-    if source is None:
-        made = FAMILIES[family]
-        drawn = enumerate(made.assignment(rigs, seed), start=1)
-        seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
-    else:
-        seals = tuple(_given(source))[:rigs]
-        if not seals:
-            raise InputError(
-                f"{source}: no rig-NNNN/campaign.yaml with a sealed/NNNN.json; give --from such a "
-                f"folder"
-            )
+    made = FAMILIES[family]
+    drawn = enumerate(made.assignment(rigs, seed), start=1)
+    seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
     write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
-    return Proof(out, source, seed, seals, family)
+    return Proof(out, seed, seals, family)
 
 
-def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed, ...]:
-    """Return the trials of a proof that was begun before.
+def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
+    """Return the seals of a proof that was begun before: rig to digest.
 
     Raises:
         InputError: The file is not this program's, or belongs to a proof with other settings.
@@ -89,29 +82,15 @@ def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed,
     begun = read_json(file)
     try:
         found = begun["settings"]
-        seals = tuple(
-            place(home, int(number), str(digest)) for number, digest in begun["seals"].items()
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        seals = {str(name): str(digest) for name, digest in begun["seals"].items()}
+    except (KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
     if found != settings:
         raise InputError(
-            f"{file.parent}: contains a proof with other settings, {found}; give --out "
-            "another folder"
+            f"{file}: this folder holds a proof with other settings, {found}; give --out another "
+            f"one"
         )
     return seals
-
-
-def _given(source: Path) -> Iterator[Sealed]:
-    """Yield the sealed campaigns of a folder."""
-    for truth in sorted((source / "sealed").glob("[0-9]*.json")):
-        if truth.stem.isdecimal():
-            where = place(source, int(truth.stem))
-            if is_file(where.campaign):
-                try:
-                    yield where._replace(digest=sha256_file(truth))
-                except OSError as error:
-                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
 
 
 def work(
@@ -144,32 +123,25 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
 
     The truth is opened after the judgement.
     """
-    strengths: dict[str, float] = {}
-    if proof.source is None:
-        family = FAMILIES[proof.family]
-        assigned = family.assignment(len(proof.seals), proof.seed)[sealed.number - 1]
-        strengths = family.simulate(sealed, assigned, (proof.seed, sealed.number))
-    else:
-        beside = sealed.truth.with_suffix(".strength.json")
-        if is_file(beside):
-            strengths = read_json(beside)
+    family = FAMILIES[proof.family]
+    assigned = family.assignment(len(proof.seals), proof.seed)[sealed.number - 1]
+    strengths = family.simulate(sealed, assigned, (proof.seed, sealed.number))
     beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
     floor = read_json(beside) if is_file(beside) else {}
-    judgement = judge(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
+    judgement = judge(sealed.campaign, diagnosis_seed(proof.seed, sealed.number))
     write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", judgement.diagnosis)
-    truth = unseal(sealed.truth, sealed.digest)
-    if missing := sorted({"rig", "kind", "effects"} - truth.keys()):
-        raise InputError(f"{sealed.truth}: {', '.join(missing)}: missing in the sealed truth")
+    truth = unseal(sealed.truth, sealed.digest).record(sealed.number)
     oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
+    names = [e.name for e in experiments()]
     write_json(
         proof.row_file(sealed.number),
-        row_of(truth, strengths, judgement, oracle, sealed.digest, floor),
+        row_of(truth, strengths, judgement, oracle, sealed.digest, floor, names),
     )
-    if proof.source is None and not keep:
+    if not keep:
         shutil.rmtree(sealed.campaign.parent)
     return sealed.number
 
 
-def _diagnosis_seed(seed: int, number: int) -> int:
+def diagnosis_seed(seed: int, number: int) -> int:
     """Return a seed for the diagnosis from which the draws of the truth cannot be repeated."""
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

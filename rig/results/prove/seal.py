@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from rig.common.errors import InputError
-from rig.common.input_files import parse_json, read_bytes
+from rig.common.input_files import read_bytes
 from rig.common.places import write_text
 from rig.common.provenance import sha256
+from rig.results.prove.truth import Truth, load_truth
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
@@ -22,11 +23,11 @@ def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
     return sha256(text.encode())
 
 
-def unseal(path: Path, digest: str) -> dict[str, Any]:
+def unseal(path: Path, digest: str) -> Truth:
     """Read a truth back and check it against the digest that was shown.
 
     Raises:
-        InputError: It is missing, or no longer what was sealed.
+        InputError: It is missing, no longer what was sealed, or no truth.
     """
     try:
         content = read_bytes(path)
@@ -42,9 +43,4 @@ def unseal(path: Path, digest: str) -> dict[str, Any]:
             f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "
             f"discard this trial"
         )
-    truth = parse_json(path, content.decode("utf-8", "replace"))
-    if not isinstance(truth, dict):
-        raise InputError(
-            f"{path}: no sealed truth: a mapping is needed (got {type(truth).__name__})"
-        )
-    return truth
+    return load_truth(path)

@@ -13,7 +13,7 @@ import pytest
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.rows.equations import least_noise
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.score.significance import LEVEL, beyond_noise
+from identification.diagnosis.score.significance import LEVEL, beyond_noise, size_p_value
 from identification.diagnosis.selection.search import _Case, _missing_test
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
@@ -31,7 +31,8 @@ COUNT_RAD = 2.0 * math.pi / 2048
 
 @pytest.fixture(scope="module")
 def joint() -> Joint:
-    return nominal_fit(honest())
+    found = nominal_fit(honest())
+    return replace(found, equations=tuple(replace(e, own={}) for e in found.equations))
 
 
 def with_torque(joint: Joint, rows: np.ndarray) -> Joint:
@@ -61,6 +62,31 @@ def test_one_recording_with_twice_the_noise_is_enough(joint: Joint) -> None:
     rows[mine] *= math.sqrt(2.2 / float(np.mean(rows[mine] ** 2)))
     assert float(np.mean(rows**2)) < 1.0
     assert "torque" in beyond_noise(with_torque(joint, rows))
+
+
+def test_a_recording_is_judged_by_its_own_noise(joint: Joint) -> None:
+    """One recording with three times the noise of the others hides nothing."""
+    torque = joint.equations[0]
+    first = torque.views[0].index
+    rows = joint.residual[joint.stack.part("torque")] * np.where(torque.owner == first, 3.0, 1.0)
+    louder = with_torque(joint, rows)
+    assert "torque" in beyond_noise(louder)
+    assert size_p_value(louder) < LEVEL
+    known = replace(torque, own={first: 9.0})
+    told = replace(louder, equations=(known, *louder.equations[1:]))
+    assert "torque" not in beyond_noise(told)
+    assert size_p_value(told) > 0.5
+
+
+def test_the_noise_of_each_recording_is_estimated() -> None:
+    first, *others = (r for r in honest() if r.role == "fit")
+    rng = np.random.default_rng(0)
+    current = first.channels["current"] + 0.3 * rng.standard_normal(len(first.channels["current"]))
+    noisy = replace(first, channels={**first.channels, "current": current})
+    torque = nominal_fit([noisy, *others]).equations[0]
+    own = [torque.own[v.index] for v in torque.views]
+    assert own[0] > 4.0
+    assert max(own[1:]) < 1.5
 
 
 @pytest.mark.parametrize(("power", "missing"), [(0.9, False), (1.3, True)])

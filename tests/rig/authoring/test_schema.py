@@ -233,12 +233,16 @@ def test_values_that_are_refused(
 
 def test_a_recording_may_leave_to_the_defaults_what_it_lacks_and_only_then() -> None:
     check = validator("campaign")
-    tree = {"campaign": 1, "bench": {}, "recordings": [{"file": "a.csv"}]}
+    channels = {"time": "t", "angle": 1, "current": {"column": "i"}}
+    tree = {"campaign": 1, "bench": {}, "recordings": [{"channels": channels}]}
     assert not check.is_valid(tree)
-    assert check.is_valid(
-        {**tree, "defaults": {"channels": {"time": "t", "angle": 1, "current": {"column": "i"}}}}
-    )
-    assert not check.is_valid({**tree, "defaults": {"channels": {"tme": "t"}}})
+    assert check.is_valid({**tree, "defaults": {"file": "a.csv"}})
+    assert not check.is_valid({**tree, "defaults": {"file": "a.csv", "channels": {"tme": "t"}}})
+
+
+def test_an_export_of_this_program_needs_its_file_alone() -> None:
+    tree = {"campaign": 1, "bench": {}, "recordings": [{"file": "a.parquet"}]}
+    assert validator("campaign").is_valid(tree)
 
 
 @pytest.mark.parametrize("kind", KINDS)

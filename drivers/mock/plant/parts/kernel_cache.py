@@ -235,7 +235,8 @@ class _Files(FunctionCache):
 
 
 def _user() -> int:
-    return os.geteuid() if os.name == "posix" else 0
+    # Windows has no user numbers.
+    return os.geteuid() if hasattr(os, "geteuid") else 0
 
 
 def _say_not_kept(reason: str) -> None:

@@ -50,7 +50,7 @@ more than a period; the clocks are a device's time less the host's, since the st
 STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
-PAUSES = frozenset({"stage start", "weight check"})
+PAUSES = frozenset({"stage start", "units", "weight check"})
 """Events after which the cycle restarts, so that a time step before them is no lateness."""
 _GAP_CYCLES = 10.0
 """Number of consecutive missing cycles from which the curve is interrupted."""

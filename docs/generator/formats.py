@@ -1,0 +1,167 @@
+"""Page of the file formats that campaigns read: library, columns, what is handled and refused."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from keys import table
+
+from rig.sources.readers import FOREIGN, FORMATS
+
+_HEAD = """\
+# File formats of recordings
+
+The formats that a [campaign file](campaign.md) names and `rig look` shows; the extension decides,
+and `.gz` behind it is allowed. What a file holds that is read differently than it stands there is
+said in a note of the recording; what cannot be read for certain is refused with the file, the row
+or line where there is one, and the remedy.
+
+A column is named in full, by its last part where only one column ends in it, or by its index. A
+library that is not part of the program comes with the extra: `pip install 'loadrig[mdf]'`, or all
+of them with `loadrig[logs]`."""
+_BASES = """\
+## Several time bases
+
+Groups of MDF and TDMS, topics of MCAP and messages of CAN traffic have rows and stamps of their
+own. The channel `time` says whose rows a recording has: `time: Motion.time`. Channels of other
+groups are interpolated linearly at these stamps (`enabled` keeps its value), with a note that says
+both rates. Between samples that are more than five periods apart a value is missing; rows before
+the first or after the last sample of any channel are left out, with a note. Groups that share no
+clock cannot be used together, nor can a `rate` stand in for the time.
+
+Counters that pass their end are unwrapped before that, also where the file has scaled them."""
+_ALL = """\
+## For every format
+
+Integers beyond 2^53 become differences to the first one; dates become seconds since the first.
+Text and complex numbers are no channels. A unit that the file states beside a scale of 1 is
+doubted, as are a speed that is not the change of the angle, a current without its sign, and a
+sample that lies far from all others; `rig look` says so before there is a campaign file."""
+_FOREIGN = "## Not read\n\n"
+
+
+class _Row(NamedTuple):
+    extensions: tuple[str, ...]
+    library: str
+    columns: str
+    handled: str
+    refused: str
+
+
+ROWS = (
+    _Row(
+        ("csv", "tsv", "txt"),
+        "numpy",
+        "as in the header, or by index",
+        "UTF-8, UTF-16, Latin-1; delimiter `,` `;` tab, bar or blanks; a row of units; dates and "
+        "times of day (year first); decimal commas with `read.decimal`; `-1.#IND` and other words "
+        "for a missing value; row names of R; a header that counts 0, 1, 2; an `EOF` line; sparse "
+        "rows of several topics",
+        "rows with more cells than names; words between numbers; lines after `EOF`",
+    ),
+    _Row(
+        ("mat",),
+        "scipy; from v7.3 on h5py, extra `hdf5`",
+        "`name`, `name[0]` of a matrix, `struct.field`, `s.signals[1].values`",
+        "versions 4 to 7.3; structs and cells at any depth; the file of `rig export --format mat`",
+        "objects (save `.Time` and `.Data` of a timeseries), sparse and complex arrays, text",
+    ),
+    _Row(
+        ("h5", "hdf5"),
+        "h5py, extra `hdf5`",
+        "`group.dataset`, `dataset[0]` of a matrix, `table.field`",
+        "compound datasets; `units`; `scale_factor`, `add_offset` and `_FillValue` of the CF "
+        "conventions",
+        "links to other files and virtual datasets are left out with a note; text, complex numbers",
+    ),
+    _Row(
+        ("mf4", "mdf"),
+        "asammdf, extra `mdf`",
+        "`group.channel`, `group.time`; without the group where there is one; `channel[0]` of an "
+        "array",
+        "versions 2, 3 and 4; conversions; either byte order; invalidation bits (missing samples); "
+        "labels as raw numbers; groups at several rates; bus logging with `read.dbc` or "
+        "`read.bench`",
+        "text; a master that is an angle or an index is no clock",
+    ),
+    _Row(
+        ("tdms",),
+        "npTDMS, extra `tdms`",
+        "`group.channel`, `group.time` of a waveform; without the group where there is one",
+        "waveforms with start and increment; scales; channels of time stamps; either byte order; a "
+        "file that was cut off, as far as all channels of a group go",
+        "scales that npTDMS does not know; text; groups without a common start together",
+    ),
+    _Row(
+        ("mcap",),
+        "mcap; CDR and protobuf with the extra `mcap`",
+        "`topic.field`, `topic.position[0]`, `topic.motors[1].current`, `topic.log_time`",
+        "JSON, CDR of ROS 2 (`ros2msg`), protobuf; lists of messages up to 64 elements; a stamp of "
+        "`sec` and `nanosec` as one time; a file that was cut off, up to its last whole message",
+        "other encodings are left out with a note; damage inside a whole file",
+    ),
+    _Row(
+        ("json",),
+        "Python",
+        "`field`, `field.inner`, `field[0]`; with its place where there are several tables",
+        "a list of objects, an object of lists, a list of lists, and pandas' `split`, `table`, "
+        "`index` and `columns`, also inside an object; ISO dates; `null` as missing",
+        "a key twice; rows of different lengths; columns of tables of different lengths together",
+    ),
+    _Row(
+        ("jsonl", "ndjson"),
+        "Python",
+        "`field`, `field.inner`, `field[0]`",
+        "one object a line; ISO dates; a stamp of `sec` and `nanosec`; a last line that is cut off",
+        "lines that are no object; a key twice",
+    ),
+    _Row(
+        ("npz", "npy"),
+        "numpy, without pickle",
+        "`name`, `name[0]` of a matrix, `name.field` of a structured array; of one array "
+        "`array[0]` or its fields",
+        "either byte order; dates",
+        "arrays of objects, text, complex numbers",
+    ),
+    _Row(
+        ("parquet",),
+        "pyarrow, extra `parquet`",
+        "as in the file",
+        "time stamps and durations",
+        "text, lists, structs",
+    ),
+    _Row(
+        ("log", "asc", "blf", "trc"),
+        "python-can and cantools",
+        "`Message.Signal`, `Message.time`; with a bench file the channels in SI units",
+        "candump -L, Vector ASC and BLF, PEAK TRC 1.0, 1.1, 1.3, 2.0, 2.1; 11 and 29 bits, CAN FD; "
+        "either byte order; multiplexed signals, also in several levels, each page with its own "
+        "`time`; SAE J1939 by parameter group; `read.bus`, else messages of several buses with the "
+        "bus before the name; frames that are too short lack the signals beyond their end; error "
+        "frames, remote frames and frames of other messages are counted; stamps since an event "
+        "before are added up; stamps are since the first frame",
+        "traffic without a map (`read.dbc` or `read.bench`); two messages of one identifier; "
+        "containers and signals of more than 64 bits; a line that is no frame of candump -L",
+    ),
+)
+
+
+def page() -> str:
+    """Return the page.
+
+    Raises:
+        AssertionError: A format has no row, or a row no format.
+    """
+    listed = [extension for row in ROWS for extension in row.extensions]
+    assert sorted(listed) == sorted(FORMATS), "docs/generator/formats.py: rows and readers differ"
+    head = ("format", "library", "columns", "handled", "refused")
+    rows = [(", ".join(f"`{e}`" for e in row.extensions), *row[1:]) for row in ROWS]
+    foreign = [(f"`{extension}`", words) for extension, words in FOREIGN.items()]
+    parts = (
+        _HEAD,
+        table(head, rows),
+        _BASES,
+        _ALL,
+        _FOREIGN + table(("extension", "is"), foreign),
+    )
+    return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"

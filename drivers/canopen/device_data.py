@@ -1,0 +1,190 @@
+"""What is known of drives of certain makers, as data: ``devices/*.yaml``, matched by identity.
+
+A file states objects and units where they differ from CiA 402, as far as its maker publishes them.
+What the bench file states comes first.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal, Self
+
+import yaml
+from canopen.objectdictionary import ObjectDictionary
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from drivers.canopen.motion import ModeName
+from drivers.canopen.sdo import described
+from drivers.objects import VENDOR
+
+FOLDER: Final = Path(__file__).with_name("devices")
+PRODUCT: Final = (0x1018, 2)
+SIMULATED: Final = "loadrig_simulated"
+"""Name of the simulated drive's own data."""
+
+_Index = Annotated[int, Field(ge=0, le=0xFFFF)]
+_Subindex = Annotated[int, Field(ge=0, le=0xFF)]
+_U32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
+_Unit = Annotated[float, Field(gt=0)]
+Address = tuple[_Index, _Subindex]
+VelocityUnit = Literal["counts_per_s", "rpm"]
+
+
+class DeviceData(BaseModel):
+    """Facts on a family of drives. Fields without value are as in CiA 402, or not known.
+
+    Attributes:
+        name: Maker and family.
+        source: The maker's documents that state this.
+        vendor_id: 1018h:01h.
+        product_codes: 1018h:02h of its products; none where the vendor and ``has`` suffice.
+        has: Objects by which it is told from other families of the vendor.
+        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h.
+        velocity_unit_counts_per_s: The same for other units, in counts per second.
+        current_object: Object of the motor current.
+        current_unit_A: Current of one unit of it.
+        supply_object: Object of the supply voltage.
+        supply_unit_V: Voltage of one unit of it.
+        temperature_object: Object of the temperature.
+        temperature_unit_C: Temperature of one unit of it.
+        voltage_object: Object of the motor voltage.
+        voltage_unit_V: Voltage of one unit of it.
+        rated_current_object: Object of the rated current.
+        rated_current_object_unit_A: Current of one unit of it, or of 6075h.
+        rated_torque_object: Object of the rated torque.
+        rated_torque_object_unit_N_m: Torque of one unit of it, or of 6076h.
+        mode: Mode of operation in which it is commanded; None for cyclic synchronous position.
+        remarks: What the operator has to know, one sentence each.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    name: str
+    source: str
+    vendor_id: _U32
+    product_codes: tuple[_U32, ...] = ()
+    has: tuple[Address, ...] = ()
+    velocity_unit: VelocityUnit | None = None
+    velocity_unit_counts_per_s: _Unit | None = None
+    current_object: Address | None = None
+    current_unit_A: _Unit | None = None
+    supply_object: Address | None = None
+    supply_unit_V: _Unit | None = None
+    temperature_object: Address | None = None
+    temperature_unit_C: _Unit | None = None
+    voltage_object: Address | None = None
+    voltage_unit_V: _Unit | None = None
+    rated_current_object: Address | None = None
+    rated_current_object_unit_A: _Unit | None = None
+    rated_torque_object: Address | None = None
+    rated_torque_object_unit_N_m: _Unit | None = None
+    mode: ModeName | None = None
+    remarks: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _stated_once(self) -> Self:
+        if self.velocity_unit is not None and self.velocity_unit_counts_per_s is not None:
+            raise ValueError("velocity_unit and velocity_unit_counts_per_s are both set")
+        for kind in ("current_unit_A", "supply_unit_V", "temperature_unit_C", "voltage_unit_V"):
+            of = f"{kind.rsplit('_', 2)[0]}_object"
+            if (getattr(self, kind) is None) is not (getattr(self, of) is None):
+                raise ValueError(f"{of} and {kind} belong together: state both or none")
+        return self
+
+    @property
+    def words(self) -> str:
+        """Return what it states on units and objects, for the operator."""
+        stated = self.model_dump(
+            exclude={"name", "source", "vendor_id", "product_codes", "has", "remarks"},
+            exclude_none=True,
+        )
+        shown = (f"{field} {_shown(value)}" for field, value in stated.items())
+        return ", ".join(shown) or "nothing that differs from CiA 402"
+
+    def fits(self, vendor_id: int, product_code: int | None, dictionary: ObjectDictionary) -> bool:
+        """Return whether these facts are about a device with this identity and these objects."""
+        return (
+            vendor_id == self.vendor_id
+            and (not self.product_codes or product_code in self.product_codes)
+            and all(described(dictionary, *address, mappable=False) for address in self.has)
+        )
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, tuple):
+        index, subindex = value
+        return f"{index:04X}h:{subindex:02X}h"
+    return f"{value:g}" if isinstance(value, float) else f"{value}"
+
+
+class _Loader(yaml.SafeLoader):
+    """Refuses keys that appear twice, and reads numbers as YAML 1.2 does."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {  # noqa: RUF012 - the base class owns this attribute
+        first: list(found) for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        """Return a mapping.
+
+        Raises:
+            ValueError: A key appears twice.
+        """
+        found = super().construct_mapping(node, deep)
+        if len(found) != len(node.value):
+            raise ValueError(f"a key appears twice in the mapping at {node.start_mark}")
+        return found
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+$"),
+    [*"-+0123456789"],
+)
+
+
+def parse(text: str) -> DeviceData:
+    """Return the data of one file.
+
+    Raises:
+        ValueError: It is no valid YAML, has a key twice, or breaks the schema.
+    """
+    try:
+        return DeviceData.model_validate(yaml.load(text, _Loader))  # noqa: S506 - a safe loader
+    except yaml.YAMLError as error:
+        raise ValueError(str(error)) from error
+
+
+@lru_cache(maxsize=1)
+def devices() -> Mapping[str, DeviceData]:
+    """Return all packaged data: file name without ending to its data."""
+    return {
+        path.stem: parse(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.yaml"))
+    }
+
+
+def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
+    """Return vendor and product code as a device's EDS states them; None for what it leaves
+    open.
+    """
+    found = (dictionary.get_variable(*address) for address in (VENDOR, PRODUCT))
+    vendor, product = (
+        item.default if item is not None and isinstance(item.default, int) else None
+        for item in found
+    )
+    stated = getattr(dictionary, "identity", (None, None))
+    return vendor or stated[0], product or stated[1]
+
+
+def match(dictionary: ObjectDictionary) -> DeviceData | None:
+    """Return the data of the drive that an EDS describes; None where there are none."""
+    vendor, product = identity(dictionary)
+    if vendor is None:
+        return None
+    for data in devices().values():
+        if data.fits(vendor, product, dictionary):
+            return data
+    return None

@@ -1,0 +1,93 @@
+"""Mistakes of a bench that is set up for the first time, built into the simulated machine and its
+devices, so that it can be seen that they are found.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.mock import sensor_faults
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.canopen.dictionary import key
+from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.power_state import Command
+
+_PRODUCT: Final = key(0x1018, 2)
+_LIMITS: Final = frozenset({0x607D, 0x607F, 0x6072, 0x6073, 0x6065})
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One mistake.
+
+    Attributes:
+        words: What is wrong.
+        spoil: Builds it into the devices of a bench, given the joint encoder that is in use.
+        change: Builds it into the machine.
+    """
+
+    words: str
+    spoil: Callable[[SimulatedBench, sensor_faults.Sensor], None] | None = None
+    change: Callable[[Machine], Machine] | None = None
+
+
+def _in_rpm(bench: SimulatedBench, _: sensor_faults.Sensor) -> None:
+    increments = bench.machine.constants.sensing.motor_counts_per_turn or 60
+    bench.drive.use_speed_unit(increments / 60.0)
+
+
+def _motor(**factors: float) -> Callable[[Machine], Machine]:
+    def change(machine: Machine) -> Machine:
+        values = {name: getattr(machine.motor, name) * f for name, f in factors.items()}
+        return dataclasses.replace(machine, motor=dataclasses.replace(machine.motor, **values))
+
+    return change
+
+
+def _never_lost(_: int) -> None:
+    """Do nothing when the master is gone."""
+
+
+MISTAKES: Final[Mapping[str, Mistake]] = {
+    "another_device": Mistake(
+        "the drive on the node is of another product than its EDS file",
+        lambda bench, _: bench.drive.objects.values.__setitem__(_PRODUCT, 0x0999),
+    ),
+    "zero_off": Mistake(
+        "the joint encoder reads 5 deg at zero",
+        lambda _, encoder: sensor_faults.jump(encoder, round(encoder.counts_per_turn / 72.0)),
+    ),
+    "limits_ignored": Mistake(
+        "the drive acknowledges limits and keeps its own",
+        lambda bench, _: setattr(bench.drive.objects, "deaf", _LIMITS),
+    ),
+    "watchdog_dead": Mistake(
+        "the drive goes on when the program is silent",
+        lambda bench, _: setattr(bench.drive, "connection_lost", _never_lost),
+    ),
+    "stop_ignored": Mistake(
+        "the drive ignores the quick stop",
+        lambda bench, _: setattr(bench.drive, "deaf_to", frozenset({Command.QUICK_STOP})),
+    ),
+    "rpm": Mistake("the drive's speeds are in rpm", _in_rpm),
+    "current_sign": Mistake(
+        "the drive's current has the wrong sign",
+        lambda bench, _: setattr(bench.drive, "current_sign", -1),
+    ),
+    "encoder_sign": Mistake(
+        "the joint encoder counts the other way", lambda _, encoder: sensor_faults.reverse(encoder)
+    ),
+    "motor_shaft": Mistake(
+        "the joint encoder is on the motor's shaft",
+        lambda bench, encoder: sensor_faults.on_motor_shaft(encoder, bench.machine),
+    ),
+    "ratio": Mistake("the gear has 2/3 of the stated ratio", change=_motor(gear_ratio=2.0 / 3.0)),
+    "torque_constant": Mistake(
+        "the motor has twice the stated torque constant",
+        change=_motor(torque_constant_N_m_A=2.0, back_emf_constant_V_s_rad=2.0),
+    ),
+}
+"""Name to mistake."""

@@ -1,0 +1,256 @@
+"""``rig commission``: go through a new bench, step by step."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from drivers.clock import Clock
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.mistakes import MISTAKES
+from rig.cli import options as shared
+from rig.cli.aftermath import STATUS
+from rig.cli.crash import note_drive, noting_folder
+from rig.cli.entry import DEVICE_FAILED
+from rig.commissioning.commission import Commissioning, commission
+from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
+from rig.commissioning.setup import FASTEST_DEG_S
+from rig.common.errors import InputError
+from rig.common.places import require_file, require_folder, write_asked, write_text
+from rig.common.provenance import utc_now
+from rig.config.bench import Bench, load_bench
+from rig.config.configuration import Document
+from rig.config.packaged import packaged
+from rig.control.attendance import connected
+from rig.fault_injection.scene import Scene
+from rig.results.commission import commission_document, commission_record, difference
+from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
+from rig.results.terminal import text as shown
+from rig.runs.recorder import open_recorder
+from rig.runs.run import create_folder, part_file, require_unused
+from rig.terminal.prompt import Prompt, at_terminal
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
+from rig.wiring.bench_text import bench_line
+from rig.wiring.devices import Devices
+from rig.wiring.ownership import say_taken_over
+from rig.wiring.preflight import require_startable
+
+RECORD_FILE = "commission.json"
+PATCH_FILE = "bench.patch"
+
+
+@click.command("commission")
+@click.argument("bench")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Folder of the protocol, new or empty. [default: runs/<utc>-commission-<name>]",
+)
+@click.option(
+    "--bench-out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="New file for the corrected bench. [default: BENCH with .commissioned before its ending]",
+)
+@click.option(
+    "--angle",
+    "angle_deg",
+    type=float,
+    help="True joint angle at the start, deg; asked for unless given, not checked with --yes.",
+)
+@click.option(
+    "--speed-limit",
+    "fastest_deg_s",
+    type=click.FloatRange(min=1.0),
+    default=FASTEST_DEG_S,
+    show_default=True,
+    help="Limit on the joint speed, deg/s, at most a quarter of the bench's; a soft drive slips "
+    "faster than it is told to move.",
+)
+@click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
+@click.option(
+    "--mistake",
+    type=click.Choice(sorted(MISTAKES)),
+    help="Build this mistake into the simulated devices, to see it found.",
+)
+@shared.simulated_seed
+@shared.operator_name
+@shared.record_file("Also write commission.json to this file.")
+def command(
+    bench: str,
+    out: Path | None,
+    bench_out: Path | None,
+    angle_deg: float | None,
+    fastest_deg_s: float,
+    yes: bool,
+    mistake: str | None,
+    seed: int,
+    operator_name: str | None,
+    json_file: Path | None,
+) -> int:
+    """Go through BENCH with the operator before its first run, at low limits and step by step.
+
+    The steps are identity, readings, zero, limits, hold, watchdog, a small move, stop, and a larger
+    move. Each says what will move and what is under power, asks, and shows what was measured. Take
+    all weights off first, and keep a hand on the emergency stop. After every step under power the
+    drive is taken off power, and that is read back.
+
+    Where a value of the bench file is wrong (unit, sign, ratio, zero, torque constant), the step
+    names the key and the value; after another yes the steps begin again with it. The corrected
+    bench goes to a new file; BENCH itself is never changed. The folder keeps protocol, recording
+    and the corrections as a patch.
+
+    \b
+    Example:
+      rig commission my_bench.yaml --operator "A. Person"
+      rig commission practical --yes --angle 0 --out runs/commissioned
+      rig commission practical --yes --mistake rpm
+    """
+    require_file(json_file, "--json")
+    document = load_bench(bench)
+    click.echo(bench_line(document))
+    _require_allowed(document, yes, mistake)
+    require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
+    folder = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-commission-{document.value.name}"
+    require_folder(folder, "--out")
+    require_unused(folder)
+    new_file = bench_out or _new_file(document, folder)
+    require_file(new_file if bench_out else None, "--bench-out")
+    if new_file.exists():
+        raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
+    plan = _Plan(document, folder, new_file, seed, mistake, operator_name, fastest_deg_s)
+    status, record = _carry_out(plan, yes, angle_deg)
+    write_asked(json_file, record)
+    return status
+
+
+@dataclass(frozen=True)
+class _Plan:
+    """What is to be done, and where the results go."""
+
+    document: Document[Bench]
+    folder: Path
+    new_file: Path
+    seed: int
+    mistake: str | None
+    operator: str | None
+    fastest_deg_s: float
+
+
+def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
+    """Go through the bench, and store and show the protocol; returns exit status and record."""
+    folder = plan.folder
+    screen = Screen()
+    screen.silence()
+    with noting_folder(folder), closing(screen), StopButton(screen.say) as stop:
+        interview: Interview = AutomaticInterview(screen, angle_deg)
+        if not yes:
+            interview = TypedInterview(screen, Prompt(screen), stop, angle_deg)
+        with create_folder(folder, "rig commission"):
+            result = commission(
+                plan.document,
+                _connections(stop, plan.seed, plan.mistake, screen),
+                interview,
+                stop,
+                lambda number: open_recorder(folder / part_file(number)),
+                plan.fastest_deg_s,
+            )
+            written = _keep(result, plan.document, folder, plan.new_file)
+            record = commission_record(result, plan.document, plan.seed, plan.operator, written)
+            write_record(record, folder / RECORD_FILE, None)
+        protocol = commission_document(result, plan.document, plan.operator, written)
+        screen.say(shown(protocol), err=False)
+        write_page(protocol, folder / PAGE_FILE)
+        screen.say(f"protocol: {folder / PAGE_FILE}", err=False)
+    if result.error is not None:
+        note_drive(result.error, "never energised" if result.safe is None else result.safe.message)
+        raise result.error
+    unsure = result.safe is not None and not result.safe.verified
+    return (STATUS[result.ending] or DEVICE_FAILED) if unsure else STATUS[result.ending], record
+
+
+def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:
+    """Refuse what only a simulated bench allows, and a real one without a person.
+
+    Raises:
+        InputError: It is not allowed.
+    """
+    if document.value.simulated:
+        if mistake is not None and document.value.servo.kind != "canopen":
+            raise InputError("--mistake: works with simulated drives of kind canopen only")
+        return
+    if yes:
+        raise InputError(
+            f"{document.path}: --yes agrees to every step, and this bench is real: run at a "
+            f"terminal without it, with a hand on the emergency stop"
+        )
+    if mistake is not None:
+        raise InputError("--mistake: works with simulated benches only")
+    if not at_terminal():
+        raise InputError(
+            f"{document.path}: there is no terminal to ask at, and this bench is real: run at a "
+            f"terminal"
+        )
+
+
+def _new_file(document: Document[Bench], folder: Path) -> Path:
+    """Return where the corrected bench goes: beside the file, as it names others relative to it; a
+    packaged one goes to the folder of the protocol.
+    """
+    path = document.path
+    if path == packaged(path.stem, "benches"):
+        return folder / "bench.yaml"
+    return path.with_name(f"{path.stem}.commissioned{path.suffix}")
+
+
+Connect = Callable[[Document[Bench]], Any]
+
+
+def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
+    """Return what opens a bench, with a mistake in its simulated devices where one is asked for."""
+
+    def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
+        spoil = MISTAKES[mistake or ""].spoil
+        if spoil is not None and isinstance(mock, SimulatedBench):
+            # Lines and their devices are there once the host opens them.
+            mock.clock.call_at(mock.clock.now_ns(), lambda: spoil(mock, Scene(mock).sensor))
+        return mock.clock
+
+    @contextmanager
+    def connect(document: Document[Bench]) -> Iterator[Devices]:
+        attach = None
+        if mistake is not None:
+            attach, change = spoiled, MISTAKES[mistake].change
+            mock = document.value.mock
+            if change is not None and mock is not None:
+                value = document.value.model_copy(update={"mock": change(mock)})
+                document = dataclasses.replace(document, value=value)
+        with connected(stop, document, seed, False, attach, purpose="rig commission") as devices:
+            say_taken_over(devices.lock, screen)
+            yield devices
+
+    return connect
+
+
+def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
+    """Write the corrections; returns the new bench file, empty where there are none."""
+    before = document.path.read_text(encoding="utf-8-sig")
+    if not result.changes:
+        write_texts({"bench.yaml": before}, folder)
+        return ""
+    write_texts({PATCH_FILE: difference(before, result.text, document.path.name)}, folder)
+    try:
+        write_text(new_file, result.text)
+    except OSError as error:
+        raise InputError(
+            f"{new_file}: cannot be written: {error.strerror}; {folder / PATCH_FILE} has the "
+            f"corrections"
+        ) from error
+    return str(new_file)

@@ -1,0 +1,125 @@
+"""``rig watch``: a recording in other tools, while it grows or later."""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from pathlib import Path
+from urllib.parse import urlencode
+
+import click
+
+from rig.cli.entry import DONE
+from rig.common.errors import InputError
+from rig.live import HOST, Offer, layout, sdk, serve
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RunRecord
+
+PORT = 8765
+_NO_TOKEN = (
+    "no token: PlotJuggler's client takes a host and a port only, so that nothing could carry one; "
+    "every program of this computer can read the recording meanwhile (pages in a browser cannot)"
+)
+
+
+@click.command("watch")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--foxglove", is_flag=True, help="Serve over Foxglove's WebSocket.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=PORT,
+    show_default=True,
+    help="Port on this computer; 0 for a free one.",
+)
+@click.option(
+    "--no-token",
+    is_flag=True,
+    help="Ask for no token in the address; PlotJuggler cannot send one.",
+)
+@click.option(
+    "--last",
+    metavar="SECONDS",
+    type=click.FloatRange(min=0.0),
+    help="Of what is recorded already, send the last SECONDS only [default: all].",
+)
+@click.option(
+    "--part",
+    type=click.IntRange(min=1),
+    help="Number of the recording, where the run was resumed [default: the newest].",
+)
+def command(
+    run: Path, foxglove: bool, port: int, no_token: bool, last: float | None, part: int | None
+) -> int:
+    """Serve RUN's recording to Foxglove or PlotJuggler, until Ctrl-C.
+
+    A run that is going on is followed as it grows; of a finished one, everything is sent as fast as
+    it is read. Each subscriber gets a topic from its beginning. Nothing can be commanded this way:
+    the stream is read only, and open to this computer only.
+
+    \b
+    Topics:
+      /sample   every field of a sample, SI units
+      /event    events, JSON (Foxglove only)
+      /can      raw CAN frames, as can_msgs/msg/Frame
+      /serial   raw bytes of serial lines
+
+    \b
+    Example:
+      rig watch runs/demo --foxglove
+      rig watch runs/demo --foxglove --no-token   (for PlotJuggler)
+    """
+    if not foxglove:
+        raise InputError("rig watch: name the protocol to serve; add --foxglove")
+    record = read_record(run)
+    number = _number(run, record, part)
+    recording = run / record.parts[number - 1].file
+    if not recording.is_file():
+        raise InputError(f"{recording}: no such file; the run folder is incomplete")
+    sdk()
+    offer = Offer(
+        recording=recording,
+        name=_name(run, record, number),
+        token=None if no_token else secrets.token_urlsafe(16),
+        last_s=last,
+    )
+    try:
+        asyncio.run(serve(offer, port, lambda bound: _announce(offer, record, bound)))
+    except KeyboardInterrupt:
+        click.echo("no longer served")
+    except OSError as error:
+        raise InputError(
+            f"--port: {port} cannot be used ({error.strerror}); give another, or 0 for a free one"
+        ) from error
+    return DONE
+
+
+def _number(run: Path, record: RunRecord, part: int | None) -> int:
+    count = len(record.parts)
+    if part is not None and part > count:
+        have = "1 recording" if count == 1 else f"{count} recordings"
+        raise InputError(f"--part: {run} has {have} (got {part})")
+    return part or count
+
+
+def _name(run: Path, record: RunRecord, number: int) -> str:
+    bench = "simulated" if record.simulated else "REAL"
+    part = f", recording {number}" if len(record.parts) > 1 else ""
+    return f"{record.name} in {run} ({bench} bench{part})"
+
+
+def _announce(offer: Offer, record: RunRecord, port: int) -> None:
+    """Print where to connect, and the layouts."""
+    query = "" if offer.token is None else "/?" + urlencode({"token": offer.token})
+    address = f"ws://{HOST}:{port}{query}"
+    state = "followed as it grows" if record.state == "running" else f"ended: {record.state}"
+    click.echo(f"{offer.name}: {state}")
+    click.echo(f"Foxglove:    open connection, Foxglove WebSocket, {address}")
+    click.echo(f"             layout: {layout('foxglove')}")
+    if offer.token is None:
+        click.echo(f"PlotJuggler: streaming, Foxglove ROS2 Bridge, address {HOST}, port {port}")
+        click.echo(f"             layout: {layout('plotjuggler')}")
+        click.echo(_NO_TOKEN)
+    else:
+        click.echo("PlotJuggler: its client cannot send a token; start with --no-token for it")
+    click.echo("read only; Ctrl-C ends it")

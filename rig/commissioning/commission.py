@@ -1,0 +1,267 @@
+"""A whole commissioning: step after step, and again with a corrected bench file where one finds a
+wrong value.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from drivers.errors import DeviceError
+from rig.commissioning import moving, still
+from rig.commissioning.interview import Interview
+from rig.commissioning.patch import patched
+from rig.commissioning.record import SkippedError, StepRecord, Verdict, WrongError
+from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.common.errors import StorageError
+from rig.config.bench import Bench, bench_from_text
+from rig.config.configuration import Document
+from rig.control.cycle import TripError
+from rig.control.motion_words import Change
+from rig.runs.recorder import Recorder
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Devices
+from rig.wiring.teardown import SafeState, words_of
+
+MOST_CORRECTIONS: Final = 12
+STILL: Final = "Nothing moves, and the drive stays off."
+Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step.
+
+    Attributes:
+        name: Short name.
+        announced: What moves and what is under power.
+        do: Carries it out.
+        asks: Whether it needs the operator's consent.
+    """
+
+    name: str
+    announced: str
+    do: Callable[[Setup, StepRecord], None]
+    asks: bool = True
+
+
+STEPS: Final = (
+    Step("identity", f"Reads who the devices are. {STILL}", still.identity, asks=False),
+    Step("readings", f"Reads values, state and settings. {STILL}", still.readings, asks=False),
+    Step("zero", f"Holds both angles against the true one. {STILL}", still.zero, asks=False),
+    Step("limits", f"Writes low limits into the drive and reads them back. {STILL}", still.limits),
+    Step(
+        "hold",
+        f"The drive is energised for {2 * moving.HOLD_S:g} s and holds; the joint stands still. "
+        "Then the power is off, and the joint must stay.",
+        moving.hold,
+    ),
+    Step(
+        "watchdog",
+        "The drive is energised and holds, then this program is silent until the drive has taken "
+        "the power off by itself. The joint stands still.",
+        moving.watchdog,
+    ),
+    Step(
+        "small move",
+        f"The joint turns by {moving.SMALL_DEG:g} deg at {moving.SLOW_DEG_S:g} deg/s and back, "
+        f"twice; where it does not follow, further, up to {moving.LARGE_DEG:g} deg.",
+        moving.small_move,
+    ),
+    Step(
+        "stop",
+        f"The joint turns at up to {0.5 * FASTEST_DEG_S:g} deg/s and is stopped on its way by a "
+        "quick stop.",
+        moving.stop,
+    ),
+    Step(
+        "large move",
+        f"The joint turns by {moving.LARGE_DEG:g} deg at up to {0.5 * FASTEST_DEG_S:g} deg/s and "
+        "back, twice.",
+        moving.large_move,
+    ),
+)
+"""The steps in their order: each is tried with what the ones before have proven."""
+
+
+@dataclass
+class Commissioning:
+    """The result.
+
+    Attributes:
+        ending: How it ended; `done` where every step was good or could not be tried.
+        words: How it ended, for the operator.
+        text: Text of the bench file with all corrections.
+        changes: All corrections, in order.
+        sessions: Steps of each connection; a correction begins a new one.
+        safe: How the drive was left; None where it was never energised.
+        error: A defect of this program, to be raised once everything is stored.
+    """
+
+    ending: Ending
+    words: str
+    text: str
+    changes: list[Change] = field(default_factory=list)
+    sessions: list[list[StepRecord]] = field(default_factory=list)
+    safe: SafeState | None = None
+    error: BaseException | None = None
+
+    @property
+    def untried(self) -> list[str]:
+        """Steps of the last connection that were not tried."""
+        return [s.name for s in self.sessions[-1] if s.verdict is Verdict.SKIPPED]
+
+    def record(self) -> dict[str, Any]:
+        """Return the record for the result file."""
+        return {
+            "state": self.ending.value,
+            "message": self.words,
+            "changes": [
+                {"key": f"{change.section}.{change.key}", "value": change.value}
+                for change in self.changes
+            ],
+            "sessions": [[step.record() for step in steps] for steps in self.sessions],
+            "drive": None if self.safe is None else self.safe.record(),
+        }
+
+
+def commission(
+    document: Document[Bench],
+    connect: Connect,
+    interview: Interview,
+    stop: StopButton,
+    record_in: Callable[[int], Recorder],
+    fastest_deg_s: float = FASTEST_DEG_S,
+) -> Commissioning:
+    """Go through a bench. Raises only what a connection raises before anything is energised.
+
+    Args:
+        document: The bench file.
+        connect: Opens the devices of a bench.
+        interview: Whoever stands at the bench.
+        stop: Stop button.
+        record_in: Creates the recording of a connection, by its number from 1.
+        fastest_deg_s: Limit on the joint speed, deg/s.
+
+    Raises:
+        InputError: The bench cannot be connected to.
+        DeviceError: The same.
+        StorageError: The recording cannot be written.
+    """
+    text = document.path.read_text(encoding="utf-8-sig")
+    result = Commissioning(Ending.DONE, "", text)
+
+    def setup_of(bench: Bench, devices: Devices, recorder: Recorder) -> Setup:
+        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s)
+
+    while True:
+        wrong = _session(document, connect, setup_of, record_in, result)
+        if wrong is None or not wrong.changes or result.ending is not Ending.TRIPPED:
+            break
+        changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
+        if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
+            result.words += "; the same was corrected before: look at the bench itself"
+            break
+        if not _agreed(interview, changes, result):
+            break
+        text = patched(result.text, changes)
+        document = bench_from_text(text, document.path)
+        result.text = text
+        result.changes += changes
+        result.ending, result.words = Ending.DONE, ""
+    return result
+
+
+def _agreed(interview: Interview, changes: tuple[Change, ...], result: Commissioning) -> bool:
+    """Ask whether to go on with corrected values."""
+    shown = ", ".join(map(str, changes))
+    try:
+        return interview.agrees(f"Go on from the start with {shown} in a new bench file?")
+    except OperatorStopError as stopped:
+        result.ending, result.words = Ending.STOPPED, f"{result.words}; {stopped}"
+        return False
+
+
+def _session(
+    document: Document[Bench],
+    connect: Connect,
+    setup_of: Callable[[Bench, Devices, Recorder], Setup],
+    record_in: Callable[[int], Recorder],
+    result: Commissioning,
+) -> WrongError | None:
+    """Go through the steps on one connection; returns the error of the step that found one."""
+    steps: list[StepRecord] = []
+    result.sessions.append(steps)
+    wrong: WrongError | None = None
+    with connect(document) as devices:
+        recorder = record_in(len(result.sessions))
+        try:
+            setup = setup_of(document.value, devices, recorder)
+            try:
+                wrong = _steps(setup, steps, result)
+            except StorageError as error:
+                # Whoever reports it says how the drive was left.
+                error.__dict__["safe"] = setup.safe
+                raise
+            finally:
+                setup.give_back()
+                result.safe = setup.safe or result.safe
+        finally:
+            recorder.close()
+    return wrong
+
+
+def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
+    """Carry the steps out until one is wrong; sets how that ended."""
+    for step in STEPS:
+        record = StepRecord(step.name, step.announced)
+        steps.append(record)
+        setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)
+        try:
+            setup.stop.check()
+            _one(setup, step, record)
+        except (WrongError, TripError, DeviceError) as error:
+            record.verdict, record.words = Verdict.WRONG, str(error)
+            record.changes = error.changes if isinstance(error, WrongError) else ()
+            result.ending, result.words = Ending.TRIPPED, f"{step.name}: {error}"
+            _say(setup, record)
+            return WrongError(str(error), record.changes)
+        except (OperatorStopError, KeyboardInterrupt) as stopped:
+            record.verdict, record.words = Verdict.SKIPPED, str(stopped) or setup.stop.words
+            result.ending, result.words = Ending.STOPPED, f"{step.name}: {record.words}"
+            return None
+        except StorageError:
+            raise
+        except BaseException as defect:  # noqa: BLE001 the drive is safe; the command raises it again
+            record.verdict, record.words = Verdict.WRONG, words_of(defect)
+            result.ending, result.error = Ending.CRASHED, defect
+            result.words = f"{step.name}: the program broke down ({words_of(defect)})"
+            return None
+        _say(setup, record)
+    return None
+
+
+def _one(setup: Setup, step: Step, record: StepRecord) -> None:
+    """Announce a step, ask for it, and carry it out.
+
+    Raises:
+        OperatorStopError: It was not agreed to; the steps after it rest on it.
+    """
+    setup.interview.tell(f"Step {step.name}. {step.announced}")
+    if step.asks:
+        if not setup.interview.agrees("Go on with this step?"):
+            raise OperatorStopError("not agreed to, and the steps after it rest on it")
+        record.consent = setup.interview.how
+    try:
+        step.do(setup, record)
+    except SkippedError as skipped:
+        record.verdict, record.words = Verdict.SKIPPED, str(skipped)
+
+
+def _say(setup: Setup, record: StepRecord) -> None:
+    for item in record.measured:
+        setup.interview.tell(f"  {item.name}: {item.value} {item.unit}".rstrip())
+    setup.interview.tell(f"  {record.verdict.value}: {record.words}")

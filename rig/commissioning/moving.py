@@ -1,0 +1,227 @@
+"""Steps under power, at low limits: hold, watchdog, small moves, stop."""
+
+from __future__ import annotations
+
+import math
+from contextlib import suppress
+from typing import Final
+
+from drivers.clock import NS
+from drivers.errors import DeviceError
+from drivers.interfaces import ServoState
+from rig.commissioning.record import SkippedError, StepRecord, WrongError
+from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.control.cycle import TripError
+from rig.control.motion_witness import MotionWitness
+from rig.control.motion_words import RATIO_TOLERANCE
+from rig.control.safety import Check
+
+HOLD_S: Final = 0.5
+DRIFT_DEG: Final = 0.2
+"""Largest motion of a joint that is to stand still."""
+SILENCES: Final = (2.0, 5.0)
+"""Times without this program, after one of which the drive must have stopped, in units of its own
+time-out. It is not asked meanwhile, as a question may count as a sign of life.
+"""
+SMALL_DEG: Final = 0.5
+LARGE_DEG: Final = 5.0
+GROWTH: Final = 2.0
+SLOW_DEG_S: Final = 1.0
+LARGE_TOLERANCE: Final = 0.02
+"""Relative difference of the encoders' travels that the large move may show."""
+STOP_S: Final = 1.0
+
+
+def hold(setup: Setup, step: StepRecord) -> None:
+    """Energise and hold; then look whether the joint stays without power.
+
+    Raises:
+        WrongError: The joint moves.
+    """
+    before = setup.devices.encoder
+    with setup.power("hold") as here:
+        setup.rest(here)
+        start = before.sample().angle_rad
+        setup.rest(here, HOLD_S)
+        held = math.degrees(before.sample().angle_rad - start)
+        step.measure("current while holding", abs(setup.devices.servo.sample().current_A), "A")
+    step.measure("motion while holding", held, "deg")
+    at = before.reading()
+    clock = setup.devices.link.clock
+    clock.sleep_until_ns(clock.now_ns() + round(HOLD_S * NS))
+    fallen = math.degrees(before.reading() - at)
+    step.measure("motion without power", fallen, "deg")
+    for moved, when in ((held, "held under power"), (fallen, "without power")):
+        if abs(moved) > DRIFT_DEG:
+            raise WrongError(
+                f"the joint moved by {moved:.3g} deg {when}, must be at most {DRIFT_DEG:g} deg: "
+                f"check gains, brake and balance"
+            )
+    step.words = "the joint stands still, with power and without"
+
+
+def watchdog(setup: Setup, step: StepRecord) -> None:
+    """Be silent while the drive holds, until it has taken the power off by itself.
+
+    Raises:
+        SkippedError: The drive has no watchdog.
+        WrongError: It does not act.
+    """
+    servo, link = setup.devices.servo, setup.devices.link
+    if servo.watch_s is None or not link.has_watchdog:
+        raise SkippedError(
+            "this drive has no watchdog: the limits are cut, and the operator stays at the bench"
+        )
+    with setup.power("watchdog") as here:
+        setup.rest(here)
+        for silent_s in (share * servo.watch_s for share in SILENCES):
+            link.clock.sleep_until_ns(link.clock.now_ns() + round(silent_s * NS))
+            state = servo.state()
+            if state.energised:
+                # Some drives report their state in answer to a target only: the one that they hold.
+                with suppress(DeviceError):
+                    setup.cycle.watch()
+                state = servo.state()
+            if not state.energised:
+                break
+        else:
+            raise WrongError(
+                f"the drive is still in state {state.value!r} {silent_s:.3g} s after this program "
+                f"went silent, must be off after {servo.watch_s:g} s: it would go on when the "
+                f"program dies. Set its reaction (6007h, 1016h) with the maker's tool, or set "
+                f"servo.stops_alone: false, which cuts the limits"
+            )
+    step.measure("power off within", silent_s, "s")
+    step.measure("state", state.value)
+    setup.clear()
+    step.words = "the drive takes the power off when this program is silent"
+
+
+def small_move(setup: Setup, step: StepRecord) -> None:
+    """Move a little both ways, and hold all reports against each other; more where the joint does
+    not follow.
+
+    Raises:
+        WrongError: Units, signs, ratio or constants are wrong.
+    """
+    size = SMALL_DEG
+    while True:
+        if _move(setup, step, size, SLOW_DEG_S * size / SMALL_DEG, RATIO_TOLERANCE):
+            break
+        size *= GROWTH
+        if size > LARGE_DEG:
+            raise WrongError(
+                f"the joint hardly moves within {size / GROWTH:g} deg: check that it is free, and "
+                f"the gains of the drive"
+            )
+    step.words = "units, signs and ratio agree"
+
+
+def large_move(setup: Setup, step: StepRecord) -> None:
+    """Move further, for a closer look at the ratio.
+
+    Raises:
+        WrongError: As for :func:`small_move`.
+    """
+    if not _move(setup, step, LARGE_DEG, _fastest_deg_s(setup), LARGE_TOLERANCE):
+        raise WrongError(f"the joint hardly moves within {LARGE_DEG:g} deg: check that it is free")
+    step.words = f"the encoders agree within {LARGE_TOLERANCE:.0%}"
+
+
+def stop(setup: Setup, step: StepRecord) -> None:
+    """Stop in the middle of a slow move.
+
+    Raises:
+        WrongError: The drive does not stop.
+    """
+    servo, encoder, cycle = setup.devices.servo, setup.devices.encoder, setup.cycle
+    speed = math.radians(_fastest_deg_s(setup))
+    with setup.power("stop") as here:
+        end = here + _way(setup, here, LARGE_DEG)
+        step_rad = math.copysign(speed * setup.bench.cycle_s, end - here)
+        cycles = round(0.5 * abs(end - here) / abs(step_rad))
+        cycle.follow([here + step_rad * n for n in range(1, cycles)], 0, "stop")
+        began, at = setup.devices.link.clock.now_ns(), encoder.sample().angle_rad
+        try:
+            servo.quick_stop()
+        except DeviceError as failure:
+            raise WrongError(
+                f"the drive does not obey the quick stop: {failure}. The power was taken off; "
+                f"check 605Ah and 6085h"
+            ) from failure
+        state = servo.state()
+        for _ in range(round(STOP_S / setup.bench.cycle_s)):
+            if state is not ServoState.QUICK_STOP_ACTIVE:
+                break
+            cycle.watch()
+            state = servo.state()
+        took_s = (setup.devices.link.clock.now_ns() - began) / NS
+        way = abs(math.degrees(encoder.sample().angle_rad - at))
+    if state is ServoState.FAULT:
+        raise WrongError(
+            "the drive did not obey the quick stop: it is in fault instead, stopped by its "
+            "watchdog or a fault of its own; check 605Ah and 6085h"
+        )
+    step.measure("time to the end of the stop", took_s, "s")
+    step.measure("way", way, "deg")
+    step.measure("state", state.value)
+    # It stops within the ramp at twice the deceleration's time, and the drive's settling.
+    allowed = 2.0 * math.degrees(speed) * max(took_s, 0.05) + DRIFT_DEG
+    if way > allowed:
+        raise WrongError(
+            f"the joint went on for {way:.3g} deg after the stop, must be at most {allowed:.3g} deg"
+        )
+    step.words = "the drive stops and is off"
+
+
+def _fastest_deg_s(setup: Setup) -> float:
+    """Return the speed of the larger moves: half the limit, for breaking away."""
+    return min(0.5 * math.degrees(setup.limits.speed), 0.5 * FASTEST_DEG_S)
+
+
+def _way(setup: Setup, here: float, size_deg: float) -> float:
+    """Return a move of this size towards the middle of the limits, rad."""
+    middle = 0.5 * (setup.limits.angle_min + setup.limits.angle_max)
+    size = min(math.radians(size_deg), 0.4 * (setup.limits.angle_max - setup.limits.angle_min))
+    return size if here <= middle else -size
+
+
+def _move(
+    setup: Setup, step: StepRecord, size_deg: float, speed_deg_s: float, tolerance: float
+) -> bool:
+    """Move away and back, twice; returns False where the joint did not move enough.
+
+    Raises:
+        WrongError: Reports contradict each other or the bench file.
+    """
+    nominal = setup.devices.nominal
+    assert nominal is not None
+    setup.cycle.units = witness = MotionWitness(setup.devices.servo, nominal)
+    speed = math.radians(min(speed_deg_s, _fastest_deg_s(setup)))
+    try:
+        with setup.power("move") as here:
+            end = here + _way(setup, here, size_deg)
+            for _ in range(2):
+                setup.go(here, end, speed)
+                setup.go(end, here, speed)
+    except (TripError, DeviceError) as error:
+        too_fast = isinstance(error, TripError) and error.trip.check is Check.SPEED
+        cause = witness.hint(too_fast) or next(iter(witness.prove().contradictions), None)
+        if cause is None:
+            raise
+        words = cause.words if cause.words in str(error) else f"{error}; {cause.words}"
+        raise WrongError(words, cause.changes) from error
+    finally:
+        setup.cycle.units = None
+    proof = witness.prove(tolerance)
+    step.measured.clear()
+    step.measure("move", size_deg, "deg")
+    for name, factor in proof.found.items():
+        if not math.isnan(factor):
+            step.measure(name, factor)
+    if proof.contradictions:
+        first = proof.contradictions[0]
+        raise WrongError(first.words, first.changes)
+    if proof.moved and proof.unproven:
+        setup.interview.tell(f"note: {proof.unproven}")
+    return proof.moved

@@ -1,0 +1,92 @@
+"""What the steps of a commissioning found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from rig.control.motion_words import Change
+
+
+class Verdict(Enum):
+    """How a step ended."""
+
+    GOOD = "good"
+    WRONG = "wrong"
+    SKIPPED = "not tried"
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One value that was measured or read.
+
+    Attributes:
+        name: What it is.
+        value: The value as text.
+        unit: Its unit; empty if it has none.
+    """
+
+    name: str
+    value: str
+    unit: str = ""
+
+
+@dataclass
+class StepRecord:
+    """One step.
+
+    Attributes:
+        name: Short name.
+        announced: What was said before it: what moves, and what is under power.
+        consent: How it was agreed to: `typed`, `--yes`, or empty where nothing was asked.
+        measured: What was measured.
+        verdict: How it ended.
+        words: Result, and what to do about it.
+        changes: What to set in the bench file.
+    """
+
+    name: str
+    announced: str
+    consent: str = ""
+    measured: list[Measured] = field(default_factory=list)
+    verdict: Verdict = Verdict.GOOD
+    words: str = ""
+    changes: tuple[Change, ...] = ()
+
+    def measure(self, name: str, value: object, unit: str = "") -> None:
+        """Note a value; floats are shown to four digits."""
+        shown = f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)
+        self.measured.append(Measured(name, shown, unit))
+
+    def record(self) -> dict[str, Any]:
+        """Return the record for the result file."""
+        return {
+            "name": self.name,
+            "announced": self.announced,
+            "consent": self.consent,
+            "measured": [vars(item) for item in self.measured],
+            "verdict": self.verdict.value,
+            "words": self.words,
+            "changes": [
+                {"key": f"{change.section}.{change.key}", "value": change.value}
+                for change in self.changes
+            ],
+        }
+
+
+class WrongError(Exception):
+    """A step found something wrong.
+
+    Args:
+        words: Finding and remedy.
+        changes: What to set in the bench file; none where the bench or the drive must be changed.
+    """
+
+    def __init__(self, words: str, changes: tuple[Change, ...] = ()) -> None:
+        super().__init__(words)
+        self.changes = changes
+
+
+class SkippedError(Exception):
+    """A step cannot be tried, or was not agreed to; the message says why."""

@@ -1,0 +1,163 @@
+"""One connection to the bench during a commissioning: low limits, power, motion, power off."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Final
+
+from drivers.interfaces import ServoLimits, ServoState
+from rig.commissioning.interview import Interview
+from rig.commissioning.record import StepRecord, WrongError
+from rig.config.bench import Bench
+from rig.config.sequence import approach
+from rig.control.cycle import Cycle
+from rig.planning.limits import Limits
+from rig.planning.plan import bench_limits, servo_limits
+from rig.runs.recorder import Recorder
+from rig.terminal.stop_button import StopButton
+from rig.wiring.devices import Devices
+from rig.wiring.drive_limits import require_within_own, require_written
+from rig.wiring.teardown import SafeState, give_back, make_safe
+
+FASTEST_DEG_S: Final = 12.0
+"""Default limit on the joint speed, deg/s; at most a quarter of the bench's."""
+SPEED_SHARE: Final = 0.25
+TORQUE_SHARE: Final = 0.6
+"""Share of the bench's torque and current limits that a commissioning uses."""
+REST_S: Final = 0.2
+
+
+def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
+    """Return the limits of a commissioning: those of the bench, with less speed, torque and
+    current.
+    """
+    limits = bench_limits(bench)
+    return dataclasses.replace(
+        limits,
+        speed=min(math.radians(fastest_deg_s), SPEED_SHARE * limits.speed),
+        torque=TORQUE_SHARE * limits.torque,
+        current=TORQUE_SHARE * limits.current,
+    )
+
+
+@dataclass
+class Setup:
+    """A connected bench.
+
+    Attributes:
+        bench: The bench file.
+        devices: Its devices, on an open link.
+        interview: Whoever stands at the bench.
+        stop: Stop button, read every cycle.
+        recorder: Takes samples and events.
+        limits: Limits in force.
+        cycle: The control cycle.
+        own: Limits that the drive held before; None until they are read.
+        safe: How the drive was left after the last time under power; None before the first.
+        steps: Steps so far.
+    """
+
+    bench: Bench
+    devices: Devices
+    interview: Interview
+    stop: StopButton
+    recorder: Recorder
+    limits: Limits
+    cycle: Cycle
+    own: ServoLimits | None = None
+    safe: SafeState | None = None
+    steps: list[StepRecord] = field(default_factory=list)
+
+    @classmethod
+    def of(
+        cls,
+        bench: Bench,
+        devices: Devices,
+        interview: Interview,
+        stop: StopButton,
+        recorder: Recorder,
+        fastest_deg_s: float = FASTEST_DEG_S,
+    ) -> Setup:
+        """Return the setup of a bench whose link is open."""
+        limits = low_limits(bench, fastest_deg_s)
+        cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
+        return cls(bench, devices, interview, stop, recorder, limits, cycle)
+
+    @property
+    def wanted(self) -> ServoLimits:
+        """The low limits, as written into the drive."""
+        return servo_limits(self.limits, self.bench)
+
+    def prepare(self) -> None:
+        """Map process data and write the low limits into the drive; nothing is energised.
+
+        Raises:
+            DeviceError: A device is not what the bench file says, or does not take a limit.
+        """
+        servo, bench, wanted = self.devices.servo, self.bench, self.wanted
+        self.devices.prepare(bench.cycle_s)
+        if self.own is None:
+            own, unheld = servo.read_limits(), servo.lacks(bench.cycle_s).limits
+            require_within_own(wanted, own, servo.limit_steps(), servo.limit_places, unheld)
+            self.own = own
+        servo.write_limits(wanted)
+        require_written(servo, wanted, bench.cycle_s)
+
+    @contextmanager
+    def power(self, what: str) -> Iterator[float]:
+        """Energise, hold, and take the power off at the end, whatever happens; yields the joint
+        angle that is held, rad.
+
+        Raises:
+            WrongError: It could not be verified that the power is off.
+        """
+        cycle, servo = self.cycle, self.devices.servo
+        self.recorder.event(cycle.now_ns, "power on", step=what)
+        done = False
+        try:
+            self.prepare()
+            servo.enable()
+            here = servo.sample().motor_angle_rad / self.bench.machine.gear_ratio
+            cycle.ask_reset()
+            cycle.begin(here)
+            yield here
+            done = True
+        finally:
+            presses = self.stop.presses
+            self.safe = make_safe(
+                servo,
+                cycle.watch,
+                self.bench.cycle_ns,
+                brake=not done,
+                hurry=lambda: self.stop.presses > presses,
+                watched=self.devices.link.has_watchdog,
+            )
+            cycle.end()
+        self.recorder.event(cycle.now_ns, "power off", step=what, state=self.safe.state)
+        if not self.safe.verified:
+            raise WrongError(self.safe.message)
+
+    def rest(self, angle: float, seconds: float = REST_S) -> None:
+        """Hold an angle."""
+        self.cycle.follow([angle] * max(1, round(seconds / self.bench.cycle_s)), 0, "hold")
+
+    def go(self, start: float, end: float, speed: float) -> None:
+        """Go to an angle at a peak speed, rad/s, and rest."""
+        self.cycle.follow(approach(start, end, speed, self.bench.cycle_s).tolist(), 0, "move")
+        self.rest(end)
+
+    def clear(self) -> None:
+        """Clear a fault that a step has provoked; the drive stays off."""
+        servo = self.devices.servo
+        if servo.state() is ServoState.FAULT:
+            servo.reset_fault()
+
+    def give_back(self) -> tuple[BaseException, ...]:
+        """Restore the drive's own limits once it is verified off."""
+        if self.own is None or (self.safe is not None and not self.safe.verified):
+            return ()
+        return give_back(self.devices.servo, self.own, self.safe or SafeState(True, "off"))

@@ -1,0 +1,131 @@
+"""Steps in which nothing moves and nothing is energised: identity, readings, zero, limits."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from drivers.errors import DeviceError
+from rig.commissioning.record import StepRecord, WrongError
+from rig.commissioning.setup import Setup
+from rig.control.motion_words import Change
+from rig.control.readings import reading_findings, take_readings
+from rig.wiring.bench_text import watcher
+from rig.wiring.drive_limits import compare, show
+from rig.wiring.preflight import device_findings
+
+ZERO_TOLERANCE_DEG: Final = 0.1
+"""Difference of a reading from the true angle that is left as it is."""
+
+
+def identity(setup: Setup, step: StepRecord) -> None:
+    """Read who the devices are, and hold that against their EDS files.
+
+    Raises:
+        WrongError: A device does not answer, is another one, or was not confirmed.
+    """
+    devices = setup.devices
+    found = {"drive": devices.servo.identity(), "joint encoder": devices.encoder.identity()}
+    for role, who in found.items():
+        words = f"{who.name or 'no name'}, vendor {who.vendor_id:X}h, product {who.product_code:X}h"
+        step.measure(role, f"{words}, serial number {who.serial_number}")
+    doubts = [*devices.servo.identity_doubts(), *devices.encoder.identity_doubts()]
+    if doubts:
+        raise WrongError("; ".join(doubts))
+    for item in step.measured:
+        setup.interview.tell(f"  {item.name}: {item.value}")
+    if not setup.interview.agrees("Are these the devices of this bench?"):
+        raise WrongError(
+            "these are not the devices of this bench: correct node numbers, channel and EDS files"
+        )
+    step.words = "the devices are those of the bench file"
+
+
+def readings(setup: Setup, step: StepRecord) -> None:
+    """Read values, state and settings.
+
+    Raises:
+        WrongError: A run would refuse them.
+    """
+    devices, bench = setup.devices, setup.bench
+    taken = take_readings(devices, bench.machine.gear_ratio)
+    for name, value, unit in taken.rows():
+        step.measure(name, value, unit)
+    step.measure("state of the drive", taken.state)
+    step.measure("watched by", watcher(devices).words)
+    found = list(device_findings(devices, setup.wanted, bench.cycle_s))
+    # Angles are the matter of the next step.
+    found += [
+        item
+        for item in reading_findings(taken, setup.limits)
+        if "joint angle" not in item.text and "encoder against drive" not in item.text
+    ]
+    for words in devices.servo.lacks(bench.cycle_s).words:
+        setup.interview.tell(f"note: {words}")
+    problems = [item.text for item in found if item.refused]
+    if problems:
+        raise WrongError("; ".join(problems))
+    step.words = "state, settings and readings are such that a run would start"
+
+
+def zero(setup: Setup, step: StepRecord) -> None:
+    """Hold both angles against the true one, or against each other where that is not known.
+
+    Raises:
+        WrongError: They differ; with the offsets to be set where the true angle is known.
+    """
+    bench = setup.bench
+    taken = take_readings(setup.devices, bench.machine.gear_ratio)
+    both = (
+        ("servo", "drive", math.degrees(taken.motor_encoder_at_joint_rad)),
+        ("encoder", "joint encoder", math.degrees(taken.joint_encoder_rad)),
+    )
+    for _, name, reading in both:
+        step.measure(f"angle by the {name}", reading, "deg")
+    true = setup.interview.angle_deg("True joint angle now, by protractor or stop, deg")
+    if true is None:
+        difference = abs(both[0][2] - both[1][2])
+        limit = bench.limits.encoder_disagreement_deg
+        if not difference <= limit:
+            raise WrongError(
+                f"drive and joint encoder differ by {difference:.4g} deg, limit {limit:g} deg: "
+                f"give the true angle (--angle), and the offsets follow"
+            )
+        step.words = "the true angle was not given: the zero is not checked"
+        return
+    step.measure("true angle", true, "deg")
+    if not bench.limits.angle_min_deg <= true <= bench.limits.angle_max_deg:
+        raise WrongError(
+            f"the joint is at {true:g} deg, outside of {bench.limits.angle_min_deg:g} to "
+            f"{bench.limits.angle_max_deg:g} deg: turn it by hand"
+        )
+    changes = []
+    for section, _, reading in both:
+        offset = getattr(getattr(bench, section), "offset_deg", 0.0)
+        if abs(true - reading) > ZERO_TOLERANCE_DEG:
+            wanted = float(f"{offset + true - reading:.4f}")
+            changes.append(Change(section, "offset_deg", wanted))
+    if changes:
+        raise WrongError(f"the zero is off: set {' and '.join(map(str, changes))}", tuple(changes))
+    step.words = f"both angles are within {ZERO_TOLERANCE_DEG:g} deg of the true one"
+
+
+def limits(setup: Setup, step: StepRecord) -> None:
+    """Write the low limits into the drive, and read them back.
+
+    Raises:
+        WrongError: The drive does not take one.
+    """
+    servo = setup.devices.servo
+    try:
+        setup.prepare()
+    except DeviceError as refused:
+        raise WrongError(f"the limits cannot be set: {refused}") from refused
+    held, lacks = servo.read_limits(), servo.lacks(setup.bench.cycle_s)
+    for row in compare(held, setup.wanted, servo.limit_steps(), servo.limit_places):
+        if row.field not in lacks.limits:
+            step.measure(f"{row.name}, {row.objects}", show(row.field, row.first))
+    only = sorted(lacks.limits)
+    step.words = "the drive holds what was written" + (
+        f"; held by this program alone: {', '.join(only)}" if only else ""
+    )

@@ -1,0 +1,265 @@
+"""Factors between what a drive and a joint encoder report in a motion: speed, travel, work, torque
+constant.
+
+Pure functions of the samples. Work along the path is used where it can be, as noise averages out in
+it and the inertia's share cancels.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from rig.config.sequence import Array
+from rig.wiring.devices import Nominal
+
+BLOCK_S: Final = 0.02
+"""Time over which samples are averaged; at least two of them, and no stage of a first pass is so
+quick that it would show.
+"""
+LEAST_RAD: Final = 0.004
+"""Least travel in one direction that is evaluated, at the joint."""
+SENSE: Final = 0.3
+"""Least share of the work that may be negative: friction takes work in both directions."""
+_JUMP_SHARE: Final = 0.7
+"""Share of a travel in one sample from which it is a jump."""
+_COLLINEAR: Final = 1e-9
+_MOVING_SHARE: Final = 0.1
+_SETTLED_SHARE: Final = 0.4
+"""First part of a travel that is left out: play and twist are taken up there."""
+_SAME_EMF: Final = 0.15
+"""Logarithm of the ratio up to which a back-EMF constant is the stated one."""
+_LEAST_EMF: Final = 0.55
+"""Least ratio of back-EMF to torque constant: 1 / sqrt(3) and some, line to line against phase."""
+_EMF_CERTAINTY: Final = 0.08
+_EMF_INFLATION: Final = 3.0
+"""Factor on its standard error, as neighbouring blocks are not independent."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Fresh samples under power, SI units, arrays of shape (n,); motor values at the joint.
+
+    Attributes:
+        time: Time of the samples.
+        motor: Angle of the motor encoder over the gear ratio.
+        joint: Angle of the joint encoder.
+        velocity: Joint speed as the drive reports it.
+        current: Motor current.
+        voltage: Motor voltage, NaN where the drive reports none.
+        torque: Motor torque, NaN where the drive reports none beside the current.
+    """
+
+    time: Array
+    motor: Array
+    joint: Array
+    velocity: Array
+    current: Array
+    voltage: Array
+    torque: Array
+
+    @classmethod
+    def of(cls, rows: Array) -> Motion:
+        """Return the motion of an array of shape (n, 7), whose columns are the attributes in order;
+        rows whose time, angles, speed or current are not finite are left out.
+        """
+        return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
+
+
+def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
+    """Return reported speed over the change of the position; NaN for too little travel."""
+    if len(motion.time) < 2:
+        return math.nan
+    size = _block(motion)
+    edges = np.arange(0, len(motion.time), size)
+    if len(edges) < 3:
+        edges = np.array([0, len(motion.time) - 1])
+    moved = np.diff(motion.motor[edges])
+    mean = motion.velocity[1:] * np.diff(motion.time)
+    reported = np.diff(np.concatenate(([0.0], np.cumsum(mean)))[edges])
+    if len(moved) == 0 or np.sum(np.abs(moved)) < max(least, 1e-9):
+        return math.nan
+    return float(np.sum(moved * reported) / np.sum(moved * moved))
+
+
+def shaft_factor(motion: Motion) -> float:
+    """Return travel of the joint encoder over that of the motor encoder; NaN for too little travel.
+
+    Least squares over all travels in one direction, with an offset for each, which takes play and
+    twist, and with a term in the speed, which takes the time between the two readings.
+    """
+    parts = []
+    size = _block(motion)
+    for begin, end in ((a * size, b * size) for a, b in travels(motion.motor[::size])):
+        inside = slice(begin + round(_SETTLED_SHARE * (end - begin)), end + 1)
+        m, j, v = motion.motor[inside], motion.joint[inside], motion.velocity[inside]
+        if len(m) < 4 or max(abs(m[-1] - m[0]), abs(j[-1] - j[0])) < 0.5 * LEAST_RAD:
+            continue
+        parts.append(np.column_stack([x - x.mean() for x in (m, v, j)]))
+    if not parts:
+        return math.nan
+    table = np.concatenate(parts)
+    return _slope(table[:, 0], table[:, 1], table[:, 2])[0]
+
+
+def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
+    """Return the coefficients of two regressors by least squares.
+
+    By their normal equations, as this may be computed between two control cycles; of the second
+    regressor nothing is taken where it is zero or proportional to the first.
+    """
+    a, b, c = float(first @ first), float(first @ second), float(second @ second)
+    p, q = float(first @ values), float(second @ values)
+    determinant = a * c - b * b
+    if determinant <= _COLLINEAR * a * c:
+        return (p / a if a > 0.0 else math.nan), 0.0
+    return (c * p - b * q) / determinant, (a * q - b * p) / determinant
+
+
+def early_factor(motion: Motion) -> float:
+    """Return the same for the few samples before a trip; NaN unless they fit it."""
+    m, j = motion.motor - motion.motor[0], motion.joint - motion.joint[0]
+    slope, delay = _slope(m, motion.velocity, j)
+    rest, span = j - slope * m - delay * motion.velocity, float(np.max(np.abs(j - m)))
+    if span <= 0.0 or float(np.sqrt(np.mean(rest**2))) > 0.1 * span:
+        return math.nan
+    return slope
+
+
+def turn_alike(motion: Motion, nominal: Nominal) -> bool:
+    """Whether both encoders may turn 1:1, within one count of the motor encoder.
+
+    A position that jumped in one sample is no turn.
+    """
+    steps = np.abs(np.diff(motion.joint))
+    counts = np.diff(np.unique(motion.motor))
+    way = float(np.ptp(motion.joint))
+    if len(counts) == 0 or way < LEAST_RAD or float(steps.max()) > _JUMP_SHARE * way:
+        return False
+    low, high = (float(np.ptp(motion.motor)) + side * float(counts.min()) for side in (-1, 1))
+    return low * nominal.gear_ratio <= way <= high * nominal.gear_ratio
+
+
+def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
+    """Return first and last index of each travel in one direction of at least ``least``, rad."""
+    found: list[tuple[int, int]] = []
+    low = high = begin = 0
+    way = 0
+    for at, angle in enumerate(motor.tolist()):
+        if angle > motor[high]:
+            high = at
+        if angle < motor[low]:
+            low = at
+        if way >= 0 and motor[high] - angle >= least:
+            if way:
+                found.append((begin, high))
+            begin, way, low = high, -1, at
+        elif way <= 0 and angle - motor[low] >= least:
+            if way:
+                found.append((begin, low))
+            begin, way, high = low, 1, at
+    if way:
+        found.append((begin, high if way > 0 else low))
+    return [(a, b) for a, b in found if b - a > 1]
+
+
+def current_sense(motion: Motion) -> float:
+    """Return the work of the current over the sum of its amounts, from -1 to 1; NaN unless the
+    joint moved in both directions.
+    """
+    way = np.diff(motion.motor)
+    up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
+    if min(up, down) < LEAST_RAD:
+        return math.nan
+    work = motion.current[1:] * way
+    # The same weight for both directions, as a constant load works up one way and down the other.
+    ups, downs = (float(work[way * side > 0].sum()) / path for side, path in ((1, up), (-1, down)))
+    amount = float(np.abs(work).sum()) / (up + down)
+    return 0.5 * (ups + downs) / amount if amount > 0.0 else math.nan
+
+
+def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
+    """Return the torque constant that the motion shows, N m/A, and what it rests on; NaN where
+    nothing shows it.
+
+    In order: the drive's torque against its current; the voltage that the motion induces, which is
+    the same number in SI units; the rated values of the drive, unless an uncertain voltage is on
+    the side of the bench file.
+    """
+    if not math.isnan(constant := _by_torque(motion)):
+        return constant, "the drive's torque 6077h against its current 6078h"
+    induced, certain = emf_constant(motion, nominal)
+    if certain:
+        # Constants of alternating current in root mean square: the same motor, other numbers.
+        stated, emf = nominal.torque_constant_N_m_A, nominal.back_emf_constant_V_s_rad
+        confirmed = emf is not None and abs(math.log(induced / emf)) < _SAME_EMF
+        if confirmed and _LEAST_EMF <= induced / stated <= 1.0:
+            return stated, "the voltage that the motion induces"
+        return induced, "the voltage that the motion induces"
+    if nominal.rated_torque_N_m is not None and nominal.rated_current_A is not None:
+        rated = nominal.rated_torque_N_m / nominal.rated_current_A
+        if not _nearer(induced, nominal.torque_constant_N_m_A, rated):
+            return rated, "rated torque over rated current"
+    return math.nan, ""
+
+
+def _nearer(value: float, first: float, second: float) -> bool:
+    """Whether a value, NaN for none, is nearer to the first of two by its ratio to them."""
+    if math.isnan(value) or first == second:
+        return False
+    return abs(math.log(value / first)) < abs(math.log(value / second))
+
+
+def _by_torque(motion: Motion) -> float:
+    size = _block(motion)
+    way = np.diff(motion.motor[::size])
+    if np.isnan(motion.torque).any() or np.abs(way).sum() < LEAST_RAD:
+        return math.nan
+    torque, current = (_means(x, size)[: len(way)] for x in (motion.torque, motion.current))
+    worked = float(np.sum(current * way))
+    amount = float(np.sum(np.abs(current * way)))
+    return float(np.sum(torque * way)) / worked if abs(worked) > SENSE * amount else math.nan
+
+
+def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
+    """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
+    whether it is certain; NaN where the motion does not show it.
+    """
+    size = _block(motion)
+    ends = motion.motor[::size]
+    if len(ends) < 12 or np.isnan(motion.voltage).any() or np.ptp(motion.motor) < LEAST_RAD:
+        return math.nan, False
+    speed = np.diff(ends) / np.diff(motion.time[::size]) * nominal.gear_ratio
+    voltage, current = (_means(x, size)[: len(speed)] for x in (motion.voltage, motion.current))
+    moving = np.abs(speed) > _MOVING_SHARE * np.max(np.abs(speed))
+    if min(np.sum(speed[moving] > 0), np.sum(speed[moving] < 0)) < 4:
+        return math.nan, False
+    table = np.column_stack((speed, current, np.ones_like(speed)))[moving]
+    solution, *_ = np.linalg.lstsq(table, voltage[moving], rcond=None)
+    rest = voltage[moving] - table @ solution
+    freedom = max(1, len(rest) - 3)
+    try:
+        spread = np.linalg.inv(table.T @ table)[0, 0] * float(rest @ rest) / freedom
+    except np.linalg.LinAlgError:
+        return math.nan, False
+    constant = float(solution[0])
+    if constant <= 0.0 or solution[1] <= 0.0:
+        return math.nan, False
+    certain = _EMF_INFLATION * math.sqrt(max(spread, 0.0)) <= _EMF_CERTAINTY * constant
+    return constant, certain
+
+
+def _block(motion: Motion) -> int:
+    """Return the number of samples in a block."""
+    if len(motion.time) < 2:
+        return 1
+    return max(2, round(BLOCK_S / max(float(np.median(np.diff(motion.time))), 1e-6)))
+
+
+def _means(values: Array, size: int) -> Array:
+    """Return the means over the samples from the second of each block to the first of the next."""
+    count = (len(values) - 1) // size
+    return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))

@@ -1,0 +1,160 @@
+"""Holds what a drive and a joint encoder report in a motion against each other and against the
+bench file: units, signs, ratio, torque constant. Pure functions of the samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from drivers.interfaces import Servo
+from rig.control.motion_factors import (
+    SENSE,
+    Motion,
+    current_sense,
+    early_factor,
+    shaft_factor,
+    speed_factor,
+    torque_constant,
+    turn_alike,
+)
+from rig.control.motion_words import (
+    CONSTANT,
+    NO_TORQUE,
+    RATIO_TOLERANCE,
+    SHAFT,
+    SPEED,
+    SPEED_BAND,
+    TORQUE_BAND,
+    WORK,
+    Contradiction,
+    wrong_sense,
+    wrong_shaft,
+    wrong_speed,
+    wrong_torque,
+)
+from rig.wiring.devices import Nominal
+
+HINT_COUNTS: Final = 4
+"""Least number of different motor positions on which words about a trip rest."""
+INSTANT_SPREAD: Final = 15.0
+"""Ratio up to which the factor of a speed is known early in a motion: a drive shows the peak of a
+slip that lasts less than a cycle. Known units are taken within it.
+"""
+LEAST_INSTANT: Final = 4.0
+"""Least ratio of the speed of one sample to the change of the position that explains a trip."""
+_BY_MOTION: Final = (SPEED, SHAFT, WORK)
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a motion showed.
+
+    Attributes:
+        found: Quantity to its factor, found over expected; NaN where the motion did not show it.
+        contradictions: Those outside their tolerance.
+    """
+
+    found: dict[str, float]
+    contradictions: tuple[Contradiction, ...]
+
+    @property
+    def moved(self) -> bool:
+        """Whether the joint moved enough to compare what can be compared."""
+        return not any(math.isnan(self.found[name]) for name in _BY_MOTION)
+
+    @property
+    def unproven(self) -> str:
+        """What no motion without a load shows, for the operator; empty where all is shown."""
+        return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
+
+    @property
+    def words(self) -> str:
+        """All contradictions for the operator."""
+        return "; ".join(item.words for item in self.contradictions)
+
+
+def prove(
+    motion: Motion, nominal: Nominal, servo: Servo, tolerance: float = RATIO_TOLERANCE
+) -> Proof:
+    """Compare everything that a motion shows.
+
+    Args:
+        motion: The samples.
+        nominal: Constants of the bench file.
+        servo: The drive, which names the remedy for its speed.
+        tolerance: Relative difference of the encoders' travels that is allowed.
+    """
+    speed, shaft, sense = speed_factor(motion), shaft_factor(motion), current_sense(motion)
+    constant, source = torque_constant(motion, nominal)
+    found = {
+        SPEED: speed,
+        SHAFT: shaft,
+        WORK: sense,
+        CONSTANT: constant / nominal.torque_constant_N_m_A,
+    }
+    wrong = []
+    if not _same(speed, SPEED_BAND):
+        wrong.append(wrong_speed(speed, servo))
+    if not (math.isnan(shaft) or abs(shaft - 1.0) <= tolerance):
+        wrong.append(wrong_shaft(shaft, nominal))
+    if sense < -SENSE:
+        wrong.append(wrong_sense(sense))
+    if not _same(constant / nominal.torque_constant_N_m_A, TORQUE_BAND):
+        wrong.append(wrong_torque(constant, source, nominal))
+    return Proof(found, tuple(wrong))
+
+
+def hint(
+    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False
+) -> Contradiction | None:
+    """Return what explains a trip or a fault early in a motion; None where nothing does.
+
+    The samples may be few, so that only gross contradictions count, and the encoders only where
+    their angles are proportional to each other.
+
+    Args:
+        motion: The samples up to the trip.
+        nominal: Constants of the bench file.
+        servo: The drive, which names the remedy for its speed.
+        too_fast: Whether the reported speed is what tripped.
+    """
+    if len(motion.time) < 2:
+        return None
+    shaft = math.nan
+    if turn_alike(motion, nominal):
+        shaft = nominal.gear_ratio
+    elif len(np.unique(motion.motor)) >= HINT_COUNTS:
+        shaft = early_factor(motion)
+    if not (math.isnan(shaft) or abs(shaft - 1.0) <= 2.0 * RATIO_TOLERANCE):
+        return wrong_shaft(shaft, nominal)
+    speed = speed_factor(motion, least=0.0)
+    if not _same(speed, SPEED_BAND) and len(np.unique(motion.motor)) >= HINT_COUNTS:
+        return wrong_speed(servo.nearest_speed_factor(speed, INSTANT_SPREAD), servo)
+    return _instant_speed(motion, servo) if too_fast else None
+
+
+def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
+    """Return a speed of the last sample that the position contradicts by far.
+
+    The factor is rough: one count in one cycle is all that there may be, and a position that was
+    read before the speed lacks even that.
+    """
+    last = slice(-HINT_COUNTS, None)
+    steps = servo.limit_steps()
+    count = 0.0 if steps is None else steps.angle_rad
+    way, time = np.abs(np.diff(motion.motor[last])), np.diff(motion.time[last])
+    fastest = float(np.max(np.maximum(way, count) / np.maximum(time, 1e-9)))
+    if fastest <= 0.0:
+        return None
+    factor = abs(float(motion.velocity[-1])) / fastest
+    if factor < LEAST_INSTANT:
+        return None
+    return wrong_speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo)
+
+
+def _same(factor: float, band: tuple[float, float]) -> bool:
+    return math.isnan(factor) or band[0] <= factor <= band[1]

@@ -1,0 +1,83 @@
+"""Keeps the samples of a motion until its units are proven, and explains trips before that."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from drivers.errors import ConfigurationError
+from drivers.interfaces import Servo
+from rig.common.sample import Sample
+from rig.control.motion_factors import Motion
+from rig.control.motion_proof import Proof, hint, prove
+from rig.control.motion_words import RATIO_TOLERANCE, Contradiction
+from rig.wiring.devices import Nominal
+
+MOST: Final = 20_000
+"""Samples after which no more are kept."""
+
+
+class MotionWitness:
+    """Collects samples under power.
+
+    Args:
+        servo: The drive, which names remedies.
+        nominal: Constants of the bench file.
+    """
+
+    def __init__(self, servo: Servo, nominal: Nominal) -> None:
+        self._servo = servo
+        self._nominal = nominal
+        self._rows = np.empty((MOST, 7))
+        self._count = 0
+
+    def take(self, sample: Sample, motor_torque: float) -> None:
+        """Keep a sample, and the motor torque that the drive reports with it, N m."""
+        if self._count == MOST or not sample.fresh:
+            return
+        self._rows[self._count] = (
+            sample.time,
+            sample.motor_angle / self._nominal.gear_ratio,
+            sample.angle,
+            sample.velocity,
+            sample.current,
+            sample.voltage,
+            motor_torque,
+        )
+        self._count += 1
+
+    @property
+    def motion(self) -> Motion:
+        """The fresh samples so far."""
+        return Motion.of(self._rows[: self._count])
+
+    def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
+        """Compare all that the samples show; see :func:`rig.control.motion_proof.prove`."""
+        return prove(self.motion, self._nominal, self._servo, tolerance)
+
+    def require(self) -> Proof:
+        """Compare all that the samples show.
+
+        Raises:
+            ConfigurationError: Reports contradict each other or the bench file.
+        """
+        proof = self.prove()
+        if proof.contradictions:
+            raise ConfigurationError(proof.words)
+        return proof
+
+    def hint(self, too_fast: bool = False) -> Contradiction | None:
+        """Return what explains a trip or a fault; see :func:`rig.control.motion_proof.hint`."""
+        return hint(self.motion, self._nominal, self._servo, too_fast)
+
+    def explanation(self, too_fast: bool = False) -> str:
+        """Return what explains a trip (``too_fast``: of the reported speed) or a fault; empty where
+        nothing does.
+        """
+        try:
+            found = self.hint(too_fast)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            # Words about a trip must not stand in the way of the stop.
+            return ""
+        return "" if found is None else f"; {found.words}"

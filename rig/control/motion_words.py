@@ -1,0 +1,144 @@
+"""Contradictions between what devices report and the bench file, in words and as keys to set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.interfaces import Servo
+from rig.control.motion_factors import SENSE
+from rig.wiring.devices import Nominal
+
+SPEED, SHAFT, WORK, CONSTANT = (
+    "speed against position",
+    "joint encoder against motor encoder",
+    "current against motion",
+    "torque constant",
+)
+"""Names of what is compared."""
+SPEED_BAND: Final = (0.4, 2.5)
+"""Ratio of reported to true speed that is taken for the same unit. Filters, and samples that miss
+the short peaks of stick and slip, change it by less (0.7 in a slow ramp), units by more.
+"""
+RATIO_TOLERANCE: Final = 0.1
+"""Relative difference of the encoders' travels that is left to play and twist."""
+TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
+"""Ratio of found to stated torque constant that is taken for the same. Data sheets, magnets and
+temperature differ by 20 %, wrong definitions (peak and root mean square, motor and joint) by more.
+"""
+STANDS_STILL: Final = 0.005
+"""Share of the motor encoder's travel below which the joint encoder stands still."""
+SHAFT_SPREAD: Final = 1.3
+"""Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
+NO_TORQUE: Final = (
+    "the torque constant is not held against anything: the drive reports no torque beside its "
+    "current, no motor voltage that the motion shows, and the bench file states no rated torque "
+    "and current. Name servo.voltage_object, or state the rated values; an identification of this "
+    "bench shows a change of it"
+)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A value to be set in the bench file.
+
+    Attributes:
+        section: Section of the file.
+        key: Key in that section.
+        value: Value to set; None removes the key.
+    """
+
+    section: str
+    key: str
+    value: str | float | None
+
+    def __str__(self) -> str:
+        if self.value is None:
+            return f"no {self.section}.{self.key}"
+        shown = f"{self.value:.4g}" if isinstance(self.value, float) else self.value
+        return f"{self.section}.{self.key}: {shown}"
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """Two reports, or a report and the bench file, that contradict each other.
+
+    Attributes:
+        what: What was compared.
+        factor: Found value over the one that was expected.
+        words: Finding and remedy, for the operator.
+        changes: What to set in the bench file; empty where the bench or the drive must be changed.
+    """
+
+    what: str
+    factor: float
+    words: str
+    changes: tuple[Change, ...] = ()
+
+
+def wrong_speed(factor: float, servo: Servo) -> Contradiction:
+    """Return what a reported speed of ``factor`` times the true one means."""
+    words = (
+        f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
+        f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
+    )
+    changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
+    return Contradiction(SPEED, factor, words, changes)
+
+
+def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
+    """Name the cause of encoders whose travels differ by a factor."""
+    gear = nominal.gear_ratio
+    found = (
+        f"the joint encoder travels {factor:.4g} times as far as the motor encoder over the gear "
+        f"ratio of {gear:g}"
+    )
+    size, sign = abs(factor), Change("encoder", "sign", -nominal.encoder_sign)
+    changes = (sign,) if factor < 0.0 else ()
+    if size < STANDS_STILL:
+        changes = ()
+        remedy = "it stands still: check its coupling, and whether it is the encoder of this joint"
+    elif abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
+        remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
+    elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
+        changes = ()
+        remedy = (
+            "both turn 1:1, so that one of the encoders is on the other's shaft: mount it there, "
+            "or set machine.gear_ratio: 1 where there is no gear"
+        )
+    else:
+        ratio = Change("machine", "gear_ratio", float(f"{gear / size:.4g}"))
+        changes = (*changes, ratio)
+        remedy = (
+            f"set {' and '.join(map(str, changes))}, where the counts per turn of both are right"
+        )
+    return Contradiction(SHAFT, factor, f"{found}: {remedy}", changes)
+
+
+def wrong_sense(sense: float) -> Contradiction:
+    """Return what work of the current against the motion means."""
+    words = (
+        f"the current works against the motion in both directions ({sense:.2f} of its amount, "
+        f"must be above {-SENSE:g}), but friction takes work: its sign is wrong: set "
+        f"servo.current_sign: -1, or correct it with the maker's tool"
+    )
+    return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))
+
+
+def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradiction:
+    """Return what another torque constant than the stated one means."""
+    stated = nominal.torque_constant_N_m_A
+    factor = constant / stated
+    if factor < 0.0:
+        words = (
+            "torque 6077h and current 6078h of the drive have opposite signs; correct the drive "
+            "with its maker's tool"
+        )
+        return Contradiction(CONSTANT, factor, words)
+    change = Change("machine", "torque_constant_N_m_A", float(f"{constant:.4g}"))
+    words = (
+        f"by {source} the motor gives {constant:.4g} N m/A, the bench file says {stated:.4g}: "
+        f"{factor:.3g} times that, must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g} times: set "
+        f"{change}, or correct the rated values"
+    )
+    return Contradiction(CONSTANT, factor, words, (change,))

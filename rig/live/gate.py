@@ -1,0 +1,107 @@
+"""Who may watch: checks the first request of a client before anything answers it.
+
+The protocol itself has no password, and a browser lets every web page open a WebSocket to this
+computer. So the address carries a token, and a request without it is refused.
+"""
+
+from __future__ import annotations
+
+import hmac
+from collections.abc import Mapping
+from dataclasses import dataclass
+from urllib.parse import parse_qs, urlsplit
+
+HEAD_BYTES = 8192
+"""Most bytes of a request's head."""
+END = b"\r\n\r\n"
+NAMES = frozenset({"127.0.0.1", "localhost"})
+"""Names under which this computer may be asked: another name in ``Host`` is a web page's whose
+owner lets it point here (DNS rebinding).
+"""
+APP = "https://app.foxglove.dev"
+"""Origin of Foxglove in a browser."""
+_PASSED = (
+    "upgrade",
+    "connection",
+    "sec-websocket-key",
+    "sec-websocket-version",
+    "sec-websocket-protocol",
+)
+"""Fields that the server behind the gate needs. Compression is not among them: the bytes that pass
+are counted, and loopback needs none.
+"""
+
+
+class RefusedError(Exception):
+    """A request is refused; the message says why and what to do."""
+
+
+@dataclass(frozen=True)
+class Gate:
+    """What a request must show.
+
+    Attributes:
+        port: The port that it came to.
+        token: The token that its address must carry, or None where the client cannot carry one.
+    """
+
+    port: int
+    token: str | None
+
+    def pass_on(self, head: bytes, inner: str) -> bytes:
+        """Return the head for the server behind the gate.
+
+        Args:
+            head: The request's head, with its last blank line.
+            inner: Host and port of the server behind the gate.
+
+        Raises:
+            RefusedError: The request must not pass.
+        """
+        target, fields = _parse(head)
+        host = fields.get("host", "")
+        name, _, port = host.rpartition(":")
+        if name not in NAMES or port != str(self.port):
+            raise RefusedError(f"Host is {host!r}, not 127.0.0.1:{self.port}")
+        if self.token is None:
+            origin = fields.get("origin", "")
+            if origin not in ("", APP):
+                raise RefusedError(f"a page of {origin} may not watch without a token")
+        elif not self._carries_token(target):
+            raise RefusedError("the address lacks this start's token; use the address printed")
+        lines = [f"{key}: {fields[key]}" for key in _PASSED if key in fields]
+        return "\r\n".join(["GET / HTTP/1.1", f"Host: {inner}", *lines]).encode("latin-1") + END
+
+    def _carries_token(self, target: str) -> bool:
+        given = parse_qs(urlsplit(target).query).get("token", [""])[0]
+        return hmac.compare_digest(given.encode(), (self.token or "").encode())
+
+
+def _parse(head: bytes) -> tuple[str, Mapping[str, str]]:
+    """Return target and fields (names in lower case) of a GET request.
+
+    Raises:
+        RefusedError: It is none, or a field stands twice.
+    """
+    first, *rest = head.removesuffix(END).decode("latin-1").split("\r\n")
+    words = first.split(" ")
+    if len(words) != 3 or words[0] != "GET" or not words[2].startswith("HTTP/1."):
+        raise RefusedError("not a WebSocket request")
+    fields: dict[str, str] = {}
+    for line in rest:
+        name, colon, value = line.partition(":")
+        key = name.lower()
+        if not colon or key in fields:
+            raise RefusedError(f"the field {name!r} of the request is malformed or repeated")
+        fields[key] = value.strip()
+    return words[1], fields
+
+
+def refusal(words: str) -> bytes:
+    """Return the answer to a request that is refused."""
+    body = words.encode() + b"\n"
+    head = (
+        "HTTP/1.1 403 Forbidden\r\nContent-Type: text/plain; charset=utf-8\r\n"
+        f"Content-Length: {len(body)}\r\nConnection: close\r\n\r\n"
+    )
+    return head.encode() + body

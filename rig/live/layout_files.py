@@ -1,0 +1,13 @@
+"""Layouts for Foxglove and PlotJuggler that come with the package."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+_FILES = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
+
+
+def layout(tool: Literal["foxglove", "plotjuggler"]) -> Path:
+    """Return the file of a tool's layout."""
+    return Path(__file__).parent / "layouts" / _FILES[tool]

@@ -1,0 +1,205 @@
+"""One client: a server of the Foxglove SDK of its own, fed with the recording from its start.
+
+Each client has its own server so that each gets the whole recording at its own pace. The server's
+queue drops messages where a client reads slowly; so no more is handed to it than fits, which is
+known from the bytes that have left it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Mapping
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.live.topics import TOPICS, Outgoing, outgoing
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.tail import START, Piece, Tail
+
+BACKLOG_MESSAGES = 1 << 16
+IN_FLIGHT_BYTES = 1 << 20
+"""Most bytes inside the server. The shortest message has 57 bytes with its frame, so that fewer
+than :data:`BACKLOG_MESSAGES` are ever queued.
+"""
+_POLL_S = 0.05
+"""Period at which the recording is looked at for more, s."""
+_SINK_POLL_S = 0.002
+_CLOCK_NS = 20_000_000
+"""Period at which the recording's time is sent, ns of the recording."""
+_CLOCK_BYTES = 11
+
+
+def sdk() -> Any:
+    """Import the Foxglove SDK.
+
+    Raises:
+        InputError: It is not installed.
+    """
+    try:
+        import foxglove
+        import foxglove.websocket
+    except ImportError as error:
+        raise InputError(
+            "--foxglove needs the Foxglove SDK, which is not installed; pip install 'loadrig[live]'"
+        ) from error
+    return foxglove
+
+
+class Session:
+    """Feeds one client.
+
+    Args:
+        name: What the client shows as the name of the source.
+        host: Address that the client's server listens on.
+        tail: The recording.
+        last_s: How much of what is recorded already a subscriber gets, s; None for all.
+    """
+
+    def __init__(self, name: str, host: str, tail: Tail, last_s: float | None) -> None:
+        foxglove = sdk()
+        self._foxglove = foxglove
+        self._loop = asyncio.get_running_loop()
+        self._tail = tail
+        self._last_s = last_s
+        self._at: dict[str, int] = {}
+        self._changed = asyncio.Event()
+        self._handed = self._passed = 0
+        self._clock_ns = -1
+        # The SDK holds the channels of a context no longer than the context itself.
+        self._context = context = foxglove.Context()
+        self._channels: Mapping[str, Any] = {
+            topic.name: foxglove.Channel(
+                topic.name,
+                schema=foxglove.Schema(
+                    name=topic.schema[0], encoding=topic.schema[1], data=topic.schema[2]
+                ),
+                message_encoding=topic.encoding,
+                context=context,
+            )
+            for topic in TOPICS
+        }
+        # No capability lets a client publish, call or set anything: the stream is read only.
+        self._server = foxglove.start_server(
+            name=name,
+            host=host,
+            port=0,
+            capabilities=[foxglove.websocket.Capability.Time],
+            server_listener=_Listener(self),
+            context=context,
+            message_backlog_size=BACKLOG_MESSAGES,
+        )
+        self.address = (host, int(self._server.port))
+
+    def subscribed(self, topic: str) -> None:
+        """Take a subscription; called from the server's thread."""
+        self._loop.call_soon_threadsafe(self._set, topic, True)
+
+    def unsubscribed(self, topic: str) -> None:
+        """Take the end of a subscription; called from the server's thread."""
+        self._loop.call_soon_threadsafe(self._set, topic, False)
+
+    def passed(self, size: int) -> None:
+        """Count bytes that have left the server."""
+        self._passed += size
+        self._changed.set()
+
+    async def feed(self) -> None:
+        """Hand the recording to the server, and what is added to it, until cancelled.
+
+        At a damaged place it stops, and the client shows why.
+        """
+        while True:
+            if not self._at:
+                await self._wait(None)
+                continue
+            if not all(self._channels[name].base.has_sinks() for name in self._at):
+                # The SDK calls the listener before a message would reach the subscriber.
+                await asyncio.sleep(_SINK_POLL_S)
+                continue
+            offset = min(self._at.values())
+            try:
+                piece = self._tail.at(offset)
+            except (DamageError, OSError) as error:
+                self._say(f"the recording cannot be read on: {error}")
+                self._at.clear()
+                continue
+            if piece is None:
+                await self._wait(_POLL_S)
+            else:
+                await self._hand(offset, piece)
+
+    async def close(self) -> None:
+        """Stop the server."""
+        for channel in self._channels.values():
+            channel.close()
+        await asyncio.to_thread(self._server.stop)
+
+    def _set(self, topic: str, wanted: bool) -> None:
+        if not wanted:
+            self._at.pop(topic, None)
+        else:
+            self._at[topic] = START if self._last_s is None else self._tail.since(self._last_s)
+        self._changed.set()
+
+    async def _hand(self, offset: int, piece: Piece) -> None:
+        """Hand over what the topics that stand at ``offset`` get of a piece, and advance them."""
+        topics = frozenset(name for name, at in self._at.items() if at == offset)
+        for item in outgoing(piece.messages, topics):
+            await self._room()
+            if self._at.get(item.topic) == offset:
+                self._log(item)
+        for name in topics:
+            # A topic may have been given up meanwhile, or asked for anew from the start.
+            if self._at.get(name) == offset:
+                if piece.following is None:
+                    del self._at[name]
+                else:
+                    self._at[name] = piece.following
+        await asyncio.sleep(0)
+
+    def _log(self, item: Outgoing) -> None:
+        if item.time_ns >= self._clock_ns + _CLOCK_NS:
+            self._clock_ns = item.time_ns
+            self._server.broadcast_time(item.time_ns)
+            self._handed += _CLOCK_BYTES
+        self._channels[item.topic].log(item.data, log_time=item.time_ns)
+        self._handed += framed(len(item.data))
+
+    async def _room(self) -> None:
+        while self._handed - self._passed > IN_FLIGHT_BYTES:
+            await self._wait(None)
+
+    async def _wait(self, timeout_s: float | None) -> None:
+        try:
+            await asyncio.wait_for(self._changed.wait(), timeout_s)
+        except TimeoutError:
+            return
+        self._changed.clear()
+
+    def _say(self, words: str) -> None:
+        self._server.publish_status(words, self._foxglove.StatusLevel.Error)
+
+
+class _Listener:
+    """Hears the subscriptions. The SDK calls other methods of a listener only for capabilities that
+    the server does not have.
+    """
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+
+    def on_subscribe(self, client: object, channel: Any) -> None:
+        """Hear a subscription."""
+        self._session.subscribed(channel.topic)
+
+    def on_unsubscribe(self, client: object, channel: Any) -> None:
+        """Hear the end of one."""
+        self._session.unsubscribed(channel.topic)
+
+
+def framed(size: int) -> int:
+    """Return the bytes of a message of ``size`` bytes on the wire: opcode, subscription and time
+    (13 bytes), in one frame of the WebSocket (RFC 6455, 5.2).
+    """
+    payload = size + 13
+    return payload + (2 if payload < 126 else 4 if payload < 65536 else 10)

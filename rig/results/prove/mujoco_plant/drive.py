@@ -1,0 +1,91 @@
+"""The drive around MuJoCo's motor: encoder, position, velocity and current loop, in one tick."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from identification.numerics.compiled import compiled
+from rig.results.prove.worlds.world import Array, World
+
+DAMPING = 0.8
+"""Damping ratio of a ``pd`` loop."""
+(
+    PERIOD,
+    CASCADE,
+    POSITION,
+    VELOCITY,
+    INTEGRAL,
+    FORWARD,
+    FILTER,
+    CURRENT,
+    CURRENT_INTEGRAL,
+    PER_A,
+    LIMIT,
+    SUPPLY,
+    COUNT,
+    SETTINGS,
+) = range(14)
+LAST, SPEED, SUM, CURRENT_SUM, STATES = range(5)
+
+
+def settings(world: World) -> Array:
+    """Return the loop's settings, in the order of the names above.
+
+    A ``pd`` loop overcomes the static friction with an error that falls with its gain, a third of
+    the smallest motion at 1 Hz.
+    """
+    drive, motor, constants = world.drive, world.motor, world.constants
+    out = np.zeros(SETTINGS)
+    omega = 2.0 * math.pi * drive.velocity_Hz
+    if drive.kind == "cascade":
+        out[POSITION] = 2.0 * math.pi * drive.position_Hz
+        out[VELOCITY] = constants.J * omega
+        out[INTEGRAL] = constants.J * omega**2 / 5.0
+    else:
+        out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / world.smallest_rad
+        out[VELOCITY] = 2.0 * DAMPING * math.sqrt(out[POSITION] * constants.J)
+    out[PERIOD], out[CASCADE] = 1.0 / drive.rate_Hz, float(drive.kind == "cascade")
+    out[FORWARD] = drive.feedforward
+    out[FILTER] = 1.0 - math.exp(-4.0 * omega / drive.rate_Hz)
+    wide = 2.0 * math.pi * drive.current_Hz
+    out[CURRENT], out[CURRENT_INTEGRAL] = motor.inductance_H * wide, motor.resistance_ohm * wide
+    out[PER_A], out[LIMIT], out[SUPPLY] = motor.torque_per_A, motor.limit_A, motor.supply_V
+    if world.sensing.motor_bits is not None:
+        out[COUNT] = 2.0 * math.pi / 2.0**world.sensing.motor_bits / motor.gear_ratio
+    else:
+        assert world.sensing.joint_bits is not None
+        out[COUNT] = 2.0 * math.pi / 2.0**world.sensing.joint_bits
+    return out
+
+
+@compiled
+def asked(p: Array, s: Array, command: float, speed: float, angle: float, current: float) -> float:
+    """Return the voltage that the drive asks for; updates its states.
+
+    Args:
+        p: Settings.
+        s: States.
+        command: Angle sent, rad.
+        speed: Speed of the command, rad/s.
+        angle: What the encoder sees before it counts, rad at the joint.
+        current: Measured current, A.
+    """
+    seen = round(angle / p[COUNT]) * p[COUNT]
+    s[SPEED] += p[FILTER] * ((seen - s[LAST]) / p[PERIOD] - s[SPEED])
+    s[LAST] = seen
+    if p[CASCADE] > 0.0:
+        error = p[POSITION] * (command - seen) + p[FORWARD] * speed - s[SPEED]
+        torque = p[VELOCITY] * error + s[SUM]
+        most = p[LIMIT] * p[PER_A]
+        if abs(torque) < most or torque * error < 0.0:
+            s[SUM] += p[INTEGRAL] * error * p[PERIOD]
+    else:
+        torque = p[POSITION] * (command - seen) - p[VELOCITY] * s[SPEED]
+    goal = min(max(torque / p[PER_A], -p[LIMIT]), p[LIMIT])
+    gap = goal - current
+    voltage = p[CURRENT] * gap + s[CURRENT_SUM]
+    if abs(voltage) < p[SUPPLY] or voltage * gap < 0.0:
+        s[CURRENT_SUM] += p[CURRENT_INTEGRAL] * gap * p[PERIOD]
+    return float(min(max(voltage, -p[SUPPLY]), p[SUPPLY]))

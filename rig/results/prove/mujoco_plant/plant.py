@@ -1,0 +1,242 @@
+"""MuJoCo's machine in the drive's loops: from a world to signals.
+
+MuJoCo's friction is a constraint that its solver keeps softly. With the impedance and the time
+constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less than
+2e-6 of its speed scale, and breaks away within 0.5 % of the level that is set; the level itself is
+one step late.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.numerics.compiled import compiled
+from rig.common.errors import InputError
+from rig.results.prove.mujoco_plant.drive import COUNT, LAST, PERIOD, STATES, asked, settings
+from rig.results.prove.mujoco_plant.friction import (
+    ALPHA,
+    GEAR,
+    KEPT,
+    MC,
+    MS,
+    PER_A,
+    SHARE,
+    W_SF,
+    damping,
+    dry,
+    further,
+    values,
+)
+from rig.results.prove.mujoco_plant.model import xml
+from rig.results.prove.worlds.sizes import SIZES
+from rig.results.prove.worlds.world import COMMAND_S, Array, Signals, World
+
+try:
+    import mujoco
+except ImportError:
+    mujoco = None
+
+MISSING = (
+    "the plant mujoco needs the package mujoco; install it with: pip install 'loadrig[mujoco]'"
+)
+(CURRENT, VOLTAGE, TERMINAL, SUPPLY, SHAFT, ANGLE, COLUMNS) = range(7)
+
+
+class Views(NamedTuple):
+    """MuJoCo's state and settings, seen in place.
+
+    Attributes:
+        angle: Angles of the joints, rad; the motor's first where it has a body of its own.
+        speed: Their speeds, rad/s.
+        states: States of the motor; its current last.
+        voltage: Voltage at the motor, V, shape (1,).
+        applied: Further torques on the joints, N m.
+        friction: Level of their dry friction, N m.
+        viscous: Their linear damping, N m s/rad.
+    """
+
+    angle: Array
+    speed: Array
+    states: Array
+    voltage: Array
+    applied: Array
+    friction: Array
+    viscous: Array
+
+
+class Given(NamedTuple):
+    """What one recording is played with.
+
+    Attributes:
+        loop: Settings of the drive.
+        law: Values of friction and further torques.
+        stage: Values of the power stage and the mesh, in the order of the names in this module.
+        loop_state: States of the drive.
+        law_state: States of friction.
+    """
+
+    loop: Array
+    law: Array
+    stage: Array
+    loop_state: Array
+    law_state: Array
+
+
+(DEAD, BRUSH, BRUSH_A, SAG, NOMINAL, MESH, MESH_N, MESH_AT, AT_MOTOR, START, STAGES) = range(11)
+
+
+class MujocoPlant:
+    """MuJoCo's machine; see :class:`rig.results.prove.worlds.seal.Plant`."""
+
+    effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
+    outside: Collection[str] = frozenset({"x_timed_torque", "x_switching_torque", "x_cubic_spring"})
+    not_scored: Collection[str] = frozenset(
+        {
+            "winding_heating.rise_K_per_W",
+            "coupling_hysteresis.torque_Nm",
+            "coupling_hysteresis.deflection_rad",
+        }
+    )
+
+    def play(self, world: World) -> Iterator[Signals]:
+        """Yield what the machine does in each recording.
+
+        Raises:
+            InputError: MuJoCo is not installed.
+        """
+        require_mujoco()
+        session_s, heat = 0.0, 0.0
+        for k, planned in enumerate(world.recordings):
+            session_s = session_s + planned.pause_s if world.log.clock else 0.0
+            cooling = world.effects.get("winding_heating", {}).get("time_s", 1.0)
+            heat = heat * float(np.exp(-planned.pause_s / cooling)) if world.log.clock else 0.0
+            signals, heat = _played(world, k, session_s, heat)
+            yield signals
+            session_s += len(planned.command) * COMMAND_S
+
+
+def require_mujoco() -> None:
+    """Check that MuJoCo is there.
+
+    Raises:
+        InputError: It is not installed; the message says how to install it.
+    """
+    if mujoco is None:
+        raise InputError(MISSING)
+
+
+def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signals, float]:
+    """Return the signals of recording ``k``, and how much warmer its winding is at the end, K."""
+    planned, rate = world.recordings[k], world.drive.rate_Hz
+    model = mujoco.MjModel.from_xml_string(xml(world, k, 1.0 / rate))
+    data = mujoco.MjData(model)
+    # States of MuJoCo's motor: the winding's temperature over the ambient one, then its current.
+    heated = "winding_heating" in world.effects
+    states = data.act[model.actuator_actadr[0] :][: model.actuator_actnum[0]]
+    if heated:
+        states[0] = heat
+    given = Given(
+        settings(world),
+        values(world, k, session_s),
+        _stage(world, session_s),
+        np.zeros(STATES),
+        np.zeros(KEPT),
+    )
+    views = Views(
+        data.qpos,
+        data.qvel,
+        states,
+        data.ctrl,
+        data.qfrc_applied,
+        model.dof_frictionloss,
+        model.dof_damping if model.dof_damping.ndim == 1 else model.dof_damping[:, 0],
+    )
+    n = round(len(planned.command) * COMMAND_S * rate)
+    at = np.arange(n) / rate
+    command = np.interp(at, np.arange(len(planned.command)) * COMMAND_S, planned.command)
+    rng = np.random.default_rng([*world.seed, 7, k])
+    noise = rng.standard_normal((2, n))
+    noise[0] *= world.sensing.current_noise_A
+    noise[1] *= world.sensing.flicker * given.loop[COUNT]
+    out, inputs = (
+        np.zeros((COLUMNS, n)),
+        np.vstack((command, np.gradient(command, 1.0 / rate), noise)),
+    )
+    step = mujoco.mj_step
+    for row in range(n):
+        tick(row, views, given, inputs, out)
+        step(model, data)
+    first = round(planned.lead_s * rate)
+    signals = Signals(
+        current=out[CURRENT, first:],
+        voltage=out[VOLTAGE, first:],
+        terminal=out[TERMINAL, first:],
+        supply=out[SUPPLY, first:],
+        motor_angle=out[SHAFT, first:],
+        angle=out[ANGLE, first:],
+        command=command[first:],
+        start_s=session_s + planned.lead_s,
+    )
+    return signals, float(states[0]) if heated else 0.0
+
+
+def _stage(world: World, session_s: float) -> Array:
+    out, given = np.zeros(STAGES), world.effects
+    out[DEAD] = given.get("inverter_dead_time", {}).get("voltage_V", 0.0)
+    brush = given.get("brush_drop", {})
+    out[BRUSH], out[BRUSH_A] = brush.get("voltage_V", 0.0), brush.get("current_A", 1.0)
+    out[SAG], out[NOMINAL] = (
+        given.get("supply_sag", {}).get("resistance_ohm", 0.0),
+        world.motor.supply_V,
+    )
+    mesh = given.get("gear_mesh_ripple", {})
+    out[[MESH, MESH_N, MESH_AT]] = [
+        mesh.get(key, 0.0) for key in ("amplitude_rad", "per_turn", "phase_rad")
+    ]
+    out[AT_MOTOR], out[START] = float(world.sensing.motor_bits is not None), session_s
+    return out
+
+
+@compiled
+def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> None:
+    """Do what the drive and the further physics do before one of MuJoCo's steps.
+
+    Args:
+        row: Number of the step.
+        views: MuJoCo's state; voltage, friction, damping and further torques are set in it.
+        given: Settings and states.
+        inputs: Command, its speed, noise of current and encoder, shape (4, n).
+        out: Signals of every step, shape (COLUMNS, n).
+    """
+    p, f, stage = given.loop, given.law, given.stage
+    dt, last = p[PERIOD], len(views.angle) - 1
+    since = row * dt
+    t = stage[START] + since
+    q, w, current = views.angle[last], views.speed[last], views.states[-1]
+    mesh = stage[MESH] * math.sin(stage[MESH_N] * q + stage[MESH_AT])
+    shaft = views.angle[0] + mesh
+    seen = shaft if stage[AT_MOTOR] > 0.0 else q
+    if row == 0:
+        given.loop_state[LAST] = round(seen / p[COUNT]) * p[COUNT]
+    voltage = asked(
+        p, given.loop_state, inputs[0, row], inputs[1, row], seen + inputs[3, row],
+        current + inputs[2, row],
+    )  # fmt: skip
+    sag = 1.0 - stage[SAG] * voltage * current / stage[NOMINAL] ** 2
+    terminal = voltage * sag - stage[DEAD] * np.sign(current)
+    push = f[PER_A] * current
+    views.voltage[0] = terminal - stage[BRUSH] * math.tanh(current / stage[BRUSH_A])
+    views.applied[0] = further(f, given.law_state, since, shaft * f[GEAR], w, current, dt)
+    views.friction[last] = dry(f, given.law_state, t, q, w, push, dt)
+    views.viscous[last] = damping(f, t, q)
+    if last > 0:
+        v = views.speed[0]
+        views.friction[0] = f[SHARE] * (
+            f[MC] + (f[MS] - f[MC]) * math.exp(-((abs(v) / f[W_SF]) ** f[ALPHA]))
+        )
+    out[CURRENT, row], out[VOLTAGE, row], out[TERMINAL, row] = current, voltage, terminal
+    out[SUPPLY, row], out[SHAFT, row], out[ANGLE, row] = stage[NOMINAL] * sag, shaft * f[GEAR], q

@@ -1,0 +1,1 @@
+"""Rates, lists and pages of a proof, from its rows."""

@@ -1,0 +1,268 @@
+"""Output of ``rig prove``: the blind proof as a document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from identification.plots.proof import confusion_matrix, power_curve
+from rig.common.result_files import Provenance
+from rig.common.tables import number
+from rig.results.document import Document, Note, Picture, Section, Table
+from rig.results.prove.scoring.score import STRONG
+from rig.results.sections import provenance_section
+
+_RATES = {
+    "top1": f"one effect, strength {STRONG:g} or more: named first",
+    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
+    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias "
+    f"group",
+    "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
+    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in "
+    f"the alias group",
+    "top1_all": "one effect, any strength: named first",
+    "alias_group_all": "one effect, any strength: in the alias group",
+    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both "
+    f"named",
+    "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
+    "both_named_all": "two effects, any strength: both named",
+    "false_alarms": "no injected effect: false alarms",
+    "outside": "outside the catalogue: reported as such",
+    "refused": "could not be diagnosed",
+    "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
+    "intervals": "parameters of effects within their interval",
+}
+_METHODS = {
+    "top1": f"one effect, strength {STRONG:g} or more: named first",
+    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_all": "one effect, any strength: named first",
+    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
+    "false_alarms": "no injected effect: false alarms",
+    "outside_named": "outside the catalogue: an effect named",
+}
+_TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
+_PLACES = {
+    "equation": "in the equation where the effect shows",
+    "coordinate": "over the catalogue's coordinate",
+    "place": "over that or an equivalent one, or in its recording",
+}
+
+
+def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
+    """Return a proof, the record of its result file, as a document."""
+    return Document(
+        "The blind proof",
+        f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
+        tuple(_summary(result)),
+        tuple(_sections(result, provenance)),
+    )
+
+
+def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
+    for cells in (
+        _rates(result),
+        _methods(result),
+        _places(result),
+        _reliability(result),
+        _wrong(result),
+        _refused(result),
+    ):
+        if cells.rows:
+            yield Section("", (cells,))
+    yield Section("", tuple(map(Note, _remarks(result))))
+
+
+def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Section]:
+    yield Section("", tuple(map(Note, _remarks(result))))
+    yield Section("Rates", (_rates(result), *_power(result)))
+    yield Section("Against the baselines", (_methods(result),))
+    yield Section("Where it was found", (_places(result),))
+    yield Section("What was called what", (_confusion(result), *_confused(result)))
+    yield Section("Confidence against being right", (_reliability(result),))
+    yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
+    if result["by_axis"]:
+        yield Section("By the world's axes", (_axes(result),))
+    yield Section("Rigs", (_rigs(result),))
+    yield provenance_section(provenance)
+
+
+def _rates(result: Mapping[str, Any]) -> Table:
+    """Return the proof's rates, one row each; those without trials are left out."""
+    rows = []
+    for key, words in _RATES.items():
+        found = result[key]
+        if found["of"]:
+            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
+            rows.append(
+                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
+            )
+    return Table(("what", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
+def _methods(result: Mapping[str, Any]) -> Table:
+    """Return the diagnosis and the baseline methods on the same trials."""
+    names = [m for m in _TITLES if m in result["methods"]]
+    rows = []
+    for key, words in _METHODS.items():
+        cells = [result["methods"][m][key] for m in names]
+        if cells[0]["of"]:
+            shares = [
+                f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})"
+                for c in cells
+            ]
+            rows.append((words, str(cells[0]["of"]), *shares))
+    return Table(
+        ("what", "trials", *(_TITLES[m] for m in names)),
+        tuple(rows),
+        tuple(range(1, 2 + len(names))),
+    )
+
+
+def _places(result: Mapping[str, Any]) -> Table:
+    """Return how often the mismatch was found where the effect shows."""
+    rows = []
+    for key, words in _PLACES.items():
+        found = result["location"][key]
+        if found["of"]:
+            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
+            rows.append(
+                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
+            )
+    return Table(("mismatch located", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
+def _share(found: Mapping[str, Any]) -> tuple[str, str, str]:
+    """Return a rate's hits, share and interval as cells."""
+    band = f"{100 * found['low']:.0f} to {100 * found['high']:.0f} %"
+    return f"{found['n']} of {found['of']}", f"{100 * found['share']:.0f} %", band
+
+
+def _reliability(result: Mapping[str, Any]) -> Table:
+    """Return how often names of each confidence are right."""
+    rows = tuple(
+        (f"{b['from']:.1f} to {b['to']:.1f}", f"{b['mean_confidence']:.2f}", *_share(b["right"]))
+        for b in result["reliability"]
+    )
+    return Table(
+        ("confidence of a name", "mean", "right", "share", "95 % interval"), rows, (1, 2, 3, 4)
+    )
+
+
+def _wrong(result: Mapping[str, Any]) -> Table:
+    """Return every wrong name."""
+    rows = tuple(
+        (
+            str(n["rig"]),
+            n["name"],
+            f"{n['confidence']:.2f}",
+            ", ".join(n["injected"]) or "nothing",
+            "yes" if n["right_group"] else "no",
+        )
+        for n in result["wrong_names"]
+    )
+    return Table(("trial", "wrong name", "confidence", "injected", "in alias group"), rows, (2,))
+
+
+def _refused(result: Mapping[str, Any]) -> Table:
+    """Return the trials that could not be diagnosed."""
+    rows = tuple((str(r["rig"]), r["refused"]) for r in result["rigs"] if r.get("refused"))
+    return Table(("trial", "not diagnosed, because"), rows, ())
+
+
+def _axes(result: Mapping[str, Any]) -> Table:
+    """Return how often the verdict is right by each axis of the world."""
+    rows = tuple(
+        (axis, part["value"], *_share(part["right"]), str(part["refused"]))
+        for axis, parts in result["by_axis"].items()
+        for part in parts
+    )
+    head = ("axis", "value", "verdict right", "share", "95 % interval", "not diagnosed")
+    return Table(head, rows, (2, 3, 4, 5))
+
+
+def _remarks(result: Mapping[str, Any]) -> list[str]:
+    """Return remarks on the rates."""
+    lines = [
+        f"{result['outside']['named_confidently']} trials outside the catalogue had an effect "
+        f"named with confidence."
+    ]
+    for key, words in (
+        ("oracle_fraction", "what the true structure gains"),
+        ("floor_fraction", "the noise floor"),
+    ):
+        gain = result[key]
+        if gain["median"] is not None:
+            lines.append(
+                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to "
+                f"{words} was gained "
+                f"(median of {gain['of']} trials)."
+            )
+    if result["absorbed"]:
+        lines.append(
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave "
+            f"less than that over "
+            f"the noise once the nominal constants are fitted again: trials "
+            f"{', '.join(map(str, result['absorbed']))}."
+        )
+    if result["most_frequent_class"] is not None:
+        lines.append(
+            f"Always naming the most frequent effect would be right on "
+            f"{100 * result['most_frequent_class']:.1f} %."
+        )
+    return lines
+
+
+def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
+    bands = result["power"]
+    if not bands:
+        return
+    labels = [
+        f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}"
+        for b in bands
+    ]
+    curves = {
+        words: [(b[key]["share"], b[key]["low"], b[key]["high"]) for b in bands]
+        for key, words in {
+            "detected": "something missing",
+            "alias_group": "alias group",
+            "top1": "named first",
+        }.items()
+    }
+    yield Picture.of("power", "Found and named against strength", power_curve(labels, curves))
+
+
+def _confused(result: Mapping[str, Any]) -> Iterator[Picture]:
+    if result["power"]:
+        matrix = confusion_matrix(result["confusion"])
+        yield Picture.of("confusion", "What each effect was called", matrix)
+
+
+def _confusion(result: Mapping[str, Any]) -> Table:
+    rows = tuple(
+        (name, ", ".join(f"{given} {times}" for given, times in row.items()))
+        for name, row in result["confusion"].items()
+    )
+    return Table(("injected", "named first"), rows, ())
+
+
+def _rigs(result: Mapping[str, Any]) -> Table:
+    rows = tuple(
+        (
+            str(row["rig"]),
+            ", ".join(row["effects"]) or "-",
+            number(row["strength"], 3),
+            "-" if row["left"] is None else number(row["left"], 3),
+            row["verdict"],
+            ", ".join(f"{e['name']} ({e['confidence']:.2f})" for e in row["named"]) or "-",
+            row["sha256"][:12],
+        )
+        for row in result["rigs"]
+    )
+    return Table(
+        ("trial", "injected", "strength", "remaining", "verdict", "named", "SHA-256"),
+        rows,
+        (0, 2, 3),
+    )

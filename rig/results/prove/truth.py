@@ -1,0 +1,124 @@
+"""The sealed truth of one rig: what it hides, in names and values, and what is not scored."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import Field
+
+from drivers.mock.plant.effects.gas import GAS_CATALOGUE
+from drivers.mock.plant.effects.table import CATALOGUE
+from identification.diagnosis.catalogue import ENTRIES
+from rig.config.configuration import Document, Loc, Schema, load_located
+from rig.results.prove.draw import Kind
+
+INJECTED: Mapping[str, Mapping[str, object]] = {**CATALOGUE, **GAS_CATALOGUE}
+"""Effect to the parameters that a simulated machine takes, some of which no diagnosis gives."""
+Axis = bool | float | str | None
+
+
+class Truth(Schema):
+    """The truth of one rig, in YAML or JSON.
+
+    Attributes:
+        truth: Version of the file format.
+        effects: Injected effect to its parameters: names, units and signs of the catalogue
+            (`rig effects`). `recording` counts the campaign's files from 1, in its order. A
+            parameter that is unknown is left out; `{}` gives the name alone.
+        outside: Names among `effects` that the catalogue does not have.
+        parameters: Nominal constants, by the names of `rig identify`; those not given are not
+            scored.
+        not_scored: Names whose values are not scored, for example because this simulator has
+            another formula: a nominal constant, or `effect.parameter`. An effect's name alone
+            excuses it altogether: naming it is no error, missing it neither.
+        axes: The rig's place in the world, axis to value: rates, encoders, excitation, loads.
+            Results are listed by them.
+        strength: Channel to the rms change by the effects, over the channel's noise.
+        floor: Equation to what the nominal model leaves of the same rig without its effects;
+            measured from the `.reference` campaign instead, where there is one.
+        maker: Anything else that whoever made the rig wants to keep.
+        rig: Its number or name, for the reader; the file's name counts.
+        salt: Random text, so that the digest cannot be guessed.
+    """
+
+    truth: Literal[1]
+    effects: dict[str, dict[str, float]] = Field(default_factory=dict)
+    outside: tuple[str, ...] = ()
+    parameters: dict[str, float] = Field(default_factory=dict)
+    not_scored: tuple[str, ...] = ()
+    axes: dict[str, Axis] = Field(default_factory=dict)
+    strength: dict[str, float] = Field(default_factory=dict)
+    floor: dict[str, float] = Field(default_factory=dict)
+    maker: dict[str, object] = Field(default_factory=dict)
+    rig: int | str = ""
+    salt: str = ""
+
+    @property
+    def scored(self) -> dict[str, dict[str, float]]:
+        """Return the effects that are scored, with the parameters that are scored."""
+        return {
+            name: {
+                key: value for key, value in given.items() if f"{name}.{key}" not in self.not_scored
+            }
+            for name, given in self.effects.items()
+            if name not in self.not_scored
+        }
+
+    @property
+    def kind(self) -> Kind:
+        """Return the kind of trial: how many scored effects, and whether the catalogue has them."""
+        if any(name in self.outside for name in self.scored):
+            return "outside"
+        kinds: tuple[Kind, ...] = ("nothing", "one", "two")
+        return kinds[min(len(self.scored), 2)]
+
+    def record(self, rig: int | str) -> dict[str, Any]:
+        """Return the truth as rows of the proof take it."""
+        constants = {k: v for k, v in self.parameters.items() if k not in self.not_scored}
+        return {"rig": rig, "kind": self.kind, "effects": self.scored, "parameters": constants}
+
+
+def load_truth(path: Path) -> Truth:
+    """Read a truth.
+
+    Raises:
+        InputError: Lists every error with its place in the file.
+    """
+    document = load_located(path, Truth)
+    document.require(_cross_check(document))
+    return document.value
+
+
+def strangers(effects: Iterable[str]) -> list[str]:
+    """Return the effects that the catalogue does not have."""
+    return [name for name in effects if name not in ENTRIES]
+
+
+def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
+    truth = document.value
+    for name, given in truth.effects.items():
+        if name in truth.outside:
+            continue
+        if name not in ENTRIES:
+            yield (
+                ("effects", name),
+                "no effect of the catalogue; see `rig effects`, or list the name under outside",
+            )
+            continue
+        known = {p.name for p in ENTRIES[name].parameters} | INJECTED.get(name, {}).keys()
+        for key in given.keys() - known:
+            yield (
+                ("effects", name, key),
+                f"no parameter of {name}, which has {', '.join(sorted(known))}",
+            )
+    for k, name in enumerate(truth.outside):
+        if name not in truth.effects:
+            yield (("outside", k), "not among effects; list it there too, with {} if need be")
+        elif name in ENTRIES:
+            yield (("outside", k), "is an effect of the catalogue; take it off this list")
+    for k, name in enumerate(truth.not_scored):
+        effect, _, key = name.partition(".")
+        if effect not in truth.effects and (key or effect not in truth.parameters):
+            yield (("not_scored", k), "neither an effect, effect.parameter, nor a constant here")

@@ -1,0 +1,124 @@
+"""The logger of a world: signals at the rate of the loops to columns at the rate of the log.
+
+Effects of the sensing are made here: they change what is logged, not what moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from rig.results.prove.worlds.world import Array, Signals, World
+
+LINES = 4096
+"""Lines of an interpolating joint encoder."""
+Columns = dict[str, Array]
+Rows = NDArray[np.int64]
+
+
+def columns(world: World, k: int, signals: Signals, rng: np.random.Generator) -> Columns:
+    """Return the logged columns of recording ``k``: canonical names, SI, one row a stamp.
+
+    Args:
+        world: The world.
+        k: Number of the recording, from 0.
+        signals: What the plant did in it.
+        rng: Generator of the noise of this recording.
+    """
+    step = world.drive.rate_Hz // world.log.rate_Hz
+    rows: Rows = np.arange(step, len(signals.current), step, dtype=np.int64)
+    time = rows / world.drive.rate_Hz
+    jitter = world.log.jitter / world.log.rate_Hz * rng.standard_normal(len(rows))
+    limit = 0.45 / world.log.rate_Hz
+    start = signals.start_s if world.log.clock else 0.0
+    out = {
+        "time": start + time - time[0] + np.clip(jitter, -limit, limit),
+        "command": signals.command[rows],
+        "current": _current(world, signals, rows, step, rng),
+    }
+    if world.log.voltage != "absent":
+        out["voltage"] = _voltage(world, signals, rows, step, rng)
+    if world.log.supply:
+        noise = world.sensing.voltage_noise_V * rng.standard_normal(len(rows))
+        out["supply_voltage"] = signals.supply[rows] + noise
+    if world.sensing.motor_bits is not None:
+        shaft = _late(world, signals.motor_angle, "angles")
+        out["motor_angle"] = _counted(shaft[rows], world.sensing.motor_bits, world, rng)
+    if world.sensing.joint_bits is not None:
+        out["angle"] = _joint(world, k, signals, rows, rng)
+    return out
+
+
+def _current(
+    world: World, signals: Signals, rows: Rows, step: int, rng: np.random.Generator
+) -> Array:
+    current = _late(world, signals.current, "current")
+    log, sensing = world.log, world.sensing
+    if log.current == "averaged":
+        # Between two ticks the current is a line, the voltage a constant.
+        sums = np.concatenate(([0.0], np.cumsum(0.5 * (current[1:] + current[:-1]))))
+        logged = (sums[rows] - sums[rows - step]) / step
+        noise = sensing.current_noise_A / np.sqrt(step)
+    else:
+        if log.current == "filtered":
+            a = 1.0 - np.exp(-2.0 * np.pi * log.filter_Hz / world.drive.rate_Hz)
+            current = lfilter([a], [1.0, a - 1.0], current, zi=[(1.0 - a) * current[0]])[0]
+        logged, noise = current[rows], sensing.current_noise_A
+    logged = logged + noise * rng.standard_normal(len(rows))
+    logged += world.effects.get("current_offset", {}).get("current_A", 0.0)
+    logged += world.effects.get("current_drift", {}).get("rate_A_s", 0.0) * (
+        rows / world.drive.rate_Hz
+    )
+    quantum = sensing.current_quantum_A
+    return np.asarray(np.round(logged / quantum) * quantum)
+
+
+def _voltage(
+    world: World, signals: Signals, rows: Rows, step: int, rng: np.random.Generator
+) -> Array:
+    if world.log.voltage == "commanded":
+        return np.asarray(signals.voltage[rows])
+    sums = np.concatenate(([0.0], np.cumsum(signals.terminal)))
+    mean = (sums[rows] - sums[rows - step]) / step
+    return np.asarray(mean + world.sensing.voltage_noise_V * rng.standard_normal(len(rows)))
+
+
+def _joint(world: World, k: int, signals: Signals, rows: Rows, rng: np.random.Generator) -> Array:
+    late = world.effects.get("transport_delay", {}).get("time_s", 0.0)
+    angle = _late(world, signals.angle, "angles", late)[rows]
+    seat: Mapping[str, float] = world.effects.get("encoder_eccentricity", {})
+    angle = angle + seat.get("amplitude_rad", 0.0) * np.sin(angle + seat.get("phase_rad", 0.0))
+    slip = world.effects.get("encoder_slip")
+    if slip is not None:
+        number = round(slip["recording"])
+        after = rows / world.drive.rate_Hz > slip["at_s"] if k + 1 == number else k + 1 > number
+        angle = angle + slip["angle_rad"] * after
+    pitch = 2.0 * np.pi / LINES
+    angle = angle + world.sensing.lines_error * pitch * np.sin(2.0 * np.pi * angle / pitch)
+    bits = world.sensing.joint_bits
+    assert bits is not None
+    return _counted(angle, bits, world, rng)
+
+
+def _counted(angle: Array, bits: int, world: World, rng: np.random.Generator) -> Array:
+    """Return an angle in whole counts, with flicker where it lies between two."""
+    count = 2.0 * np.pi / 2.0**bits
+    noise = world.sensing.flicker * rng.standard_normal(len(angle))
+    return np.asarray(np.round(angle / count + noise) * count)
+
+
+def _late(world: World, signal: Array, channel: str, further_s: float = 0.0) -> Array:
+    """Return a signal as late as its channel is sampled.
+
+    A positive ``time_skew`` is a current that is late against the angles, a negative one angles
+    that are late against current and voltage.
+    """
+    skew = world.effects.get("time_skew", {}).get("time_s", 0.0)
+    late_s = further_s + (max(skew, 0.0) if channel == "current" else max(-skew, 0.0))
+    if late_s == 0.0:
+        return signal
+    at = np.arange(len(signal)) - late_s * world.drive.rate_Hz
+    return np.asarray(np.interp(at, np.arange(len(signal)), signal))

@@ -1,0 +1,151 @@
+"""Seals worlds on a plant: drawn, simulated with and without their effects, written down."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from rig.common.input_files import is_file
+from rig.results.prove.draw import Assigned
+from rig.results.prove.interchange.folder import (
+    PREFIX,
+    SealedRig,
+    place,
+    sealed_rigs,
+    write_sums,
+    write_truth,
+)
+from rig.results.prove.pool import each
+from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
+from rig.results.prove.worlds.files import truth_of_world, write_world
+from rig.results.prove.worlds.logger import Columns, columns
+from rig.results.prove.worlds.world import Array, Signals, World
+
+MOVING = 0.05
+"""Share of a recording's greatest speed from which on the joint counts as moving."""
+
+
+class Plant(Protocol):
+    """A simulated machine that plays worlds.
+
+    Attributes:
+        effects: Effects of the catalogue that it can have.
+        outside: Effects outside the catalogue that it can have.
+        not_scored: Values that mean something else on it: a constant, or ``effect.parameter``.
+    """
+
+    @property
+    def effects(self) -> Collection[str]: ...  # noqa: D102 - see the class
+
+    @property
+    def outside(self) -> Collection[str]: ...  # noqa: D102 - see the class
+
+    @property
+    def not_scored(self) -> Collection[str]: ...  # noqa: D102 - see the class
+
+    def play(self, world: World) -> Iterable[Signals]:
+        """Yield what the machine does in each recording, one after another."""
+        ...
+
+
+def seal_worlds(
+    home: Path,
+    plant: Plant,
+    rigs: int,
+    seed: int,
+    jobs: int,
+    progress: Callable[[str, float], None],
+) -> list[SealedRig]:
+    """Draw, simulate and seal worlds; return them with their digests. Nothing is diagnosed.
+
+    Worlds that are there already are kept, so that a call that was stopped can be repeated.
+
+    Args:
+        home: Folder of the sealed rigs.
+        plant: The plant; with more than one job it must be importable.
+        rigs: How many.
+        seed: Of the draws.
+        jobs: Processes.
+        progress: Called with the label of a step and the share that is done.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    assigned = worlds_assignment(rigs, seed, plant.effects, plant.outside)
+    todo = list(enumerate(assigned, start=1))
+    one = partial(seal_world, home=home, plant=plant, seed=seed)
+    for done, name in enumerate(each(one, todo, jobs), start=1):
+        progress(f"{name} sealed, {done} of {rigs}", done / rigs)
+    write_sums(home)
+    return sealed_rigs(home)
+
+
+def seal_world(numbered: tuple[int, Assigned], home: Path, plant: Plant, seed: int) -> str:
+    """Simulate and seal one world; return its name."""
+    number, (kind, names) = numbered
+    where = place(home, f"{PREFIX}{number:04d}")
+    if is_file(where.truth):
+        return where.name
+    world = draw_world(kind, names, (seed, number))
+    logged = log_of(plant, world)
+    write_world(where.campaign.parent, world, logged)
+    strength: Mapping[str, float] = {}
+    if world.effects:
+        plain = without_effects(world)
+        reference = log_of(plant, plain)
+        write_world(where.reference.parent, plain, reference)
+        strength = strength_of(world, logged, reference)
+    write_truth(where, truth_of_world(world, sorted(plant.not_scored), strength))
+    return where.name
+
+
+def log_of(plant: Plant, world: World) -> list[Columns]:
+    """Return the columns of all recordings; their noise does not depend on the effects."""
+    return [
+        columns(world, k, signals, np.random.default_rng([*world.seed, 9, k]))
+        for k, signals in enumerate(plant.play(world))
+    ]
+
+
+def strength_of(
+    world: World, logged: Sequence[Columns], reference: Sequence[Columns]
+) -> dict[str, float]:
+    """Return the rms change by the effects in each channel over the channel's noise.
+
+    Noise is the sensor's and that of its digits. Current and voltage are compared only where both
+    machines move: what holds a joint at rest depends on how it came to rest.
+    """
+    sensing = world.sensing
+    averaged = np.sqrt(world.drive.rate_Hz / world.log.rate_Hz)
+    quiet = averaged if world.log.current == "averaged" else 1.0
+    noise = {
+        "current": float(
+            np.hypot(sensing.current_noise_A / quiet, sensing.current_quantum_A / np.sqrt(12.0))
+        ),
+        "voltage": max(sensing.voltage_noise_V, sensing.current_noise_A),
+        **{
+            name: 2.0 * np.pi / 2.0**bits * float(np.hypot(sensing.flicker, 1.0 / np.sqrt(12.0)))
+            for name, bits in (("motor_angle", sensing.motor_bits), ("angle", sensing.joint_bits))
+            if bits is not None
+        },
+    }
+    found = {}
+    for name in noise.keys() & logged[0].keys():
+        parts = [
+            (a[name] - b[name])[_both_move(a, b) if name in ("current", "voltage") else slice(None)]
+            for a, b in zip(logged, reference, strict=True)
+        ]
+        gap = np.concatenate(parts)
+        found[name] = float(np.sqrt(np.mean(gap**2)) / noise[name]) if gap.size else 0.0
+    return found
+
+
+def _both_move(a: Columns, b: Columns) -> Array:
+    """Return the rows in which both machines move."""
+    name = "angle" if "angle" in a else "motor_angle"
+    speeds = [np.abs(np.gradient(c[name])) for c in (a, b)]
+    return np.asarray(np.minimum(*speeds) > MOVING * max(s.max() for s in speeds))

@@ -1,0 +1,137 @@
+"""Recordings and raw traffic for other tools, and recordings read back from such files."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from identification.recording import Bench, Dataset, Recording, RecordingError
+from rig.common.places import write_text
+from rig.common.provenance import sha256_file
+from rig.runs.export import tables
+from rig.runs.export.description import Read, describe, misfit, sidecar
+from rig.runs.export.mcap_file import read_mcap, write_mcap
+from rig.runs.export.traffic import TRAFFIC, Count, export_traffic
+from rig.runs.run_record import RunRecord
+
+WRITERS: Mapping[str, Callable[[Dataset, Path], None]] = {
+    "csv": tables.write_csv,
+    "mat": tables.write_mat,
+    "parquet": tables.write_parquet,
+    "mcap": lambda dataset, path: write_mcap(dataset, path, None),
+}
+"""Format to the writer of recordings."""
+READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
+    "csv": tables.read_csv,
+    "mat": tables.read_mat,
+    "parquet": tables.read_parquet,
+    "mcap": read_mcap,
+}
+"""Format to the reader of such a file, which returns None for a file of another program."""
+
+FORMATS = (*WRITERS, *TRAFFIC)
+"""Formats by name: those of recordings, then those of raw traffic."""
+__all__ = [
+    "FORMATS",
+    "TRAFFIC",
+    "WRITERS",
+    "Count",
+    "beside",
+    "export",
+    "export_beside",
+    "export_traffic",
+    "extension",
+    "files",
+    "read_back",
+]
+
+
+def extension(kind: str) -> str:
+    """Return the usual extension of a format's files, without a dot."""
+    return TRAFFIC[kind][0] if kind in TRAFFIC else kind
+
+
+def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
+    """Return the files of an export, and the recordings in each.
+
+    A CSV file is one table with one time base, so that other tools and campaign files can use it
+    directly. Of several recordings, each gets its own file, named ``path`` plus the recording's
+    name.
+    """
+    if kind != "csv" or len(dataset.recordings) == 1:
+        return {path: dataset}
+    found: dict[Path, Dataset] = {}
+    for recording in dataset.recordings:
+        name = re.sub(r"[^\w.-]+", "-", recording.name).strip("-")
+        place = path.with_name(f"{path.stem}-{name}{path.suffix}")
+        if place in found:
+            place = path.with_name(f"{path.stem}-{name}-{len(found) + 1}{path.suffix}")
+        found[place] = Dataset((recording,))
+    return found
+
+
+def beside(path: Path, kind: str) -> Path | None:
+    """Return the file with the description of an export, where the format cannot hold it."""
+    return sidecar(path) if kind == "csv" else None
+
+
+def export(
+    dataset: Dataset, path: Path, kind: str, run: tuple[Path, RunRecord] | None = None
+) -> None:
+    """Write one file of :func:`files`.
+
+    Args:
+        dataset: The recordings.
+        path: The file.
+        kind: One of :data:`WRITERS`.
+        run: Folder and record of the run they are from, whose events and frames MCAP holds too.
+
+    Raises:
+        InputError: Parquet is requested but not installed, or the run is damaged.
+        OSError: The file cannot be written.
+    """
+    if kind == "mcap":
+        write_mcap(dataset, path, run)
+    else:
+        WRITERS[kind](dataset, path)
+
+
+def export_beside(dataset: Dataset, path: Path) -> None:
+    """Write the file of :func:`beside`.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    write_text(path, describe(dataset.recordings))
+
+
+def read_back(path: Path, kind: str, bench: Mapping[str, object]) -> list[Recording] | None:
+    """Return the recordings of an export; None if it is another program's file.
+
+    Args:
+        path: The file.
+        kind: Its format.
+        bench: Constants that replace those of the file.
+
+    Raises:
+        InputError: Its numbers do not fit its description.
+        OSError: It cannot be read.
+    """
+    reader = READERS.get(kind)
+    found = None if reader is None else reader(path)
+    if found is None:
+        return None
+    digest = sha256_file(path)
+    try:
+        return [
+            one.recording(channels, _with(one.bench, bench), str(path), digest)
+            for one, channels in found
+        ]
+    except RecordingError as error:
+        raise misfit(path, error) from error
+
+
+def _with(bench: Bench, changed: Mapping[str, object]) -> Bench:
+    return replace(bench, **changed) if changed else bench  # type: ignore[arg-type]

@@ -1,0 +1,186 @@
+"""Recordings as tables: CSV, MATLAB, Parquet, written and read back.
+
+Channels keep their canonical names and SI units. A description beside the numbers, or inside the
+file, holds what a table has no column for (:mod:`rig.runs.export.description`).
+"""
+
+from __future__ import annotations
+
+import csv
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identification.recording import CHANNELS, Array, Dataset, Recording
+from rig.common.errors import InputError
+from rig.common.input_files import is_file
+from rig.runs.export.description import KEY, Described, Read, describe, misfit, parse, sidecar
+
+
+def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
+    """Stack all recordings: the recording's name for every row, and the channels, NaN where one has
+    none.
+    """
+    present = {name for recording in dataset.recordings for name in recording.channels}
+    names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
+    stacked = {
+        name: np.concatenate([_channel(recording, name) for recording in dataset.recordings])
+        for name in CHANNELS
+        if name in present
+    }
+    return names, stacked
+
+
+def _channel(recording: Recording, name: str) -> Array:
+    return recording.channels.get(name, np.full(len(recording.time), np.nan))
+
+
+def write_csv(dataset: Dataset, path: Path) -> None:
+    """Write the only recording as a table, one column a channel.
+
+    A missing value is an empty cell. The description goes into a file beside it, which
+    :func:`rig.runs.export.export` does not write.
+    """
+    (recording,) = dataset.recordings
+    columns = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        for values in zip(*(column.tolist() for column in columns.values()), strict=True):
+            writer.writerow(["" if value != value else value for value in values])
+
+
+def write_mat(dataset: Dataset, path: Path) -> None:
+    """Write a struct array ``recordings`` (name, stage, weight_mass, role, one field a channel) and
+    ``units``.
+    """
+    from scipy.io import savemat
+
+    present = [name for name in CHANNELS if any(name in r.channels for r in dataset.recordings)]
+    fields = ("name", "stage", "weight_mass", "role", *present)
+    recordings = np.empty(len(dataset.recordings), dtype=[(field, object) for field in fields])
+    for index, r in enumerate(dataset.recordings):
+        recordings[index] = (
+            r.name,
+            r.stage,
+            r.weight_mass,
+            r.role,
+            *(_channel(r, name) for name in present),
+        )
+    units = {name: CHANNELS[name] for name in present}
+    content = {"recordings": recordings, "units": units, KEY: describe(dataset.recordings)}
+    savemat(str(path), content, appendmat=False, oned_as="column", do_compression=True)
+
+
+def write_parquet(dataset: Dataset, path: Path) -> None:
+    """Write one table; each column carries its unit as metadata."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise InputError(
+            "parquet needs pyarrow, which is not installed; pip install 'loadrig[parquet]'"
+        ) from error
+    names, columns = _columns(dataset)
+    fields = [pa.field("recording", pa.dictionary(pa.int32(), pa.string()))]
+    fields += [pa.field(name, pa.float64(), metadata={"unit": CHANNELS[name]}) for name in columns]
+    arrays = [
+        pa.array(names).dictionary_encode(),
+        *(pa.array(column) for column in columns.values()),
+    ]
+    schema = pa.schema(fields, metadata={KEY: describe(dataset.recordings)})
+    pq.write_table(pa.Table.from_arrays(arrays, schema=schema), path)
+
+
+def read_csv(path: Path) -> list[Read] | None:
+    """Read a CSV file back; None if no description stands beside it.
+
+    Raises:
+        InputError: File and description do not fit together.
+        OSError: It cannot be read.
+    """
+    beside = sidecar(path)
+    if not is_file(beside):
+        return None
+    described = parse(beside.read_bytes(), beside)
+    with open(path, newline="", encoding="utf-8") as stream:
+        rows = csv.reader(stream)
+        names = next(rows, [])
+        try:
+            table = [[float(cell) if cell else np.nan for cell in row] for row in rows]
+            columns = np.array(table, dtype=np.float64).reshape(len(table), len(names))
+        except ValueError as error:
+            raise misfit(path, str(error)) from error
+    return _split(path, described, dict(zip(names, columns.T, strict=True)))
+
+
+def read_mat(path: Path) -> list[Read] | None:
+    """Read a MATLAB file back; None if it holds no description.
+
+    Raises:
+        InputError: Its numbers do not fit its description.
+        OSError: It cannot be read.
+    """
+    from scipy.io import loadmat
+
+    try:
+        content = loadmat(str(path), appendmat=False, variable_names=[KEY, "recordings"])
+    except (ValueError, TypeError, LookupError, NotImplementedError, zlib.error, EOFError):
+        return None  # the reader of other MATLAB files says what is wrong
+    if KEY not in content or "recordings" not in content:
+        return None
+    described = parse(str(content[KEY].ravel()[0]), path)
+    structs = content["recordings"].ravel()
+    if len(structs) != len(described):
+        raise misfit(path, f"{len(structs)} recordings, {len(described)} described")
+    try:
+        return [
+            (one, {name: np.array(struct[name]).ravel() for name in one.channels})
+            for one, struct in zip(described, structs, strict=True)
+        ]
+    except ValueError as error:
+        raise misfit(path, str(error)) from error
+
+
+def read_parquet(path: Path) -> list[Read] | None:
+    """Read a Parquet file back; None if it holds no description.
+
+    Raises:
+        InputError: Its numbers do not fit its description.
+        OSError: It cannot be read.
+    """
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError:
+        return None  # the reader of other Parquet files names the package
+    try:
+        schema = pq.read_schema(path)
+        text = (schema.metadata or {}).get(KEY.encode())
+        if text is None:
+            return None
+        described = parse(text, path)
+        table = pq.read_table(path)
+    except pa.ArrowException:
+        return None
+    names = [name for name in table.column_names if name in CHANNELS]
+    return _split(path, described, {name: table.column(name).to_numpy() for name in names})
+
+
+def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]) -> list[Read]:
+    """Split stacked columns into recordings."""
+    rows = len(next(iter(columns.values()), ()))
+    expected = sum(one.samples for one in described)
+    missing = {name for one in described for name in one.channels} - columns.keys()
+    if rows != expected or missing:
+        lacks = f"; no column {', '.join(sorted(missing))}" if missing else ""
+        raise misfit(path, f"{rows} rows, {expected} described{lacks}")
+    found: list[Read] = []
+    start = 0
+    for one in described:
+        stop = start + one.samples
+        found.append((one, {name: np.array(columns[name][start:stop]) for name in one.channels}))
+        start = stop
+    return found

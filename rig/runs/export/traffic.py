@@ -1,0 +1,195 @@
+"""The raw CAN traffic of a run, as candump and Vector's tools write it.
+
+Identifiers, data, direction and order are exact; times are rounded to microseconds, which is what
+both formats hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TextIO
+
+from drivers.frame_flags import ERROR_FLAG, EXTENDED_FLAG, IDENTIFIER_BITS, REMOTE_FLAG
+from drivers.interfaces import RawFrame
+from rig.common.errors import InputError
+from rig.common.instants import instant
+from rig.runs.mcap import ros
+from rig.runs.mcap.layout import FRAMES_TOPIC, decode_frames
+from rig.runs.mcap.reader import Message
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.tail import START, Tail
+from rig.runs.run_record import PartRecord, RunRecord
+
+INTERFACE = "can0"
+"""Name of the bus in a candump log."""
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
+    """Yield recorded topic and message of one recording of a run, in order.
+
+    Of a recording that was never closed, everything up to its last whole chunk.
+
+    Raises:
+        InputError: It is damaged, or cannot be read.
+    """
+    path = folder / part.file
+    try:
+        with Tail(path) as tail:
+            offset: int | None = START
+            while offset is not None and (piece := tail.at(offset)) is not None:
+                yield from piece.messages
+                offset = piece.following
+    except DamageError as error:
+        raise InputError(f"{path}: damaged ({error}); use `rig recover {folder}`") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+
+
+def utc_ns(created: str) -> int:
+    """Return an ISO time as ns since 1970."""
+    return (instant(created) - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+@dataclass
+class FrameClock:
+    """Places the stamps of raw frames in UTC: they count from an origin of the host's clock.
+
+    The first frame of a recording is taken as sent when the recording was created.
+    """
+
+    created_ns: int
+    first_ns: int | None = None
+
+    def at(self, frame: RawFrame) -> RawFrame:
+        """Return the frame with its time in ns since 1970."""
+        if self.first_ns is None:
+            self.first_ns = frame.time_ns
+        return frame._replace(time_ns=self.created_ns + frame.time_ns - self.first_ns)
+
+
+@dataclass
+class Count:
+    """What was written, and what has no place in the format."""
+
+    frames: int = 0
+    serial: int = 0
+    errors: int = 0
+    parts: list[str] = field(default_factory=list)
+
+
+def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
+    """Yield the CAN frames of all recordings of a run, with their times in ns since 1970; bytes of
+    serial lines are counted only.
+
+    Raises:
+        InputError: A recording is damaged, or cannot be read.
+    """
+    for part in record.parts:
+        clock = FrameClock(utc_ns(part.created))
+        for topic, message in messages(folder, part):
+            if topic != FRAMES_TOPIC:
+                continue
+            for frame in decode_frames(message.data):
+                placed = clock.at(frame)
+                if ros.is_serial(frame):
+                    count.serial += 1
+                else:
+                    count.frames += 1
+                    count.errors += bool(frame.identifier & ERROR_FLAG)
+                    yield placed
+
+
+def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+    """Write a log of ``candump -L -x``: time since 1970, interface, identifier, data, and T for
+    frames of the host.
+    """
+    for frame in frames:
+        flags = frame.identifier
+        seconds, microseconds = divmod(_microseconds(frame.time_ns), 1_000_000)
+        if flags & ERROR_FLAG:
+            identifier = f"{flags & (IDENTIFIER_BITS | ERROR_FLAG):08X}"
+        elif flags & EXTENDED_FLAG:
+            identifier = f"{flags & IDENTIFIER_BITS:08X}"
+        else:
+            identifier = f"{flags & IDENTIFIER_BITS:03X}"
+        data = "R" if flags & REMOTE_FLAG else frame.data.hex().upper()
+        direction = "T" if frame.sent else "R"
+        stream.write(
+            f"({seconds:010d}.{microseconds:06d}) {INTERFACE} {identifier}#{data} {direction}\n"
+        )
+
+
+def write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
+    """Write a log of Vector's CANalyzer: seconds since its start, channel 1, identifier, direction
+    and data. An error frame has neither identifier nor data there.
+    """
+    first = next(frames, None)
+    start = 0 if first is None else _microseconds(first.time_ns)
+    begun = _date(start)
+    stream.write(f"date {begun}\nbase hex  timestamps absolute\ninternal events logged\n")
+    stream.write(
+        f"// version 9.0.0\nBegin Triggerblock {begun}\n   0.000000 Start of measurement\n"
+    )
+    while first is not None:
+        seconds = (_microseconds(first.time_ns) - start) / 1e6
+        stream.write(f"{seconds:11.6f} 1  {_asc(first)}\n")
+        first = next(frames, None)
+    stream.write("End TriggerBlock\n")
+
+
+def _asc(frame: RawFrame) -> str:
+    flags = frame.identifier
+    if flags & ERROR_FLAG:
+        return "ErrorFrame"
+    identifier = f"{flags & IDENTIFIER_BITS:X}{'x' if flags & EXTENDED_FLAG else ''}"
+    head = f"{identifier:<15} {'Tx' if frame.sent else 'Rx'}  "
+    if flags & REMOTE_FLAG:
+        return f"{head} r"
+    return f"{head} d {len(frame.data)} {frame.data.hex(' ').upper()}".rstrip()
+
+
+_DAYS = ("Mon", "Tue", "Wed", "Thu", "Fri", "Sat", "Sun")
+_MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+
+
+def _date(microseconds: int) -> str:
+    """Return a date as Vector writes it, in the computer's local time and English whatever the
+    locale.
+    """
+    at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
+    noon = "am" if at.hour < 12 else "pm"
+    clock = f"{(at.hour + 11) % 12 + 1:02d}:{at:%M:%S}.{at.microsecond // 1000:03d} {noon}"
+    return f"{_DAYS[at.weekday()]} {_MONTHS[at.month - 1]} {at.day:02d} {clock} {at.year}"
+
+
+def _microseconds(time_ns: int) -> int:
+    return (time_ns + 500) // 1000
+
+
+TRAFFIC: Mapping[str, tuple[str, Callable[[TextIO, Iterator[RawFrame]], None]]] = {
+    "candump": ("log", write_candump),
+    "asc": ("asc", write_asc),
+}
+"""Format to the extension of its files and its writer."""
+
+
+def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Count:
+    """Write the raw CAN frames of a run.
+
+    Raises:
+        InputError: The run has none, or a recording is damaged.
+        OSError: The file cannot be written.
+    """
+    count = Count(parts=[part.file for part in record.parts])
+    with open(path, "w", encoding="ascii", newline="\n") as stream:
+        TRAFFIC[kind][1](stream, can_frames(folder, record, count))
+    if not count.frames:
+        wire = "its wire is a serial line" if count.serial else "none was recorded"
+        raise InputError(
+            f"{folder}: no CAN frames to export ({wire}); --format mcap holds serial bytes too"
+        )
+    return count

@@ -1,0 +1,161 @@
+"""Signals of CAN messages: where their bits are, and their values in many frames at once.
+
+Pure functions of arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.recording import Array
+from rig.sources.can_traffic.frames import Frames
+from rig.sources.formats.doubles import as_doubles
+
+MOST_BITS = 64
+_FLOATS = {16: (np.uint16, np.float16), 32: (np.uint32, np.float32), 64: (np.uint64, np.float64)}
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Part:
+    """Neighbouring bits of a signal in one byte.
+
+    Attributes:
+        byte: Of the frame.
+        low: Lowest bit in that byte.
+        count: Of bits.
+        place: Bit of the raw value that the lowest one is.
+    """
+
+    byte: int
+    low: int
+    count: int
+    place: int
+
+
+@dataclass(frozen=True)
+class BusSignal:
+    """One signal.
+
+    Attributes:
+        name: Of its column.
+        parts: Its bits, least significant first.
+        width: Number of bits.
+        signed: Whether it is in two's complement.
+        real: Whether it is IEEE 754.
+        factor: Value of one raw unit.
+        offset: Value at raw 0.
+        unit: As the source states it.
+        low: Least value that the source allows, None where it states none.
+        high: Greatest value.
+        selector: The multiplexer that says whether the signal is in a frame; None for one that
+            always is.
+        pages: Raw values of the selector with which the signal is in the frame.
+    """
+
+    name: str
+    parts: tuple[Part, ...]
+    width: int
+    signed: bool = False
+    real: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    selector: BusSignal | None = None
+    pages: frozenset[int] = frozenset()
+
+    @property
+    def bytes(self) -> int:
+        """Bytes that a frame must have to hold the signal."""
+        return max(part.byte for part in self.parts) + 1
+
+    def present(self, frames: Frames) -> Mask:
+        """Return which frames hold the signal, by their length and their multiplexers."""
+        there: Mask = frames.lengths >= self.bytes
+        if self.selector is not None:
+            there = there & self.selector.present(frames)
+            there = there & np.isin(self.selector.bits(frames), list(self.pages))
+        return there
+
+    def bits(self, frames: Frames) -> NDArray[np.uint64]:
+        """Return the raw bits in each frame, zero where a frame is too short."""
+        value = np.zeros(len(frames.data), np.uint64)
+        for part in self.parts:
+            if part.byte < frames.data.shape[1]:
+                byte = frames.data[:, part.byte].astype(np.uint64)
+                own = (byte >> np.uint64(part.low)) & np.uint64((1 << part.count) - 1)
+                value |= own << np.uint64(part.place)
+        return value
+
+    def values(self, frames: Frames, rows: Mask) -> tuple[Array, str]:
+        """Return the values in some of the frames, and a note where they were changed."""
+        bits = self.bits(frames)[rows]
+        if self.real:
+            unsigned, kind = _FLOATS[self.width]
+            # The bits of a float may be any, also no number.
+            with np.errstate(over="ignore", invalid="ignore"):
+                raw = bits.astype(unsigned).view(kind).astype(np.float64)
+                return raw * self.factor + self.offset, ""
+        whole: NDArray[np.uint64] | NDArray[np.int64] = bits
+        if self.signed:
+            shift = np.uint64(MOST_BITS - self.width)
+            whole = (bits << shift).view(np.int64) >> np.int64(shift)
+        if self.factor == 1.0 and self.offset == 0.0:
+            return as_doubles(whole)
+        return whole.astype(np.float64) * self.factor + self.offset, ""
+
+
+@dataclass(frozen=True)
+class BusMessage:
+    """One message.
+
+    Attributes:
+        name: Of its columns; empty where the signals' names are enough.
+        identifier: With the flag of 29 bits.
+        signals: In the order of the source.
+        by_group: Whether frames of other priorities and source addresses are this message too, as
+            in SAE J1939.
+        left_out: What of it cannot be read, in words.
+    """
+
+    name: str
+    identifier: int
+    signals: tuple[BusSignal, ...]
+    by_group: bool = False
+    left_out: tuple[str, ...] = field(default=())
+
+
+def little_endian(start: int, width: int) -> tuple[Part, ...]:
+    """Return the bits of a signal that begins with its least significant bit at ``start``."""
+    return tuple(_parts(range(start, start + width)))
+
+
+def big_endian(start: int, width: int) -> tuple[Part, ...]:
+    """Return the bits of a signal whose most significant bit a DBC numbers ``start``."""
+    positions = []
+    at = start
+    for _ in range(width):
+        positions.append(at)
+        at = at + 15 if at % 8 == 0 else at - 1
+    return tuple(_parts(positions[::-1]))
+
+
+def _parts(positions: Sequence[int]) -> Iterator[Part]:
+    """Yield runs of bits in one byte; ``positions`` are least significant first."""
+    first = 0
+    for k in range(1, len(positions) + 1):
+        broken = (
+            k == len(positions)
+            or positions[k] != positions[k - 1] + 1
+            or positions[k] // 8 != positions[first] // 8
+        )
+        if broken:
+            start = positions[first]
+            yield Part(start // 8, start % 8, k - first, first)
+            first = k

@@ -1,0 +1,140 @@
+"""Lines of the text formats of CAN traffic, checked before python-can reads them.
+
+python-can takes some lines for others: an error frame of candump for a frame, half a byte at the
+end for a whole one, stamps since the last event for stamps since the start, a version of TRC that
+it does not know for another. Such lines are taken out and counted, rewritten, or refused here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import TextIO
+
+from rig.common.errors import InputError
+
+ERROR_FLAG = 0x20000000
+"""Flag of SocketCAN in the identifier of an error frame."""
+_CANDUMP = re.compile(
+    r"\((\d+)(\.\d+)?\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
+    r"((?:#[0-9A-Fa-f])?(?:[0-9A-Fa-f]{2})*|[Rr]\d?)(\s+[RTrt])?"
+)
+_CANDUMP_SCREEN = re.compile(r"(\(.*\)\s+)?\S+\s+[0-9A-Fa-f]{3,8}\s+\[\d+\]")
+_STAMPED = re.compile(r"\s*(-?\d+\.\d+)(\s+.*)", re.DOTALL)
+_ASC_HEAD = re.compile(r"date\s|base\s|//|(no\s+)?\s*internal\s+events\s+logged", re.IGNORECASE)
+_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
+
+
+@dataclass
+class Lines:
+    """Lines of a file on their way to python-can.
+
+    Attributes:
+        path: The file.
+        number: Of the line that was read last, from 1.
+        stamped: Lines with a time stamp.
+        errors: Error frames that were taken out.
+        notes: Messages to the user.
+    """
+
+    path: Path
+    number: int = 0
+    stamped: int = 0
+    errors: int = 0
+    notes: list[str] = field(default_factory=list)
+
+    def whole(self, stream: TextIO) -> Iterator[str]:
+        """Yield the lines that were ended; a last one without end may be cut off."""
+        for text in stream:
+            self.number += 1
+            if not text.endswith("\n"):
+                if text.strip():
+                    self.notes.append(f"line {self.number} has no end: dropped, it may be cut off")
+                return
+            yield text
+
+
+def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the frames of a ``candump -L`` file, stamps since the first frame.
+
+    Raises:
+        InputError: A line is no frame; names it.
+    """
+    begin: int | None = None
+    for text in lines.whole(stream):
+        if not text.strip():
+            continue
+        found = _CANDUMP.fullmatch(text.strip())
+        if found is None:
+            screen = _CANDUMP_SCREEN.match(text.strip())
+            remedy = (
+                "this is candump's output for the screen; record with candump -L"
+                if screen
+                else "a table is named .csv, and CAN traffic is recorded with candump -L"
+            )
+            raise InputError(
+                f"{lines.path}:{lines.number}: not a frame of candump -L "
+                f"(got {text.strip()[:60]!r}); {remedy}"
+            )
+        whole, fraction, bus, identifier, data, direction = found.groups()
+        if begin is None:
+            begin = int(whole)
+        lines.stamped += 1
+        if len(identifier) == 8 and int(identifier, 16) & ERROR_FLAG:
+            lines.errors += 1
+            continue
+        # Seconds since 1970 leave a double a quarter of a microsecond.
+        stamp = f"{int(whole) - begin}{fraction or '.0'}"
+        yield f"({stamp}) {bus} {identifier}#{data}{direction or ''}\n"
+
+
+def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a Vector ASC file, stamps since the start of the measurement."""
+    relative, head, total = False, True, Decimal(0)
+    for text in lines.whole(stream):
+        if head and text.strip() and not _ASC_HEAD.match(text.strip()):
+            # python-can takes the first line after the head for a part of it.
+            head = False
+            yield "no internal events logged\n"
+        if head and re.search(r"timestamps\s+relative", text, re.IGNORECASE):
+            relative = True
+            lines.notes.append("stamps since the event before: added up")
+        found = _STAMPED.fullmatch(text)
+        if found is not None:
+            lines.stamped += "Start of measurement" not in text
+            if relative:
+                total += Decimal(found[1])
+                text = f"{total:f}{found[2]}"
+        yield text
+
+
+def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
+    """Yield the lines of a PEAK TRC file, without its date.
+
+    Raises:
+        InputError: It is of a version that python-can does not read.
+    """
+    for text in lines.whole(stream):
+        word = text.strip()
+        if word.startswith(";$FILEVERSION"):
+            version = word.partition("=")[2].strip()
+            if version not in _TRC_VERSIONS:
+                raise InputError(
+                    f"{lines.path}:{lines.number}: TRC of version {version}; read are "
+                    f"{', '.join(_TRC_VERSIONS)}: save it in one of them with PCAN-View"
+                )
+        lines.stamped += bool(word) and not word.startswith(";")
+        # Without the date, stamps are since the start, to the last digit.
+        if not word.startswith(";$STARTTIME"):
+            yield text
+
+
+FILTERS: dict[str, Callable[[Lines, TextIO], Iterator[str]]] = {
+    "log": candump,
+    "asc": asc,
+    "trc": trc,
+}
+"""Extension of a text format to its filter."""

@@ -1,0 +1,7 @@
+"""File formats of recordings made elsewhere: one reader per format, behind one interface."""
+
+from __future__ import annotations
+
+from rig.sources.formats.table import Table, format_of
+
+__all__ = ["Table", "format_of"]

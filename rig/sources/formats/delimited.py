@@ -1,0 +1,342 @@
+"""Reader of delimited text files (CSV and similar), plain or gzipped.
+
+Files in which every row has as many cells as the header are read with numpy's compiled reader,
+which is fast. Other files are read row by row, and may have empty cells, quotes, row names, dates
+and times, and trailing commas.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import islice
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from identification.recording import Array
+from rig.common.errors import InputError
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import EXACT
+from rig.sources.formats.table import Table, damaged
+from rig.sources.formats.text_layout import (
+    BLANKS,
+    DAY_NS,
+    END_MARKS,
+    are_units,
+    counts_columns,
+    encoding_of,
+    guess_delimiter,
+    is_empty,
+    is_number,
+    nanoseconds,
+    open_text,
+    pointed,
+    split,
+    utf8,
+    without_comment,
+)
+
+_READ_ERRORS = (OSError, EOFError, zlib.error)
+_MOST_DIGITS = 300
+"""Digits of a whole number that a double can hold."""
+_HEAD_LINES = 6
+"""Number of lines with content, from the first, from which the layout of the file is found."""
+
+
+class DelimitedTable(Table):
+    """A text file with one row of numbers per line, with or without a header line.
+
+    Args:
+        path: The file; it is decompressed by gzip if its name ends in ``.gz``.
+        options: Delimiter and lines to skip.
+
+    Raises:
+        InputError: The file contains no line after the skipped lines, or is damaged.
+    """
+
+    def __init__(self, path: Path, options: ReadSection) -> None:
+        self.path = path
+        try:
+            self._encoding = encoding_of(path)
+            with open_text(path, self._encoding) as stream:
+                skipped = [text for text in islice(stream, options.skip_rows) if text.strip()]
+                head = _head(stream, options.skip_rows)
+        except _READ_ERRORS as error:
+            raise damaged(path, error, "check that it was copied whole") from error
+        if not head:
+            where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
+            raise InputError(f"{path}: the file is empty{where}")
+        line, text = head[0]
+        if "\0" in text:
+            raise InputError(
+                f"{path}: line {line} contains zero bytes, so that the file is not text; use the "
+                "file extension of its format"
+            )
+        self._decimal = options.decimal
+        self._delimiter = options.delimiter or guess_delimiter(
+            [text for _, text in head], options.decimal
+        )
+        self._lay_out(head)
+        if skipped and self._row_of_numbers(skipped[-1], len(self.names)):
+            self.note("the last skipped line contains numbers: check read.skip_rows")
+
+    def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
+        """Find header, units, row names and columns of dates in the first lines."""
+        line, text = head[0]
+        cells = split(text, self._delimiter)
+        rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if without_comment(row)]
+        counted = bool(rows) and counts_columns(cells, rows[0][1])
+        has_header = counted or not all(is_number(self._pointed(cell)) for cell in cells)
+        if has_header and any(nanoseconds(cell) is not None for cell in cells):
+            # A row of dates and numbers is data, because the name of a column is not a date.
+            has_header = not all(
+                is_number(self._pointed(cell)) or nanoseconds(cell) is not None for cell in cells
+            )
+        if not has_header:
+            rows.insert(0, (line, cells))
+        self.names = tuple(cell.strip().lstrip("#").strip() if has_header else "" for cell in cells)
+        self._skip = line if has_header else line - 1
+        self._first_row = 0
+        if self._encoding != "latin-1":
+            self.note(f"text in {self._encoding.upper()}")
+        if self._delimiter == BLANKS:
+            self.note("columns separated by blanks")
+        if counted:
+            self.note(
+                f"line {line} numbers the columns from 0 to {len(cells) - 1}: read as the header"
+            )
+        while has_header and len(rows) > 1 and are_units(rows[0][1], len(cells)):
+            at, words = rows.pop(0)
+            self.units = tuple(word.strip(' "\t') for word in words)
+            self._skip = at
+            self.note(f"line {at} below the names read as units: {', '.join(self.units)[:80]}")
+        self._has_header = has_header
+        self._find_row_names(head, rows)
+        self._find_dates(rows)
+
+    def _find_row_names(
+        self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
+    ) -> None:
+        """Find row names: every row has one cell more than the header has names, and the first cell
+        is quoted or a word.
+        """
+        width = len(self.names)
+        if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
+            return
+        lines = dict(head)
+        if all(_names_its_row(lines[at], row[0]) for at, row in rows):
+            self._first_row = 1
+            self.note("the first cell of each row is a row name, for which the header has no name")
+
+    def _find_dates(self, rows: Sequence[tuple[int, list[str]]]) -> None:
+        self._zero: dict[int, int] = {}
+        for column, cell in enumerate(rows[0][1][self._first_row :] if rows else ()):
+            when = nanoseconds(cell)
+            digits = cell.strip(' "\t-+')
+            if digits.isdecimal() and int(digits[:_MOST_DIGITS]) > EXACT:
+                self.note(
+                    f"column {self._name(column)} holds integers beyond 2^53: rounded to multiples "
+                    f"of {np.spacing(float(digits)):.0f}"
+                )
+            if when is not None and column < len(self.names):
+                dated = when >= DAY_NS
+                self._zero[column] = when if dated else 0
+                what, since = (
+                    ("dates", cell.strip()[:40]) if dated else ("times of day", "midnight")
+                )
+                self.note(
+                    f"column {self._name(column)} holds {what}: read as seconds since {since}"
+                )
+
+    def _row_of_numbers(self, text: str, width: int) -> bool:
+        cells = split(text, self._delimiter)
+        return len(cells) == width > 1 and all(is_number(self._pointed(cell)) for cell in cells)
+
+    def read(self, columns: Sequence[int]) -> list[Array]:
+        """Read columns by index; see :meth:`Table.read`."""
+        try:
+            fast = self._decimal == "." and not self._zero and self._even()
+            table = self._read_fast(columns) if fast else self._read_tolerant(columns)
+        except ValueError:
+            table = self._read_tolerant(columns)
+        except _READ_ERRORS as error:
+            raise damaged(self.path, error, "check that it was copied whole") from error
+        if table.size == 0:
+            raise InputError(f"{self.path}: no rows of numbers below line {self._skip}")
+        return [table[:, k] for k in range(len(columns))]
+
+    def place(self, row: int) -> str:
+        """Return the line of a row; blank lines and comment lines count."""
+        with open_text(self.path, self._encoding) as stream:
+            for index, (line, _) in enumerate(self._rows(stream)):
+                if index == row:
+                    return f"{self.path}:{line}"
+        return super().place(row)
+
+    def _even(self) -> bool:
+        """Return whether each row has as many cells as the header, without quotes and comments."""
+        if self._first_row:
+            return False
+        delimiter, others = self._delimiter, 0
+        counts: Counter[int] = Counter()
+        with open_text(self.path, self._encoding) as stream:
+            for text in islice(stream, self._skip, None):
+                if text == "\n":
+                    continue
+                others += '"' in text or "#" in text
+                counts[len(text.split()) - 1 if delimiter == BLANKS else text.count(delimiter)] += 1
+        return not others and set(counts) <= {len(self.names) - 1}
+
+    def _read_fast(self, columns: Sequence[int]) -> Array:
+        with open_text(self.path, self._encoding) as stream:
+            if next(self._rows(stream), None) is None:
+                return np.empty((0, len(columns)))
+        return np.loadtxt(
+            str(self.path.resolve()),
+            delimiter=None if self._delimiter == BLANKS else self._delimiter,
+            comments=None,
+            skiprows=self._skip,
+            usecols=list(columns),
+            ndmin=2,
+            encoding=self._encoding,
+        )
+
+    def _read_tolerant(self, columns: Sequence[int]) -> Array:
+        width = len(columns)
+        with open_text(self.path, self._encoding) as stream:
+            values = np.fromiter(self._cells(stream, columns), np.float64)
+        return values.reshape(-1, width)
+
+    def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
+        """Yield the required cells row by row. Rows without values count as missing samples; at the
+        end of the file they are dropped.
+
+        Raises:
+            InputError: A cell is not a number, or a row is too short or too long.
+        """
+        empty: list[int] = []
+        short = 0
+        for line, text in self._rows(stream):
+            cells = [cell.strip(' "\t') for cell in split(text, self._delimiter)]
+            if cells[0].lower() in END_MARKS and not any(cells[1:]):
+                self._end(stream, line, cells[0])
+                break
+            if not any(cells):
+                empty.append(line)
+                continue
+            for _ in empty:
+                yield from (float("nan") for _ in columns)
+            empty = []
+            short += self._check_width(cells, line)
+            for column in columns:
+                if column + self._first_row >= len(cells):
+                    raise InputError(
+                        f"{self.path}:{line}: {len(cells)} columns, but column "
+                        f"{self._name(column)} is needed"
+                        f" (got {text[:60]!r}); repair or remove the line"
+                    )
+                yield self._number(cells[column + self._first_row], line, column)
+        if empty:
+            self.note(f"{len(empty)} rows without values at the end dropped")
+        if short:
+            self.note(f"{short} rows have fewer cells than the first line: read from the left")
+
+    def _end(self, stream: TextIO, line: int, mark: str) -> None:
+        """Add a note on the line that marks the end of the file.
+
+        Raises:
+            InputError: More lines follow.
+        """
+        if any(text.strip() for text in stream):
+            raise InputError(
+                f"{self.path}:{line}: {mark}, but more lines follow; cut the file there, or remove "
+                f"the line"
+            )
+        self.note(f"line {line} ({mark}) read as the end of the file")
+
+    def _check_width(self, cells: Sequence[str], line: int) -> bool:
+        """Reject a row that is longer than the header; return whether the row is shorter than the
+        header.
+
+        Raises:
+            InputError: The row contains more values than there are names, so that the names cannot
+                be assigned.
+        """
+        width = len(self.names) + self._first_row
+        if not any(cells[width:]):
+            return len(cells) < width
+        what = "names in the header" if self._has_header else "cells in the first row"
+        remedy = (
+            "name every column in the header (row names too: write.table(..., col.names = NA) in "
+            "R), or skip the header with read.skip_rows and give columns by index"
+            if len(cells) == width + 1
+            else "repair the line, or check read.delimiter and read.skip_rows"
+        )
+        raise InputError(
+            f"{self.path}:{line}: {len(cells)} cells, but {width} {what}, so that the names of "
+            f"the columns are uncertain; {remedy}"
+        )
+
+    def _number(self, text: str, line: int, column: int) -> float:
+        if column in self._zero:
+            when = nanoseconds(text)
+            if when is not None:
+                return (when - self._zero[column]) * 1e-9
+        text = self._pointed(text)
+        if is_empty(text):
+            if "#" in text or "(" in text:
+                self.note(f"cells such as {text[:20]} taken as missing")
+            return float("nan")
+        if is_number(text) and column not in self._zero:
+            return float(text)
+        if is_number(text.replace(",", ".", 1)):
+            hint = '; if the comma is a decimal comma, set read.decimal: ","'
+        else:
+            hint = (
+                "; skip header lines with read.skip_rows"
+                if line <= self._skip + 2
+                else "; repair or remove the line"
+            )
+        raise InputError(
+            f"{self.path}:{line}: column {self._name(column)} is not a number (got "
+            f"{text[:60]!r}){hint}"
+        )
+
+    def _pointed(self, cell: str) -> str:
+        return pointed(cell, self._decimal)
+
+    def _name(self, column: int) -> str:
+        name = self.names[column] if column < len(self.names) else ""
+        return f"{name!r}" if name else f"{column}"
+
+    def _rows(self, stream: TextIO) -> Iterator[tuple[int, str]]:
+        """Yield line number and text of each row of numbers."""
+        for line, text in enumerate(stream, start=1):
+            if line > self._skip:
+                content = without_comment(text)
+                if content:
+                    yield line, content
+
+
+def _names_its_row(line: str, cell: str) -> bool:
+    """Return whether the first cell is a word, or is quoted while the next cell is not."""
+    rest = line.lstrip()
+    return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
+
+
+def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
+    """Return number (from 1) and text of the first lines with content; ``skip`` lines were read
+    before them.
+    """
+    found: list[tuple[int, str]] = []
+    for line, text in enumerate(stream, start=skip + 1):
+        if found and (text.strip().lower() in END_MARKS or not without_comment(text)):
+            continue
+        if text.strip().lstrip("\ufeff"):
+            found.append((line, utf8(text)))
+            if len(found) == _HEAD_LINES:
+                break
+    return found

@@ -1,0 +1,84 @@
+"""Optional libraries of file formats: imported where a file needs them; their warnings are kept."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import logging
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rig.common.errors import InputError
+
+_MOST_WORDS = 200
+"""Longest warning of a library that is passed on, characters."""
+
+
+def library(name: str, path: Path, format_name: str, extra: str) -> Any:
+    """Import an optional library.
+
+    Args:
+        name: Of the module.
+        path: The file that needs it, for the message.
+        format_name: What the file is, for the message.
+        extra: The extra of this program that installs it.
+
+    Raises:
+        InputError: It is not installed; names the extra.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        package = name.split(".")[0]
+        raise InputError(
+            f"{path}: reading {format_name} needs {package}; install it with: pip install "
+            f"'loadrig[{extra}]'"
+        ) from error
+
+
+class _Heard(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.words: dict[str, int] = {}
+
+    def emit(self, record: logging.LogRecord) -> None:
+        text = " ".join(record.getMessage().split())[:_MOST_WORDS]
+        self.words[text] = self.words.get(text, 0) + 1
+
+
+@contextmanager
+def heard(logger: str) -> Iterator[list[str]]:
+    """Keep the warnings of a library off the terminal; yields a list that is filled at the end."""
+    log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
+    propagate, handlers = log.propagate, log.handlers
+    # Some libraries have handlers of their own, which print.
+    log.propagate, log.handlers = False, [handler]
+    try:
+        yield found
+    finally:
+        log.propagate, log.handlers = propagate, handlers
+        found += [text if n == 1 else f"{text} ({n} times)" for text, n in handler.words.items()]
+
+
+@contextmanager
+def quiet_ends() -> Iterator[None]:
+    """Release what a library left in the frames of its error, and keep off the terminal what its
+    half-built objects raise as they are deleted.
+    """
+    before = sys.unraisablehook
+    try:
+        yield
+    except BaseException as error:
+        sys.unraisablehook = lambda _: None
+        chained: BaseException | None = error
+        while chained is not None:
+            traceback.clear_frames(chained.__traceback__)
+            chained = chained.__context__
+        gc.collect()
+        raise
+    finally:
+        sys.unraisablehook = before

@@ -1,0 +1,229 @@
+"""ASAM MDF files (MF4, and MDF of versions 2 and 3), through the optional asammdf."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.plain_file import require_plain
+from identification.recording import Array
+from rig.common.errors import InputError
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.doubles import NotNumbersError, as_doubles, seconds_per
+from rig.sources.formats.library import heard, library, quiet_ends
+from rig.sources.formats.table import Table, damaged, open_binary
+
+_DAMAGED = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    BufferError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
+"""What asammdf raises on damaged files, beside its own exception."""
+_REMEDY = "check that it was copied whole, or open and save it again with its own tool"
+TIME_MASTER = 1
+"""Sync type of a master channel that is time, s."""
+_MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
+_LINEAR = {3: 0, 4: 1}
+"""Version to the number of its linear conversion."""
+
+
+class _Channel(NamedTuple):
+    group: int
+    place: int
+    series: int | None
+
+
+class MdfTable(Table):
+    """One column per channel, named ``group.channel``, without the group where there is only one.
+
+    A channel with an array is ``channel[0]``, ``channel[1]``, ... Conversions of the file are
+    applied; samples that its invalidation bits mark are NaN. Labels (value to text) are read as
+    their raw numbers, with a note. Each channel group has a time base of its own, all on the clock
+    of the file.
+
+    Raises:
+        InputError: asammdf is not installed, or the file is damaged or holds no samples.
+    """
+
+    def __init__(self, path: Path, _: ReadSection) -> None:
+        self.path = path
+        self._asammdf = library("asammdf", path, "MDF", "mdf")
+        columns: list[tuple[_Channel, str, str]] = []
+        counts: dict[int, tuple[float, float]] = {}
+        with self._opened() as mdf:
+            groups = [k for k, group in enumerate(mdf.groups) if group.channel_group.cycles_nr]
+            self.base_names = tuple(_group_names(mdf, groups))
+            self._masters: Mapping[int, Any] = dict(mdf.masters_db)
+            for base, group in enumerate(groups):
+                prefix = f"{self.base_names[base]}." if len(groups) > 1 else ""
+                for index, channel in enumerate(mdf.groups[group].channels):
+                    for found in _parts(mdf, group, index):
+                        suffix = "" if found.series is None else f"[{found.series}]"
+                        scale = _linear(channel.conversion, mdf.version)
+                        if scale is not None:
+                            counts[len(columns)] = scale
+                        name = f"{prefix}{channel.name}{suffix}"
+                        columns.append((found, name, str(channel.unit or "")))
+        if not columns:
+            raise InputError(f"{path}: holds no samples; check that the measurement was saved")
+        self._columns = [found for found, _, _ in columns]
+        self.names = tuple(name for _, name, _ in columns)
+        self.units = tuple(unit for _, _, unit in columns)
+        self.counts = counts
+        where = {group: base for base, group in enumerate(groups)}
+        self._groups = groups
+        self.bases = tuple(where[found.group] for found in self._columns)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        """Open the file with asammdf, and close it.
+
+        Raises:
+            InputError: It is damaged.
+        """
+        require_plain(self.path)
+        errors = (*_DAMAGED, self._asammdf.blocks.utils.MdfException)
+        zipped = self.path.suffix.lower() == ".gz"
+        said: list[str] = []
+        try:
+            # asammdf prints what it was doing when it fails.
+            with heard("asammdf") as said, quiet_ends(), redirect_stdout(io.StringIO()):
+                source: Any = open_binary(self.path) if zipped else str(self.path)
+                with self._asammdf.MDF(source) as mdf:
+                    yield mdf
+        except InputError:
+            raise
+        except errors as error:
+            raise damaged(self.path, error, _REMEDY) from error
+        for words in said:
+            self.note(f"asammdf: {words}")
+
+    def read(self, columns: Sequence[int]) -> list[Array]:
+        """Read columns by index; see :meth:`Table.read`."""
+        self.require_one_base(columns)
+        with self._opened() as mdf:
+            return [self._values(mdf, self._columns[k], self.names[k]) for k in columns]
+
+    def stamps(self, base: int) -> Array | None:
+        """Return the master channel of a group where it is time; see :meth:`Table.stamps`."""
+        group = self._groups[base]
+        index = self._masters.get(group)
+        if index is None:
+            return None
+        with self._opened() as mdf:
+            channel = mdf.groups[group].channels[index]
+            if getattr(channel, "sync_type", TIME_MASTER) != TIME_MASTER:
+                self.note(
+                    f"{self.base_names[base]} is sampled over "
+                    f"{_MASTERS.get(channel.sync_type, 'something else')}, not over time"
+                )
+                return None
+            scale = seconds_per(str(channel.unit or "s"))
+            values = self._values(mdf, _Channel(group, index, None), channel.name)
+            return values if scale is None else values * scale
+
+    def _values(self, mdf: Any, where: _Channel, name: str) -> Array:
+        signal = mdf.get(group=where.group, index=where.place, ignore_invalidation_bits=True)
+        samples: NDArray[Any] = np.asarray(signal.samples)
+        if samples.dtype.kind in "SUO":
+            samples = self._labels(mdf, where, name, samples)
+        if samples.dtype.names is not None:
+            samples = samples[samples.dtype.names[0]]
+        if where.series is not None:
+            samples = samples.reshape(len(samples), -1)[:, where.series]
+        try:
+            if samples.ndim != 1:
+                raise NotNumbersError("bytes or a structure")
+            values, note = as_doubles(samples)
+        except NotNumbersError as error:
+            raise InputError(f"{self.path}: channel {name!r} is not numbers ({error})") from None
+        if note:
+            self.note(f"`{name}`: {note}")
+        invalid = signal.invalidation_bits
+        if invalid is not None and np.any(invalid):
+            values = np.where(np.asarray(invalid, np.bool_), np.nan, values)
+        return values
+
+    def _labels(self, mdf: Any, where: _Channel, name: str, samples: NDArray[Any]) -> NDArray[Any]:
+        """Return the numbers behind labels; of text the text itself."""
+        numbers = [
+            float(value) if isinstance(value, int | float | np.number) else np.nan
+            for value in samples.tolist()
+        ]
+        if np.any(np.isfinite(numbers)):
+            self.note(f"`{name}` has labels between its numbers: read as missing values")
+            return np.array(numbers)
+        raw = np.asarray(
+            mdf.get(
+                group=where.group, index=where.place, raw=True, ignore_invalidation_bits=True
+            ).samples
+        )
+        if raw.dtype.kind in "biuf":
+            found = dict.fromkeys(
+                text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text)
+                for text in samples[:1000].tolist()
+            )
+            self.note(f"`{name}` holds labels ({', '.join(found)[:60]}): read as its raw numbers")
+            return raw
+        return samples
+
+
+def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
+    """Return a name of each group, all different."""
+    names = []
+    for group in groups:
+        stated = str(getattr(mdf.groups[group].channel_group, "acq_name", None) or "").strip()
+        names.append(stated or f"group{group}")
+    return [
+        name if names.count(name) == 1 else f"{name}[{group}]"
+        for name, group in zip(names, groups, strict=True)
+    ]
+
+
+def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
+    """Yield a channel, or each element of its array; of a structure its members are channels."""
+    dependency = mdf.groups[group].channel_dependencies[index]
+    if not dependency:
+        yield _Channel(group, index, None)
+    elif not isinstance(dependency[0], tuple):
+        first = np.asarray(
+            mdf.get(
+                group=group,
+                index=index,
+                ignore_invalidation_bits=True,
+                record_offset=0,
+                record_count=1,
+            ).samples
+        )
+        names = first.dtype.names
+        values = first if names is None else first[names[0]]
+        for series in range(int(np.prod(values.shape[1:], dtype=np.int64))):
+            yield _Channel(group, index, series)
+
+
+def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
+    """Return factor and offset of a linear conversion; None for another or none."""
+    if conversion is None:
+        return None
+    linear = _LINEAR.get(min(4, max(3, int(str(version)[0]))))
+    if conversion.conversion_type != linear:
+        return None
+    return float(conversion.a), float(conversion.b)

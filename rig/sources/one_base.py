@@ -1,0 +1,136 @@
+"""Brings channels that a file holds at several time bases to one of them.
+
+Pure functions of arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.recording import Array
+from rig.sources.repair import GAP_PERIODS
+
+SLOWER, FASTER = 0.9, 1.5
+"""Ratio of both rates below which a note says that the course between samples is a guess, and above
+which it says that samples are left out.
+"""
+EDGE_PERIODS = 1e-6
+"""A row this far outside of another base counts as at its edge, periods: rounding of the stamps."""
+HELD = frozenset({"enabled"})
+"""Channels that keep their value until the next sample."""
+
+
+@dataclass(frozen=True)
+class Base:
+    """One time base of a file.
+
+    Attributes:
+        name: For messages.
+        stamps: Of its rows, s on the file's clock, shape (n,).
+    """
+
+    name: str
+    stamps: Array
+
+
+class StampsError(Exception):
+    """The stamps of a time base cannot be used; the message says why."""
+
+
+def on_one_base(
+    channels: Mapping[str, Array], bases: Mapping[str, Base], wanted: Base
+) -> tuple[dict[str, Array], int, list[str]]:
+    """Interpolate the channels of other time bases at the stamps of the wanted one.
+
+    Between samples further apart than :data:`GAP_PERIODS` median periods a value is missing. Rows
+    before the first or after the last sample of any channel are left out.
+
+    Args:
+        channels: Channel to values, each of its own base.
+        bases: Channel to its base.
+        wanted: The base of the result.
+
+    Returns:
+        Channels of shape (m,), the rows of the wanted base left out before them, and notes.
+
+    Raises:
+        StampsError: The stamps of a base run backwards, are missing, or do not overlap.
+    """
+    found: dict[str, Array] = {}
+    notes: list[str] = []
+    inside = np.ones(len(wanted.stamps), dtype=np.bool_)
+    for name, values in channels.items():
+        base = bases[name]
+        if base is wanted or np.array_equal(base.stamps, wanted.stamps):
+            found[name] = values
+            continue
+        found[name], within = _interpolated(name, values, base, wanted)
+        inside &= within
+        notes.append(f"`{name}`: {_words(base, wanted, name)}")
+    rows = np.flatnonzero(inside)
+    if not rows.size:
+        others = {base.name for base in bases.values()} - {wanted.name}
+        raise StampsError(
+            f"no row of {wanted.name} lies within the stamps of {', '.join(sorted(others))}; use "
+            f"columns of one time base"
+        )
+    first, stop = int(rows[0]), int(rows[-1]) + 1
+    left = len(inside) - (stop - first)
+    if left:
+        notes.append(f"{left} rows of {wanted.name} outside of the other time bases left out")
+    return {name: values[first:stop] for name, values in found.items()}, first, notes
+
+
+def _interpolated(
+    name: str, values: Array, base: Base, wanted: Base
+) -> tuple[Array, NDArray[np.bool_]]:
+    known = np.isfinite(values)
+    stamps, samples = base.stamps[known], values[known]
+    for one in (base, wanted):
+        steps = np.diff(one.stamps)
+        if not np.all(np.isfinite(one.stamps)) or np.any(steps < 0):
+            row = int(np.argmax(~(steps >= 0))) + 1
+            raise StampsError(
+                f"the stamps of {one.name} run backwards or are missing at its row {row + 1}, so "
+                f"that other time bases cannot be brought to it; use columns of one time base"
+            )
+    if len(stamps) < 2:
+        raise StampsError(
+            f"`{name}` has {len(stamps)} samples in {base.name}; two are needed to bring it to "
+            f"the stamps of {wanted.name}"
+        )
+    first = np.concatenate(([True], np.diff(stamps) > 0))
+    stamps, samples = stamps[first], samples[first]
+    at = wanted.stamps
+    after = np.clip(np.searchsorted(stamps, at, side="right"), 1, max(1, len(stamps) - 1))
+    if name in HELD:
+        result = samples[np.clip(np.searchsorted(stamps, at, side="right") - 1, 0, None)]
+    else:
+        result = np.interp(at, stamps, samples)
+    if len(stamps) > 1:
+        wide = np.diff(stamps)
+        apart = wide[after - 1] > GAP_PERIODS * float(np.median(wide))
+        apart &= (at > stamps[after - 1]) & (at < stamps[after])
+        result = np.where(apart, np.nan, result)
+    slack = EDGE_PERIODS * (float(np.median(np.diff(at))) if len(at) > 1 else 0.0)
+    return result, (at >= stamps[0] - slack) & (at <= stamps[-1] + slack)
+
+
+def _words(base: Base, wanted: Base, name: str) -> str:
+    own, target = (_rate(one.stamps) for one in (base, wanted))
+    how = "held between its samples" if name in HELD else "interpolated"
+    words = f"of {base.name} ({own:.4g} Hz), {how} at the stamps of {wanted.name} ({target:.4g} Hz)"
+    if own < SLOWER * target:
+        words += "; it is slower, so that its course between samples is a guess"
+    elif own > FASTER * target:
+        words += "; it is faster: map `time` to its own stamps to use all of its samples"
+    return words
+
+
+def _rate(stamps: Array) -> float:
+    period = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 0.0
+    return 1.0 / period if period > 0 else 0.0

@@ -1,0 +1,93 @@
+"""Chooses the reader of a file by its extension."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rig.config.campaign_columns import ReadSection
+from rig.sources.formats.arrays import MatTable, NpyTable, NpzTable
+from rig.sources.formats.delimited import DelimitedTable
+from rig.sources.formats.hdf5 import Hdf5Table, is_hdf5
+from rig.sources.formats.json_file import JsonTable
+from rig.sources.formats.json_lines import JsonLinesTable
+from rig.sources.formats.mcap_log import McapTable
+from rig.sources.formats.mdf import MdfTable
+from rig.sources.formats.parquet import ParquetTable
+from rig.sources.formats.table import Table, format_of
+from rig.sources.formats.tdms import TdmsTable
+
+
+def _can(path: Path, options: ReadSection) -> Table:
+    # Imported here, as it needs the drivers, which other formats don't.
+    from rig.sources.can_traffic import CanTable
+
+    return CanTable(path, options)
+
+
+def _mdf(path: Path, options: ReadSection) -> Table:
+    """Open a measurement, or the frames of its bus logging where their meaning is given."""
+    return _can(path, options) if options.dbc or options.bench else MdfTable(path, options)
+
+
+FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
+    "csv": DelimitedTable,
+    "tsv": DelimitedTable,
+    "txt": DelimitedTable,
+    "mat": lambda path, _: Hdf5Table(path) if _is_hdf5(path) else MatTable(path),
+    "h5": lambda path, _: Hdf5Table(path),
+    "hdf5": lambda path, _: Hdf5Table(path),
+    "mcap": lambda path, _: McapTable(path),
+    "log": _can,
+    "asc": _can,
+    "blf": _can,
+    "trc": _can,
+    "mf4": _mdf,
+    "mdf": _mdf,
+    "tdms": TdmsTable,
+    "parquet": lambda path, _: ParquetTable(path),
+    "npz": lambda path, _: NpzTable(path),
+    "npy": lambda path, _: NpyTable(path),
+    "json": JsonTable,
+    "jsonl": lambda path, _: JsonLinesTable(path),
+    "ndjson": lambda path, _: JsonLinesTable(path),
+}
+"""File extension, without dot and without ``.gz``, to reader."""
+FOREIGN: Mapping[str, str] = {
+    "bag": "a bag of ROS 1; convert it to MCAP with: mcap convert",
+    "db3": "a bag of ROS 2; convert it to MCAP with: ros2 bag convert",
+    "xlsx": "a workbook; save its sheet as CSV",
+    "xls": "a workbook; save its sheet as CSV",
+    "ods": "a workbook; save its sheet as CSV",
+    "lvm": "a text file of LabVIEW; name it .txt, and skip its head with read.skip_rows",
+    "dat": "of many makers; name a text file .csv, an MDF file .mdf",
+    "pkl": "a pickle, which may run code when it is opened; save it as CSV, Parquet or npz",
+    "feather": "an Arrow file; save it as Parquet",
+    "nc": "netCDF; name one of version 4, which is HDF5, .h5",
+}
+"""Extensions of files that are not read, to what they are and the remedy."""
+
+
+def unknown_format(path: Path) -> str:
+    """Return the message on a file whose extension names no format that is read."""
+    words = FOREIGN.get(format_of(path))
+    hint = f" ({words})" if words else ""
+    return f"unknown format{hint}; readable are {', '.join(FORMATS)}"
+
+
+def _is_hdf5(path: Path) -> bool:
+    """Whether a MATLAB file is of version 7.3; what cannot be read is left to its reader."""
+    try:
+        return is_hdf5(path)
+    except (EOFError, zlib.error):
+        return False
+
+
+def open_table(path: Path, options: ReadSection) -> Table:
+    """Open a recording file by its extension.
+
+    Raises:
+        InputError: The file is empty or damaged.
+    """
+    return FORMATS[format_of(path)](path, options)

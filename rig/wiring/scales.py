@@ -1,0 +1,112 @@
+"""Units of the devices of a bench file, in SI, completed by what is known of the drive's maker."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from drivers.canopen.device_data import DeviceData
+from drivers.canopen.motion import (
+    CyclicPosition,
+    CyclicSpeed,
+    CyclicTorque,
+    Motion,
+    ProfilePosition,
+)
+from drivers.canopen.position_loop import LoopGains
+from drivers.units import EncoderScales, ServoScales
+from rig.config.bench import Constants
+from rig.config.canopen import EncoderSection, ServoSection
+from rig.config.limits_section import LimitsSection
+
+_OBJECTS = {
+    "voltage_object": ("voltage_unit_V", "voltage_unit_V"),
+    "temperature_object": ("temperature_unit_C", "temperature_unit_C"),
+    "supply_object": ("supply_unit_V", "supply_unit_V"),
+    "current_object": ("current_unit_A", "named_current_unit_A"),
+    "rated_current_object": ("rated_current_object_unit_A", "rated_current_object_unit_A"),
+    "rated_torque_object": ("rated_torque_object_unit_N_m", "rated_torque_object_unit_N_m"),
+}
+"""Key of an object to the key of its unit, and to the field of the scales that holds the unit."""
+
+
+def servo_scales(
+    servo: ServoSection, machine: Constants, data: DeviceData | None = None
+) -> ServoScales:
+    """Return the drive's scales in SI units.
+
+    Args:
+        servo: The drive in the bench file, which comes first.
+        machine: Constants of the machine.
+        data: What is known of drives of its maker.
+    """
+    found: dict[str, Any] = {}
+    known = []
+    for field, (unit, scale) in _OBJECTS.items():
+        named, told = getattr(servo, field), getattr(data, field, None)
+        if named is None and told is not None:
+            known.append(told)
+        if (address := named or told) is not None:
+            found[field] = address
+        # The maker's unit is that of the maker's object, not of another that the bench names.
+        same = named in (None, told or getattr(ServoScales, field))
+        told_unit = getattr(data, unit, None) if same else None
+        if (value := getattr(servo, unit) or told_unit) is not None:
+            found[scale] = value
+    return ServoScales(
+        counts_per_turn=servo.counts_per_motor_turn,
+        gear_ratio=machine.gear_ratio,
+        rated_current_A=servo.rated_current_A,
+        rated_torque_N_m=servo.rated_torque_N_m,
+        sign=servo.sign,
+        offset_rad=math.radians(servo.offset_deg),
+        current_sign=servo.current_sign,
+        velocity_unit_rad_s=servo.motor_speed_unit_rad_s(data),
+        torque_constant_N_m_A=machine.torque_constant_N_m_A,
+        known_objects=tuple(known),
+        vendor_id=_vendor(servo, data),
+        **found,
+    )
+
+
+def servo_motion(
+    servo: ServoSection, scales: ServoScales, data: DeviceData | None, torque_offset: bool = False
+) -> Motion:
+    """Return how the drive is commanded.
+
+    Args:
+        servo: The drive in the bench file.
+        scales: Its units.
+        data: What is known of drives of its maker.
+        torque_offset: Whether a torque is added (feed-forward); for positions in every cycle only.
+    """
+    mode = servo.commanded(data)
+    if mode == "csp":
+        return CyclicPosition(torque_offset)
+    if mode == "pp":
+        return ProfilePosition(scales, math.radians(servo.profile_acceleration_deg_s2))
+    loop = servo.position_loop
+    stated = LoopGains(
+        loop.position_gain_1_s or 0.0, loop.speed_gain_N_m_s_rad or 0.0, loop.reset_1_s or 0.0
+    )
+    if mode == "csv":
+        return CyclicSpeed(scales, stated)
+    return CyclicTorque(scales, stated, loop.inertia_kg_m2 or 0.0)
+
+
+def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:
+    """Return the vendor that the drive must have: that of its EDS file, if its data were found by
+    that.
+    """
+    found = data is not None and servo.device is None and servo.eds is not None
+    return data.vendor_id if data is not None and found else None
+
+
+def encoder_scales(encoder: EncoderSection, limits: LimitsSection) -> EncoderScales:
+    """Return the joint encoder's scales in SI units."""
+    return EncoderScales(
+        counts_per_turn=encoder.counts_per_turn,
+        sign=encoder.sign,
+        offset_rad=math.radians(encoder.offset_deg),
+        middle_rad=limits.middle_rad,
+    )

@@ -1,0 +1,318 @@
+"""The stream against the recording, read by a plain WebSocket client by the published protocol:
+every value to the last bit, while the recording grows and when it is complete.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+from mcap_ros2._dynamic import generate_dynamic
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from drivers.interfaces import RawFrame
+from drivers.serial_port import SERIAL_FLAG
+from rig.common.sample import Sample
+from rig.live import HOST, Offer, serve
+from rig.runs.mcap.layout import FRAMES_TOPIC, SAMPLE_TOPIC, decode_frames
+from rig.runs.mcap.reader import Log, read_run
+from rig.runs.recorder import Recorder, open_recorder
+
+PROTOCOL = "foxglove.sdk.v1"
+NAN = struct.unpack("<d", b"\x01\x02\x03\x04\x05\x06\xf8\x7f")[0]
+WAIT_S = 60.0
+
+
+def sample(k: int) -> Sample:
+    values = [math.sin(k * 0.001 + n) * 10.0 ** (n - 6) for n in range(13)]
+    values[0] = k * 1e-3
+    return Sample(*values, statusword=0x27, segment=1, fresh=k % 7 != 0, pressure=NAN)  # type: ignore[misc]
+
+
+def frames(k: int) -> list[RawFrame]:
+    time_ns = k * 1_000_000 + 5_000_000_000
+    return [
+        RawFrame(time_ns, 0x80, b"", True),
+        RawFrame(time_ns + 1, 0x181, struct.pack("<q", k), False),
+        RawFrame(time_ns + 2, 0x18FF1234 | EXTENDED_FLAG, b"\x00\xff", False),
+        RawFrame(time_ns + 3, 0x7A | REMOTE_FLAG, b"", True),
+        RawFrame(time_ns + 4, 0x20 | ERROR_FLAG, bytes(8), False),
+        RawFrame(time_ns + 5, SERIAL_FLAG | 0x54, b"\x54", True),
+        RawFrame(time_ns + 6, SERIAL_FLAG | 0x54, bytes(range(8)), False),
+    ]
+
+
+def record(recorder: Recorder, begin: int, end: int, step: int = 10) -> None:
+    for k in range(begin, end):
+        recorder.sample(k * 1_000_000, sample(k), frames(k) if k % step == 0 else [])
+    recorder.event(end * 1_000_000, "moved", to=end / 7, limit=math.nan)
+
+
+@contextmanager
+def served(path: Path, token: str | None = "secret", last_s: float | None = None) -> Iterator[str]:
+    """Serve a recording in a thread; yields the address."""
+    ports: list[int] = []
+    ready = threading.Event()
+    loop = asyncio.new_event_loop()
+
+    def started(port: int) -> None:
+        ports.append(port)
+        ready.set()
+
+    task = loop.create_task(serve(Offer(path, "test", token, last_s), 0, started))
+
+    def run() -> None:
+        try:
+            loop.run_until_complete(task)
+        except asyncio.CancelledError:
+            pass
+        finally:
+            loop.close()
+            ready.set()
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    assert ready.wait(WAIT_S)
+    query = "" if token is None else f"/?token={token}"
+    try:
+        yield f"ws://{HOST}:{ports[0]}{query}"
+    finally:
+        loop.call_soon_threadsafe(task.cancel)
+        thread.join()
+
+
+class Received(NamedTuple):
+    """One message: log time and payload."""
+
+    time_ns: int
+    data: bytes
+
+
+class Client:
+    """Subscribes by name, and sorts what comes by topic."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self.info = json.loads(socket.recv(WAIT_S))
+        self.channels: dict[str, Any] = {}
+        while len(self.channels) < 4:
+            self._text(socket.recv(WAIT_S))
+        self.received: dict[str, list[Received]] = {name: [] for name in self.channels}
+        self.times: list[int] = []
+        self.status: list[str] = []
+
+    def _text(self, text: str | bytes) -> None:
+        message = json.loads(text)
+        if message["op"] == "advertise":
+            self.channels |= {channel["topic"]: channel for channel in message["channels"]}
+        elif message["op"] == "status":
+            self.status.append(message["message"])
+
+    def subscribe(self, *topics: str) -> None:
+        items = [{"id": n["id"] + 100, "channelId": n["id"]} for n in map(self._channel, topics)]
+        self.send({"op": "subscribe", "subscriptions": items})
+
+    def _channel(self, topic: str) -> Any:
+        return self.channels[topic]
+
+    def send(self, message: Any) -> None:
+        self._socket.send(json.dumps(message))
+
+    def until(self, done: Callable[[], bool]) -> None:
+        names = {channel["id"] + 100: topic for topic, channel in self.channels.items()}
+        while not done():
+            message = self._socket.recv(WAIT_S)
+            if isinstance(message, str):
+                self._text(message)
+            elif message[0] == 1:
+                number, time_ns = struct.unpack_from("<IQ", message, 1)
+                self.received[names[number]].append(Received(time_ns, message[13:]))
+            else:
+                self.times.append(struct.unpack_from("<Q", message, 1)[0])
+
+    def count(self, topic: str) -> int:
+        return len(self.received[topic])
+
+    def decoded(self, topic: str) -> list[tuple[int, Any]]:
+        """Decode by the definition that came with the channel, as Foxglove and ROS do."""
+        channel = self.channels[topic]
+        assert (channel["encoding"], channel["schemaEncoding"]) == ("cdr", "ros2msg")
+        name = channel["schemaName"]
+        decode = generate_dynamic(name, channel["schema"])[name]
+        return [(message.time_ns, decode(message.data)) for message in self.received[topic]]
+
+
+@contextmanager
+def client(address: str) -> Iterator[Client]:
+    with connect(address, subprotocols=[PROTOCOL], max_size=None, close_timeout=0.2) as socket:  # type: ignore[list-item]
+        yield Client(socket)
+
+
+def assert_equal(got: Client, log: Log) -> None:
+    """Compare all topics with the recording, bit by bit."""
+    rows = got.decoded("/sample")
+    assert [time_ns for time_ns, _ in rows] == [m.time_ns for m in log.messages[SAMPLE_TOPIC]]
+    for name, expected in log.samples.items():
+        values = np.array([getattr(row, name) for _, row in rows])
+        assert values.tobytes() == expected.tobytes(), name
+    events = [json.loads(message.data) for message in got.received["/event"]]
+    assert [event["time"] for event in events] == [event["time"] for event in log.events]
+    assert [event["to"] for event in events] == [event["to"] for event in log.events]
+    expected_frames = [
+        (message.time_ns, frame)
+        for message in log.messages[FRAMES_TOPIC]
+        for frame in decode_frames(message.data)
+    ]
+    assert sorted(_can(got) + _serial(got), key=_order) == sorted(expected_frames, key=_order)
+
+
+def _order(item: tuple[int, RawFrame]) -> tuple[int, int]:
+    return item[0], item[1].time_ns
+
+
+def _can(got: Client) -> list[tuple[int, RawFrame]]:
+    return [
+        (
+            time_ns,
+            RawFrame(
+                _stamp(m),
+                m.id
+                | m.is_rtr * REMOTE_FLAG
+                | m.is_extended * EXTENDED_FLAG
+                | m.is_error * ERROR_FLAG,
+                bytes(m.data)[: m.dlc],
+                m.header.frame_id == "sent",
+            ),
+        )
+        for time_ns, m in got.decoded("/can")
+    ]
+
+
+def _serial(got: Client) -> list[tuple[int, RawFrame]]:
+    return [
+        (
+            time_ns,
+            RawFrame(_stamp(m), m.line | SERIAL_FLAG, bytes(m.data), m.header.frame_id == "sent"),
+        )
+        for time_ns, m in got.decoded("/serial")
+    ]
+
+
+def _stamp(message: Any) -> int:
+    stamp = message.header.stamp
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def test_a_growing_recording_arrives_to_the_last_bit(tmp_path: Path) -> None:
+    path = tmp_path / "recording.mcap"
+    recorder = open_recorder(path)
+    record(recorder, 0, 400)
+    with served(path) as address, client(address) as got:
+        got.subscribe(*got.channels)
+        got.until(lambda: got.count("/event") == 1)
+        assert got.count("/sample") == 400
+        record(recorder, 400, 1000)
+        got.until(lambda: got.count("/event") == 2)
+        record(recorder, 1000, 1300)
+        recorder.close()
+        got.until(lambda: got.count("/event") == 3)
+        assert_equal(got, read_run(path))
+        assert got.times == sorted(got.times)
+        assert got.times[-1] >= 1_270_000_000
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("whole") / "recording.mcap"
+    recorder = open_recorder(path)
+    record(recorder, 0, 12_000)
+    recorder.close()
+    return path
+
+
+def test_a_finished_recording_is_sent_from_its_start_to_each_client(whole: Path) -> None:
+    with served(whole) as address, client(address) as one, client(address) as other:
+        other.subscribe("/sample")
+        other.until(lambda: other.count("/sample") == 12_000)
+        # The one reads nothing meanwhile; what it gets is complete all the same.
+        one.subscribe(*one.channels)
+        one.until(lambda: one.count("/event") == 1)
+        assert_equal(one, read_run(whole))
+        # A topic that is asked for later comes from its beginning too.
+        other.subscribe("/event")
+        other.until(lambda: other.count("/event") == 1)
+
+
+def test_a_slow_client_loses_nothing(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("rig.live.session.BACKLOG_MESSAGES", 600)
+    monkeypatch.setattr("rig.live.session.IN_FLIGHT_BYTES", 20_000)
+    with served(whole) as address, client(address) as got:
+        got.subscribe("/sample")
+        got.until(lambda: got.count("/sample") == 12_000)
+        assert [row.time_ns for row in got.received["/sample"]] == [
+            message.time_ns for message in read_run(whole).messages[SAMPLE_TOPIC]
+        ]
+
+
+def test_only_the_last_seconds_on_request(whole: Path) -> None:
+    with served(whole, last_s=2.0) as address, client(address) as got:
+        got.subscribe("/sample", "/event")
+        got.until(lambda: got.count("/event") == 1)
+        first = got.received["/sample"][0].time_ns
+        assert 9_800_000_000 < first <= 10_000_000_000
+        assert got.received["/sample"][-1].time_ns == 11_999_000_000
+
+
+def test_a_client_can_change_nothing(whole: Path) -> None:
+    with served(whole) as address, client(address) as got:
+        assert got.info["capabilities"] == ["time"]
+        before = whole.read_bytes()
+        channel = {"id": 1, "topic": "/command", "encoding": "json", "schemaName": "x"}
+        got.send({"op": "advertise", "channels": [channel]})
+        got.send({"op": "setParameters", "parameters": [{"name": "torque", "value": 1}]})
+        got.until(lambda: len(got.status) == 2)
+        assert whole.read_bytes() == before
+
+
+def test_damage_is_said_and_what_is_before_it_arrives(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes())
+    data[len(data) // 2] ^= 0xFF
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(data)
+    with served(path) as address, client(address) as got:
+        got.subscribe("/sample")
+        got.until(lambda: bool(got.status))
+        assert "cannot be read on: a chunk" in got.status[0]
+        assert 4_000 < got.count("/sample") < 8_000
+
+
+@pytest.mark.parametrize("query", ["", "/?token=", "/?token=Secret", "/?token=secret1"])
+def test_a_wrong_token_is_refused(whole: Path, query: str) -> None:
+    with served(whole) as address:
+        bare = address.partition("/?")[0]
+        with (
+            pytest.raises(InvalidStatus) as refused,
+            connect(bare + query, subprotocols=[PROTOCOL]),  # type: ignore[list-item]
+        ):
+            pass
+        assert refused.value.response.status_code == 403
+        assert b"token" in refused.value.response.body
+
+
+def test_without_a_token_no_foreign_page_may_watch(whole: Path) -> None:
+    with served(whole, token=None) as address:
+        with pytest.raises(InvalidStatus), connect(address, origin="https://evil.example"):  # type: ignore[arg-type]
+            pass
+        with client(address) as got:
+            assert got.info["op"] == "serverInfo"

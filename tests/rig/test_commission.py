@@ -1,0 +1,250 @@
+"""``rig commission``: step by step, at low limits; each mistake is found before anything moves
+fast, and corrected in a new file where the file is wrong.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import LinkError
+from drivers.mock.mistakes import MISTAKES
+from rig.cli.entry import status
+from rig.commissioning.commission import STEPS
+from rig.commissioning.patch import patched
+from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.common.errors import StorageError
+from rig.config.bench import load_bench
+from rig.control.motion_words import Change
+from rig.runs.mcap.reader import read_run
+from rig.runs.recorder import Recorder
+
+from .benches import variant
+
+SLOW = (
+    ("cycle_Hz: 1000", "cycle_Hz: 250"),
+    ("sample_age_ms: 5", "sample_age_ms: 20"),
+    ("name: practical", "name: new"),
+)
+"""A quarter of the cycles, to be quick."""
+CORRECTED: dict[str, dict[str, Any]] = {
+    "zero_off": {"encoder.offset_deg": -5.0},
+    "rpm": {"servo.velocity_unit": "rpm"},
+    "current_sign": {"servo.current_sign": -1},
+    "encoder_sign": {"encoder.sign": -1},
+    "ratio": {"machine.gear_ratio": 66.67},
+    "torque_constant": {"machine.torque_constant_N_m_A": 0.06},
+}
+FOUND = {
+    "another_device": ("identity", "says product 999h, its EDS file is for product 402h"),
+    "limits_ignored": ("limits", "the drive does not take this setting"),
+    "watchdog_dead": ("watchdog", "after this program went silent"),
+    "stop_ignored": ("stop", "did not obey the quick stop"),
+    "motor_shaft": ("small move", "one of the encoders is on the other's shaft"),
+}
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    variant(tmp_path, *SLOW)
+    return tmp_path
+
+
+def commissioned(*options: str) -> tuple[int, dict[str, Any]]:
+    ended = status(["commission", "bench.yaml", "--yes", "--out", "out", *options])
+    return ended, json.loads(Path("out/commission.json").read_text())
+
+
+def fastest_deg_s(gear_ratio: float) -> float:
+    """Return the greatest joint speed over ten cycles, from the motor encoder."""
+    found = [0.0]
+    for path in Path("out").glob("recording*.mcap"):
+        samples = read_run(path).samples
+        if len(samples["time"]) > 10:
+            angle, time = samples["motor_angle"], samples["time"]
+            speed = (angle[10:] - angle[:-10]) / (time[10:] - time[:-10])
+            found.append(float(np.max(np.abs(speed))))
+    return math.degrees(max(found)) / gear_ratio
+
+
+def test_all_mistakes_are_tried() -> None:
+    assert set(CORRECTED) | set(FOUND) == set(MISTAKES)
+    assert len(MISTAKES) >= 10
+
+
+@pytest.mark.parametrize("mistake", CORRECTED)
+def test_a_wrong_value_is_found_and_corrected_in_a_new_file(here: Path, mistake: str) -> None:
+    before = Path("bench.yaml").read_text()
+    ended, record = commissioned("--angle", "0", "--mistake", mistake)
+    assert (ended, record["state"]) == (0, "done"), record["message"]
+    assert {c["key"] for c in record["changes"]} == set(CORRECTED[mistake])
+    new = load_bench("bench.commissioned.yaml").value
+    for key, value in CORRECTED[mistake].items():
+        section, name = key.split(".")
+        assert getattr(getattr(new, section), name) == (
+            value if isinstance(value, str) else pytest.approx(value, rel=0.03)
+        )
+    assert Path("bench.yaml").read_text() == before
+    assert Path("bench.commissioned.yaml").read_text().count("#") == before.count("#")
+    assert f"+++ {Path('bench.yaml').name}" in Path("out/bench.patch").read_text()
+    gear = 200 / 3 if mistake == "ratio" else 100.0
+    assert fastest_deg_s(gear) < 1.5 * FASTEST_DEG_S
+    assert record["drive"]["verified"]
+
+
+@pytest.mark.parametrize("mistake", FOUND)
+def test_what_no_value_corrects_ends_it(here: Path, mistake: str) -> None:
+    ended, record = commissioned("--angle", "0", "--mistake", mistake)
+    assert (ended, record["state"]) == (1, "tripped")
+    step, words = FOUND[mistake]
+    last = record["sessions"][-1][-1]
+    assert (last["name"], last["verdict"]) == (step, "wrong")
+    assert words in last["words"]
+    assert words in record["message"]
+    assert record["new_bench_file"] is None
+    assert not Path("bench.commissioned.yaml").exists()
+    assert record["drive"] is None or record["drive"]["verified"]
+    assert fastest_deg_s(100.0) < 1.5 * FASTEST_DEG_S
+
+
+def test_a_right_bench_goes_through_all_steps(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended, record = commissioned("--json", "copy.json", "--operator", "A. Person")
+    assert ended == 0
+    (steps,) = record["sessions"]
+    assert [step["name"] for step in steps] == [step.name for step in STEPS]
+    assert all(step["verdict"] == "good" for step in steps)
+    assert record["schema"] == "loadrig.commission/1"
+    assert json.loads(Path("copy.json").read_text()) == record
+    assert (record["operator"], record["changes"]) == ("A. Person", [])
+    assert "the true angle was not given: the zero is not checked" in steps[2]["words"]
+    shown = capsys.readouterr().out
+    assert "no value of the bench file had to be corrected" in shown
+    page = Path("out/report.html").read_text()
+    assert "Commissioning of new" in page
+    assert "power off within" in page
+    events = [e["event"] for e in read_run(Path("out/recording.mcap")).events]
+    assert events.count("step") == len(STEPS)
+    assert events.count("power on") == events.count("power off") == 5
+
+
+def answers(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("".join(f"{line}\n" for line in lines)))
+
+
+def test_each_step_that_needs_it_is_asked_for(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers(monkeypatch, "yes", "0,0", "yes", "perhaps", "no")
+    assert status(["commission", "bench.yaml", "--out", "out"]) == 3
+    record = json.loads(Path("out/commission.json").read_text())
+    assert record["state"] == "stopped"
+    assert [s["name"] for s in record["sessions"][0]] == [s.name for s in STEPS[:5]]
+    assert "not agreed to" in record["message"]
+    assert record["drive"] is None
+    assert "'perhaps' is not one of `yes`, `no`, `abort`" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("lines", [("abort",), (), ("yes", "abort")])
+def test_giving_up_at_a_question(
+    here: Path, monkeypatch: pytest.MonkeyPatch, lines: tuple[str, ...]
+) -> None:
+    answers(monkeypatch, *lines)
+    assert status(["commission", "bench.yaml", "--out", "out"]) == 3
+    assert json.loads(Path("out/commission.json").read_text())["state"] == "stopped"
+
+
+def test_devices_that_are_not_confirmed_end_it(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers(monkeypatch, "no")
+    assert status(["commission", "bench.yaml", "--out", "out"]) == 1
+    record = json.loads(Path("out/commission.json").read_text())
+    assert "these are not the devices of this bench" in record["message"]
+
+
+def test_a_real_bench_takes_no_yes(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = Path("bench.yaml").read_text().split("mock:  ")[0]
+    Path("real.yaml").write_text(text.replace("interface: mock", "interface: virtual"))
+    assert status(["commission", "real.yaml", "--yes", "--out", "o"]) == 2
+    assert "--yes agrees to every step, and this bench is real" in capsys.readouterr().err
+    assert status(["commission", "real.yaml", "--mistake", "rpm", "--out", "o"]) == 2
+    assert "works with simulated benches only" in capsys.readouterr().err
+    assert not Path("o").exists()
+
+
+def test_an_existing_file_is_not_overwritten(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("bench.commissioned.yaml").write_text("mine")
+    assert status(["commission", "bench.yaml", "--yes", "--out", "out"]) == 2
+    assert "exists already and is not overwritten" in capsys.readouterr().err
+    assert Path("bench.commissioned.yaml").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("error", "ended", "state"),
+    [(None, 3, "stopped"), (LinkError("bus-off"), 1, "tripped"), (RuntimeError("x"), 5, "crashed")],
+)
+def test_however_a_step_ends_the_drive_is_read_back_as_off(
+    here: Path, monkeypatch: pytest.MonkeyPatch, error: Exception | None, ended: int, state: str
+) -> None:
+    go = Setup.go
+
+    def interrupted(self: Setup, start: float, end: float, speed: float) -> None:
+        if error is not None:
+            raise error
+        self.stop.press("Ctrl-C")
+        go(self, start, end, speed)
+
+    monkeypatch.setattr(Setup, "go", interrupted)
+    assert commissioned("--angle", "0")[0] == ended
+    record = json.loads(Path("out/commission.json").read_text())
+    assert (record["state"], record["sessions"][0][-1]["name"]) == (state, "small move")
+    assert record["drive"]["verified"]
+    assert record["drive"]["state"] == "switch on disabled"
+
+
+FLOW = "servo: {node: 1, sign: 1}  # kept\nencoder:\n  node: 2  # kept\n  sign: 1\n"
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (Change("servo", "sign", -1), FLOW.replace("sign: 1}", "sign: -1}")),
+        (Change("servo", "a", 0.5), FLOW.replace("{node", "{a: 0.5, node")),
+        (Change("encoder", "sign", -1), FLOW.replace("  sign: 1", "  sign: -1")),
+        (Change("encoder", "a", "b"), FLOW.replace("  node: 2", "  a: b\n  node: 2")),
+        (Change("machine", "gear_ratio", 66.7), f"{FLOW}machine: {{gear_ratio: 66.7}}\n"),
+        (Change("servo", "node", None), FLOW.replace("node: 1, ", "")),
+        (Change("servo", "none", None), FLOW),
+        (Change("none", "none", None), FLOW),
+        (Change("encoder", "sign", None), FLOW.replace("  sign: 1\n", "")),
+    ],
+)
+def test_a_value_is_set_and_the_rest_is_kept(change: Change, text: str) -> None:
+    assert patched(FLOW, (change,)) == text
+
+
+def test_a_recording_that_fails_takes_the_power_off_first(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sample = Recorder.sample
+
+    def full(self: Recorder, time_ns: int, *values: Any) -> None:
+        if time_ns > 3_000_000_000:
+            raise StorageError("disk full")
+        sample(self, time_ns, *values)
+
+    monkeypatch.setattr(Recorder, "sample", full)
+    assert status(["commission", "bench.yaml", "--yes", "--out", "out"]) == 4
+    shown = capsys.readouterr().err
+    assert "storage error: disk full" in shown
+    assert "the drive is de-energised (read back: switch on disabled)" in shown

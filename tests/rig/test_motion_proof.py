@@ -1,0 +1,232 @@
+"""Units, signs, ratio and torque constant from the samples of a motion: both sides of each
+limit.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.control.motion_factors import Motion, travels
+from rig.control.motion_proof import hint, prove
+from rig.control.motion_words import Change
+from rig.wiring.devices import Nominal
+
+GEAR, KM, RESISTANCE = 50.0, 0.04, 0.8
+NOMINAL = Nominal(KM, GEAR)
+
+
+class Remedies:
+    """A drive that names factors."""
+
+    def __init__(self, count: float = 0.0) -> None:
+        self.count = count
+
+    def speed_remedy(self, factor: float) -> str:
+        return f"unit {factor:.3g}"
+
+    def speed_settings(self, factor: float) -> Any:
+        return (("velocity_unit", "rpm"),)
+
+    def nearest_speed_factor(self, factor: float, spread: float) -> float:
+        return 100.0 if 100.0 / spread <= factor <= 100.0 * spread else factor
+
+    def limit_steps(self) -> Any:
+        return type("Steps", (), {"angle_rad": self.count})
+
+
+def motion(rng: np.random.Generator | None = None, **changes: Any) -> Motion:
+    """Return a sine of 1.5 deg with friction, sampled at 1 kHz."""
+    rng = rng or np.random.default_rng(1)
+    time = np.arange(4000) * 1e-3
+    motor = math.radians(1.5) * np.sin(math.pi * time)
+    speed = np.gradient(motor, time)
+    current = 0.5 * np.sign(speed) + 2.0 * speed + 0.02 * rng.standard_normal(len(time))
+    values: dict[str, Any] = {
+        "time": time,
+        "motor": motor,
+        "joint": motor.copy(),
+        "velocity": speed,
+        "current": current,
+        "voltage": RESISTANCE * current + KM * GEAR * speed,
+        "torque": KM * current,
+    }
+    for name, change in changes.items():
+        values[name] = change(values[name]) if callable(change) else change
+    return Motion(**values)
+
+
+def proven(seen: Motion, nominal: Nominal = NOMINAL) -> Any:
+    return prove(seen, nominal, Remedies())  # type: ignore[arg-type]
+
+
+def nothing(values: Any) -> Any:
+    return values * math.nan
+
+
+def test_a_right_motion_shows_everything_and_contradicts_nothing() -> None:
+    proof = proven(motion())
+    assert all(found == pytest.approx(1.0, abs=0.03) for found in proof.found.values())
+    assert proof.contradictions == ()
+    assert proof.moved
+    assert proof.unproven == ""
+
+
+@pytest.mark.parametrize(("factor", "wrong"), [(0.45, 0), (2.3, 0), (0.35, 1), (2.7, 1), (-1.0, 1)])
+def test_speed_against_position(factor: float, wrong: int) -> None:
+    proof = proven(motion(velocity=lambda v: factor * v))
+    assert len(proof.contradictions) == wrong
+    assert proof.found["speed against position"] == pytest.approx(factor, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("factor", "changes"),
+    [
+        (0.92, None),
+        (1.08, None),
+        (-1.0, (Change("encoder", "sign", -1),)),
+        (1.25, (Change("machine", "gear_ratio", 40.0),)),
+        (0.5, (Change("machine", "gear_ratio", 100.0),)),
+        (-2.0, (Change("encoder", "sign", -1), Change("machine", "gear_ratio", 25.0))),
+        (GEAR, ()),
+        (-GEAR, ()),
+        (0.0, ()),
+    ],
+)
+def test_joint_against_motor_encoder(factor: float, changes: Any) -> None:
+    proof = proven(motion(joint=lambda j: factor * j))
+    assert proof.found["joint encoder against motor encoder"] == pytest.approx(
+        factor, rel=1e-3, abs=1e-9
+    )
+    assert (proof.contradictions[0].changes if proof.contradictions else None) == changes
+    if factor == 0.0:
+        assert "it stands still" in proof.words
+    elif changes == ():
+        assert "one of the encoders is on the other's shaft" in proof.words
+
+
+def test_play_twist_and_time_between_readings_are_no_ratio() -> None:
+    def behind(joint: Any) -> Any:
+        turned = np.sign(np.gradient(joint))
+        return np.roll(joint, 3) - 0.003 * turned
+
+    assert proven(motion(joint=behind)).contradictions == ()
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(-1.0, True), (1.0, False)])
+def test_sign_of_the_current(share: float, wrong: bool) -> None:
+    proof = proven(motion(current=lambda i: share * i, torque=nothing, voltage=nothing))
+    assert [c.changes for c in proof.contradictions] == (
+        [(Change("servo", "current_sign", -1),)] if wrong else []
+    )
+
+
+def test_a_constant_load_is_no_wrong_sign() -> None:
+    assert proven(motion(current=lambda i: i - 3.0, torque=nothing)).contradictions == ()
+
+
+@pytest.mark.parametrize("stated", [2.0, 0.5, 1.6, 1.4, 0.72])
+@pytest.mark.parametrize("source", ["torque", "voltage", "rated"])
+def test_torque_constant(stated: float, source: str) -> None:
+    gone = {name: nothing for name in ("torque", "voltage") if name != source}
+    rated = (10.0, 10.0 * KM) if source == "rated" else (None, None)
+    (proof) = proven(motion(**gone), Nominal(stated * KM, GEAR, *rated))
+    within = 1 / 1.5 <= 1 / stated <= 1.5
+    assert len(proof.contradictions) == (0 if within else 1)
+    if not within:
+        (change,) = proof.contradictions[0].changes
+        assert (change.section, change.key) == ("machine", "torque_constant_N_m_A")
+        assert change.value == pytest.approx(KM, rel=0.1)
+
+
+def test_what_shows_no_torque_constant_says_so() -> None:
+    proof = proven(motion(torque=nothing, voltage=nothing))
+    assert math.isnan(proof.found["torque constant"])
+    assert proof.moved
+    assert "is not held against anything" in proof.unproven
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(0.577, 0), (0.5, 1)])
+def test_a_back_emf_constant_as_stated_may_be_that_of_alternating_current(
+    share: float, wrong: int
+) -> None:
+    nominal = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM)
+    assert len(proven(motion(torque=nothing), nominal).contradictions) == wrong
+    other = Nominal(KM / share, GEAR, back_emf_constant_V_s_rad=KM / share)
+    assert len(proven(motion(torque=nothing), other).contradictions) == 1
+
+
+def test_an_uncertain_voltage_on_the_side_of_the_file_outweighs_the_rated_values() -> None:
+    rng = np.random.default_rng(2)
+    noisy = motion(torque=nothing, voltage=lambda u: u + 1.0 * rng.standard_normal(len(u)))
+    rated = Nominal(KM, GEAR, 10.0, 5.0 * KM)
+    assert proven(noisy, rated).contradictions == ()
+    assert len(proven(motion(torque=nothing, voltage=nothing), rated).contradictions) == 1
+
+
+def test_a_joint_that_hardly_moves_shows_nothing() -> None:
+    small = motion(motor=lambda m: 0.01 * m, joint=lambda j: -0.01 * j)
+    assert not proven(small).moved
+    assert proven(small).contradictions == ()
+
+
+def test_travels() -> None:
+    angle = np.concatenate((np.linspace(0, 1, 50), np.linspace(1, -1, 100), np.linspace(-1, 0, 50)))
+    assert travels(angle, 0.1) == [(0, 49), (49, 149), (149, 199)]
+    assert travels(0.05 * angle, 0.2) == []
+
+
+def early(moved: Any, joint: Any, velocity: Any) -> Motion:
+    n = len(moved)
+    blank = np.full(n, math.nan)
+    time = np.arange(n) * 1e-3
+    arrays = (np.asarray(x, dtype=float) for x in (moved, joint, velocity))
+    return Motion(time, *arrays, np.ones(n), blank, blank)
+
+
+@pytest.mark.parametrize("factor", [-1.0, 3.0, 0.3, GEAR])
+def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    found = hint(early(moved, factor * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert found.factor == pytest.approx(factor, rel=0.02)
+
+
+def test_an_encoder_that_stands_still_explains_a_trip() -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    found = hint(early(moved, 0.0 * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert "it stands still" in found.words
+
+
+def test_a_jump_explains_nothing() -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    jumped = moved + np.where(np.arange(30) > 28, 0.09, 0.0)
+    assert hint(early(moved, jumped, np.gradient(moved, 1e-3)), NOMINAL, Remedies()) is None  # type: ignore[arg-type]
+    still = np.zeros(30)
+    still[-1] = 2e-5
+    assert hint(early(still, jumped - moved, still), NOMINAL, Remedies()) is None  # type: ignore[arg-type]
+
+
+def test_two_counts_of_the_motor_and_a_turning_joint_are_one_shaft() -> None:
+    count = 1e-4
+    moved = count * np.repeat([0.0, 1.0, 2.0], 10)
+    joint = GEAR * np.linspace(0.0, 2.4 * count, 30)
+    found = hint(early(moved, joint, np.zeros(30)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert "on the other's shaft" in found.words
+
+
+@pytest.mark.parametrize(("speed", "found"), [(0.35, None), (0.5, 5.0), (8.0, 100.0)])
+def test_the_speed_of_one_sample_against_one_count(speed: float, found: float | None) -> None:
+    still = np.zeros(10)
+    velocity = np.where(np.arange(10) == 9, speed, 0.0)
+    drive: Any = Remedies(count=1e-4)
+    assert hint(early(still, still, velocity), NOMINAL, drive) is None
+    explained = hint(early(still, still, velocity), NOMINAL, drive, too_fast=True)
+    assert (None if explained is None else explained.factor) == (
+        None if found is None else pytest.approx(found)
+    )

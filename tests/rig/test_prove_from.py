@@ -1,0 +1,243 @@
+"""Campaigns sealed by someone else: plain files in, all diagnosed before any truth is opened."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.results.prove.interchange import proof as judging
+from rig.results.prove.interchange.folder import SUMS_FILE, sealed_rigs, write_sums
+from rig.results.prove.judge import Judgement
+from rig.results.prove.scoring.score import score
+from rig.results.prove.seal import unseal
+from rig.results.prove.truth import load_truth
+
+CAMPAIGN = """campaign: 1
+bench: {motion: rotary, torque_constant: 0.1}
+recordings:
+  - {file: a.csv.gz, channels: {time: t, angle: q, current: i}}
+  - {file: [b.csv, c.csv], channels: {time: t, angle: q, current: i}}
+"""
+FIT = dict.fromkeys(("validate_baseline_rms", "validate_final_rms", "noise_floor_rms"))
+TRUTHS = {
+    "bench_a": "truth: 1\n",
+    "bench_b": "truth: 1\neffects: {backlash: {gap_rad: 0.01}}\nparameters: {Mc: 7}\n"
+    "axes: {rate_Hz: 250}\n",
+    "bench_c": '{"truth": 1, "effects": {"my_own": {}}, "outside": ["my_own"]}',
+    "bench_d": "truth: 1\neffects: {cogging: {torque_Nm: 1}}\naxes: {rate_Hz: 1000}\n",
+}
+
+
+def no_progress(what: str, share: float) -> None:
+    pass
+
+
+def found(verdict: str, *named: str, confidence: float = 0.95, **values: Any) -> dict[str, Any]:
+    where = {"coordinate": "travel since reversal", "recordings": ["b"]}
+    effects = [
+        {
+            "name": name,
+            "alias_group": [],
+            "confidence": confidence,
+            "parameters": values,
+            "where": where,
+        }
+        for name in named
+    ]
+    return {
+        "verdict": verdict,
+        "effects": effects,
+        "fit": {"equation": "transmission", **FIT},
+        "fits": [],
+        "location": where,
+        "parameter_shift": {"Mc": {"before": 8.4, "after": 7.0, "unit": "N m"}},
+        "p_value": 0.1,
+    }
+
+
+SAID: Mapping[str, dict[str, Any]] = {
+    "bench_a": found("named", "compliance", confidence=0.6),
+    "bench_b": found("named", "backlash", gap_rad={"value": 0.0101, "low": 0.009, "high": 0.012}),
+    "bench_c": found("outside_catalogue"),
+}
+
+
+def judge(source: Path, seed: int) -> Judgement:
+    """Say what the table has, refuse one rig and break down on another."""
+    name = source.parent.name
+    if name == "bench_d":
+        raise InputError("a.csv: it does not move")
+    if name == "bench_e":
+        raise ZeroDivisionError("as a defect might")
+    return Judgement(SAID[name], {"sparse": ("cogging",)}, lambda names: None, 1.0, 0.5)
+
+
+def no_oracle(source: Path, names: Sequence[str]) -> None:
+    return None
+
+
+@pytest.fixture
+def theirs(tmp_path: Path) -> Path:
+    home = tmp_path / "theirs"
+    (home / "sealed").mkdir(parents=True)
+    for name, truth in TRUTHS.items():
+        (home / name).mkdir()
+        (home / name / "campaign.yaml").write_text(CAMPAIGN)
+        suffix = "json" if truth.startswith("{") else "yaml"
+        (home / "sealed" / f"{name}.{suffix}").write_text(truth)
+    return home
+
+
+def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
+    theirs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[str] = []
+
+    def heard(source: Path, seed: int) -> Judgement:
+        told.append(source.parent.name)
+        return judge(source, seed)
+
+    monkeypatch.setattr(
+        judging, "unseal", lambda path, digest: told.append("opened") or unseal(path, digest)
+    )
+    proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
+    with pytest.raises(InputError, match="not diagnosed yet"):
+        judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+    assert told == []
+    judging.diagnose_all(proof, heard, 1, no_progress)
+    rows = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+    assert told == [*TRUTHS, *["opened"] * 4]
+    result = score(rows)
+    assert result["counts"] == {"one": 2, "two": 0, "nothing": 1, "outside": 1}
+    assert result["alarms"] == ["bench_a"]
+    assert (result["refused"]["n"], result["right"]["n"], result["right"]["of"]) == (1, 2, 4)
+    assert [(n["rig"], n["name"]) for n in result["wrong_names"]] == [("bench_a", "compliance")]
+    assert [(b["from"], b["right"]["n"], b["right"]["of"]) for b in result["reliability"]] == [
+        (0.6, 0, 1),
+        (0.9, 1, 1),
+    ]
+    assert [(p["value"], p["right"]["n"]) for p in result["by_axis"]["rate_Hz"]] == [
+        ("250.0", 1),
+        ("1000.0", 0),
+    ]
+    assert rows[1]["parameters"]["backlash.gap_rad"]["inside"] is True
+    assert rows[1]["nominal"]["Mc"]["before"] == pytest.approx(0.2)
+
+    told.clear()
+    (tmp_path / "out" / "judgements" / "bench_c.json").unlink()
+    again = judging.begin_from(tmp_path / "out", 600, 1, theirs)
+    judging.diagnose_all(again, heard, 1, no_progress)
+    assert told == ["bench_c"]
+
+
+def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(
+    theirs: Path, tmp_path: Path
+) -> None:
+    (theirs / "bench_d").rename(theirs / "bench_e")
+    (theirs / "sealed" / "bench_d.yaml").rename(theirs / "sealed" / "bench_e.yaml")
+    proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
+    judging.diagnose_all(proof, judge, 1, no_progress)
+    row = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)[-1]
+    assert row["refused"] == "broke down: ZeroDivisionError: as a defect might"
+    assert (row["verdict"], row["alarm"], row["top1"]) == ("refused", False, False)
+
+
+def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> None:
+    (theirs / "sealed" / "bench_a.yaml").write_text(
+        "truth: 1\neffects: {compliance: {}}\nnot_scored: [compliance]\n"
+    )
+    (theirs / "sealed" / "bench_b.yaml").write_text(
+        "truth: 1\neffects: {backlash: {gap_rad: 0.5}}\nparameters: {Mc: 7}\n"
+        "not_scored: [backlash.gap_rad, Mc]\n"
+    )
+    proof = judging.begin_from(tmp_path / "out", 2, 1, theirs)
+    judging.diagnose_all(proof, judge, 1, no_progress)
+    rows = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+    assert (rows[0]["kind"], rows[0]["alarm"], rows[0]["named"]) == ("nothing", False, [])
+    assert rows[0]["excused"] == ["compliance"]
+    assert (rows[1]["top1"], rows[1]["parameters"], rows[1]["nominal"]) == (True, {}, {})
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("truth: 1\neffects: {backlsh: {}}\n", "no effect of the catalogue"),
+        (
+            "truth: 1\neffects: {backlash: {gap: 1}}\n",
+            "no parameter of backlash",
+        ),
+        ("truth: 1\neffects: {cogging: {}}\noutside: [cogging]\n", "is an effect of the catalogue"),
+        ("truth: 1\noutside: [mine]\n", "not among effects"),
+        ("truth: 1\nnot_scored: [J]\n", "neither an effect"),
+        ("truth: 2\n", "truth"),
+        ("effects: {}\n", "truth"),
+    ],
+)
+def test_a_truth_with_a_mistake_is_refused(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError, match=message):
+        load_truth(path)
+
+
+def test_changed_files_are_found_out(theirs: Path, tmp_path: Path) -> None:
+    write_sums(theirs)
+    assert len((theirs / SUMS_FILE).read_text().splitlines()) == 2 * len(TRUTHS)
+    judging.begin_from(tmp_path / "out", 600, 1, theirs)
+    (theirs / "bench_b" / "campaign.yaml").write_text(CAMPAIGN + "\n")
+    with pytest.raises(InputError, match=r"SHA256SUMS:\d+: bench_b/campaign\.yaml: SHA-256"):
+        judging.begin_from(tmp_path / "out", 600, 1, theirs)
+    write_sums(theirs)
+    (theirs / "sealed" / "bench_a.yaml").write_text("truth: 1\neffects: {cogging: {}}\n")
+    (theirs / SUMS_FILE).unlink()
+    with pytest.raises(InputError, match="bench_a are missing or were changed"):
+        judging.begin_from(tmp_path / "out", 600, 1, theirs)
+
+
+def test_a_truth_may_bear_the_rigs_number_alone(theirs: Path) -> None:
+    (theirs / "bench_a").rename(theirs / "rig-0007")
+    (theirs / "sealed" / "bench_a.yaml").rename(theirs / "sealed" / "0007.yaml")
+    assert "rig-0007" in [r.name for r in sealed_rigs(theirs)]
+
+
+def test_the_command_line_refuses_what_contradicts(
+    tmp_path: Path, theirs: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "empty").mkdir()
+    for options, message in (
+        (["--from", str(theirs), "--seal", str(tmp_path / "x")], "give one of the two"),
+        (["--from", str(theirs), "--gas"], "--gas cannot be combined"),
+        (["--from", str(tmp_path / "empty"), "--out", str(tmp_path / "o")], "docs/guides/worlds"),
+    ):
+        assert status(["prove", *options]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_own_trials_are_sealed_as_others_are(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Short recordings, as only the files are looked at."""
+    from rig.results.prove.interchange import own
+
+    def short(gravity: bool) -> Any:
+        return tuple(e._replace(command=e.command[:400]) for e in plan(gravity))
+
+    plan = own.experiments
+    monkeypatch.setattr(own, "experiments", short)
+    monkeypatch.setattr(own, "assignment", lambda rigs, seed: [("one", ("cogging",))] * rigs)
+    home = tmp_path / "sealed-here"
+    assert status(["prove", "--seal", str(home), "--rigs", "1", "--seed", "4"]) == 0
+    (sealed,) = sealed_rigs(home)
+    assert f"{sealed.name} sealed, SHA-256 {sealed.digest}" in capsys.readouterr().out
+    truth = load_truth(sealed.truth)
+    assert (truth.kind, list(truth.effects)) == ("one", ["cogging"])
+    assert truth.strength["current"] > 0.0
+    assert "cogging" not in sealed.campaign.read_text()
+    assert sealed.reference.is_file()
+    assert json.loads(sealed.truth.read_text())["parameters"].keys() >= {"J", "Mc"}

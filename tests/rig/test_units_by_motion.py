@@ -1,0 +1,26 @@
+"""Simulated benches with one mistake each end in their first pass, with the key to set; a right one
+runs. ``make units`` tries three hundred.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.runs.mcap.reader import read_run
+
+from ..long.unit_benches import MISTAKES, draw, judged, run
+
+
+@pytest.mark.parametrize("mistake", [*MISTAKES, None])
+def test_a_drawn_bench(tmp_path: Path, mistake: str | None) -> None:
+    seed = 7
+    drawn = draw(np.random.default_rng([seed, 0 if mistake is None else 1]), mistake)
+    folder, outcome = run(drawn, seed, tmp_path / "bench")
+    assert judged(drawn, outcome, folder) == ""
+    if mistake is None:
+        events = [e for e in read_run(folder.recording).events if e["event"] == "units"]
+        factors = events[-1]["factors"]
+        assert all(value == pytest.approx(1.0, abs=0.15) for value in factors.values()), factors

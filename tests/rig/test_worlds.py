@@ -1,0 +1,261 @@
+"""Worlds for any plant: what is drawn, what the logger makes of signals, what is written."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.results.prove.truth import load_truth
+from rig.results.prove.worlds import draw as drawing
+from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
+from rig.results.prove.worlds.logger import columns
+from rig.results.prove.worlds.motion import MOTIONS, Reach, command
+from rig.results.prove.worlds.seal import log_of, seal_worlds
+from rig.results.prove.worlds.sizes import NEEDS, SIZES
+from rig.results.prove.worlds.world import COMMAND_S, Planned, Signals, World
+from rig.sources import load_source
+
+IN_CATALOGUE = [name for name in SIZES if not name.startswith("x_")]
+
+
+class Follower:
+    """A machine that follows its command exactly, with a current in proportion to its speed."""
+
+    effects = frozenset(IN_CATALOGUE)
+    outside = frozenset({"x_timed_torque"})
+    not_scored = frozenset({"backlash.gap_rad"})
+
+    def play(self, world: World) -> Iterator[Signals]:
+        session_s = 0.0
+        for planned in world.recordings:
+            session_s += planned.pause_s
+            rate = world.drive.rate_Hz
+            at = np.arange(round(len(planned.command) * COMMAND_S * rate)) / rate
+            path = np.interp(at, np.arange(len(planned.command)) * COMMAND_S, planned.command)
+            speed = np.gradient(path, 1.0 / rate)
+            first = round(planned.lead_s * rate)
+            kept = (speed, 2.0 * speed, 2.0 * speed, 0.0 * speed + 24.0)
+            angles = (path * world.motor.gear_ratio, path, path)
+            yield Signals(*(x[first:] for x in (*kept, *angles)), session_s + planned.lead_s)
+            session_s += len(at) / rate
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing, "SHORTEST_S", 1.0)
+    monkeypatch.setattr(drawing, "LONGEST_S", 2.0)
+    monkeypatch.setattr(drawing, "MOST", 5)
+
+
+@pytest.fixture
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have short recordings, whose number is drawn as ever."""
+    monkeypatch.setattr(drawing, "SHORTEST_S", 1.0)
+    monkeypatch.setattr(drawing, "LONGEST_S", 1.5)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_motion_begins_at_rest_and_stays_within_reach(motion: str) -> None:
+    reach = Reach(0.4, 1.5, 20.0)
+    for seed in range(5):
+        path = command(np.random.default_rng(seed), motion, 6.0, 1.0, reach)
+        speed = np.gradient(path, COMMAND_S)
+        assert (len(path), path[0]) == (7000, 0.0)
+        asked = [np.abs(x).max() for x in (path, speed, np.gradient(speed, COMMAND_S))]
+        shares = [a / limit for a, limit in zip(asked, reach, strict=True)]
+        assert max(shares) <= 1.0 + 1e-9
+        assert max(shares) > 0.5
+        assert abs(speed[0]) < 0.01 * reach.speed
+
+
+def test_a_world_repeats_with_its_seed_and_effects_do_not_change_the_machine() -> None:
+    first, again = (draw_world("one", ("cogging",), (3, k)) for k in (1, 1))
+    assert first.effects == again.effects
+    assert np.array_equal(first.recordings[0].command, again.recordings[0].command)
+    plain = draw_world("nothing", (), (3, 1))
+    assert (plain.constants, plain.drive, plain.axes) == (first.constants, first.drive, first.axes)
+    assert draw_world("nothing", (), (3, 2)).constants != plain.constants
+
+
+@pytest.mark.usefixtures("brief")
+def test_worlds_are_wide() -> None:
+    worlds = [draw_world("nothing", (), (8, k)) for k in range(40)]
+    gains = [w.drive.position_Hz for w in worlds]
+    assert max(gains) > 8.0 * min(gains)
+    assert {w.log.rate_Hz for w in worlds} >= {100, 4000}
+    assert {w.log.voltage for w in worlds} == {"commanded", "measured", "absent"}
+    assert {w.log.current for w in worlds} == {"sampled", "averaged", "filtered"}
+    assert {r.motion for w in worlds for r in w.recordings} == set(MOTIONS)
+    assert {w.axes["load"] for w in worlds} == {"none", "lever", "pendulum"}
+    assert {w.axes["starts"] for w in worlds} == {"moving", "at rest"}
+    bits = [b for w in worlds for b in (w.sensing.motor_bits, w.sensing.joint_bits) if b]
+    assert (min(bits), max(bits)) == (12, 24)
+    counts = [len(w.recordings) for w in worlds]
+    assert min(counts) == 2
+    assert max(counts) >= 12
+    assert max(w.axes["peak_Nm"] for w in worlds) > 20.0  # type: ignore[type-var, operator]
+    assert min(w.axes["peak_Nm"] for w in worlds) < 0.5  # type: ignore[type-var, operator]
+
+
+@pytest.mark.usefixtures("brief")
+@pytest.mark.parametrize("name", NEEDS)
+def test_a_world_has_what_its_effect_needs_to_show(name: str) -> None:
+    for k in range(4):
+        world = draw_world("one", (name,), (6, k))
+        weights = {r.weight_kg for r in world.recordings if r.role == "fit"} - {0.0}
+        has = {
+            "two encoders": None not in (world.sensing.motor_bits, world.sensing.joint_bits),
+            "motor encoder": world.sensing.motor_bits is not None,
+            "voltage": world.log.voltage != "absent",
+            "commanded voltage": world.log.voltage == "commanded",
+            "two weights": len(weights) >= 2,
+            "lever": len(weights) >= 1,
+            "pendulum": any(r.pendulum for r in world.recordings),
+            "fall": world.constants.Ms > world.constants.Mc,
+        }
+        assert all(has[need] for need in NEEDS[name])
+
+
+@pytest.mark.usefixtures("brief")
+def test_a_stop_is_on_the_side_that_is_commanded() -> None:
+    sides = set()
+    for k in range(12):
+        world = draw_world("one", ("end_stop",), (7, k))
+        end = world.effects["end_stop"]["angle_rad"]
+        fitted = [r.command for r in world.recordings if r.role == "fit"]
+        assert max(float((np.sign(end) * c).max()) for c in fitted) > abs(end)
+        sides.add(np.sign(end))
+    assert sides == {-1.0, 1.0}
+
+
+def test_names_come_in_turn_and_pairs_share_a_load() -> None:
+    drawn = worlds_assignment(100, 2, IN_CATALOGUE, ("x_bursts",))
+    kinds = [kind for kind, _ in drawn]
+    assert {k: kinds.count(k) for k in set(kinds)} == {
+        "one": 60, "nothing": 25, "two": 10, "outside": 5,
+    }  # fmt: skip
+    singles = {names[0] for kind, names in drawn if kind == "one"}
+    assert singles == set(IN_CATALOGUE)
+
+
+def world_with(effects: dict[str, dict[str, float]], **log: object) -> World:
+    world = draw_world("nothing", (), (8, 3))
+    still = [Planned(name, "fit", "sine", np.zeros(500), 0.0) for name in "ab"]
+    sensing = replace(
+        world.sensing,
+        motor_bits=20,
+        joint_bits=22,
+        flicker=0.0,
+        lines_error=0.0,
+        current_noise_A=0.0,
+        current_quantum_A=1e-9,
+    )
+    return replace(
+        world,
+        effects=effects,
+        sensing=sensing,
+        drive=replace(world.drive, rate_Hz=4000),
+        log=replace(world.log, rate_Hz=500, jitter=0.0, clock=False, supply=False, **log),
+        recordings=(
+            Planned("a", "fit", "sine", still, 0.0),
+            Planned("b", "fit", "sine", still, 0.0),
+        ),
+    )
+
+
+def swinging(frequency_Hz: float = 3.0) -> Signals:
+    t = np.arange(4000) / 4000.0
+    wave = np.sin(2.0 * np.pi * frequency_Hz * t)
+    return Signals(wave, wave, wave, 0.0 * t, 50.0 * wave, wave, wave, 0.0)
+
+
+def logged(world: World, k: int = 0) -> dict[str, np.ndarray]:
+    return columns(world, k, swinging(), np.random.default_rng(1))
+
+
+def lag_s(moved: np.ndarray, reference: np.ndarray) -> float:
+    """Return by how much a sine of 3 Hz at 500 Hz is late, from its phase."""
+    turn = np.exp(-2j * np.pi * 3.0 * np.arange(len(moved)) / 500.0)
+    return float(np.angle(np.sum(reference * turn) / np.sum(moved * turn)) / (2.0 * np.pi * 3.0))
+
+
+def test_each_way_of_logging_a_current_is_as_late_as_it_says() -> None:
+    exact = logged(world_with({}, current="sampled"))["current"]
+    averaged = logged(world_with({}, current="averaged"))["current"]
+    filtered = logged(world_with({}, current="filtered", filter_Hz=100.0))["current"]
+    assert lag_s(averaged, exact) == pytest.approx(0.5 / 500.0, rel=0.02)
+    assert lag_s(filtered, exact) == pytest.approx(1.0 / (2.0 * np.pi * 100.0), rel=0.15)
+
+
+def test_effects_of_sensing_change_their_channel_alone() -> None:
+    plain = logged(world_with({}, current="sampled"))
+
+    def change(name: str, k: int = 0, **given: float) -> dict[str, np.ndarray]:
+        other = logged(world_with({name: given}, current="sampled"), k)
+        return {c: other[c] for c in other if not np.allclose(other[c], plain[c], atol=1e-5)}
+
+    late = change("time_skew", time_s=0.01)
+    assert late.keys() == {"current"}
+    assert lag_s(late["current"], plain["current"]) == pytest.approx(0.01, rel=0.05)
+    early = change("time_skew", time_s=-0.01)
+    assert early.keys() == {"motor_angle", "angle"}
+    assert lag_s(early["angle"], plain["angle"]) == pytest.approx(0.01, rel=0.05)
+    delayed = change("transport_delay", time_s=0.004)
+    assert delayed.keys() == {"angle"}
+    offset = change("current_offset", current_A=0.3)
+    assert np.allclose(offset["current"] - plain["current"], 0.3, atol=1e-6)
+    drift = change("current_drift", rate_A_s=0.5)["current"] - plain["current"]
+    assert np.polyfit(plain["time"], drift, 1)[0] == pytest.approx(0.5, rel=1e-3)
+    slip = {"angle_rad": 0.02, "at_s": 0.5, "recording": 1.0}
+    step = change("encoder_slip", **slip)["angle"] - plain["angle"]
+    assert (abs(step[0]) < 1e-5, step[-1]) == (True, pytest.approx(0.02, abs=1e-5))
+    assert np.allclose(change("encoder_slip", 1, **slip)["angle"] - plain["angle"], 0.02, atol=1e-5)
+    seat = change("encoder_eccentricity", amplitude_rad=0.01, phase_rad=0.5)["angle"]
+    expected = 0.01 * np.sin(plain["angle"] + 0.5)
+    assert np.allclose(seat - plain["angle"], expected, atol=1e-5)
+
+
+def test_angles_are_whole_counts() -> None:
+    world = world_with({})
+    world = replace(
+        world, sensing=replace(world.sensing, motor_bits=12, joint_bits=14, flicker=0.5)
+    )
+    found = logged(world)
+    for name, bits in (("motor_angle", 12), ("angle", 14)):
+        counts = found[name] * 2.0**bits / (2.0 * np.pi)
+        assert np.allclose(counts, np.round(counts), atol=1e-6)
+
+
+@pytest.mark.usefixtures("short")
+def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
+    rigs = seal_worlds(tmp_path, Follower(), 8, 21, 1, lambda what, share: None)
+    assert [rig.name for rig in rigs] == [f"rig-{n:04d}" for n in range(1, 9)]
+    kinds = []
+    for rig in rigs:
+        truth = load_truth(rig.truth)
+        kinds.append(truth.kind)
+        assert rig.reference.is_file() is bool(truth.effects)
+        text = rig.campaign.read_text()
+        assert not [name for name in truth.effects if name in text]
+        dataset = load_source(rig.campaign)
+        assert len(dataset.recordings) == truth.axes["recordings"]
+        assert dataset.recordings[0].channels["angle"].size > 50
+    assert kinds.count("nothing") == 2
+    before = [rig.truth.stat().st_mtime_ns for rig in rigs]
+    seal_worlds(tmp_path, Follower(), 8, 21, 1, lambda what, share: None)
+    assert [rig.truth.stat().st_mtime_ns for rig in rigs] == before, "what is there is kept"
+
+
+@pytest.mark.usefixtures("short")
+def test_the_reference_has_the_noise_of_the_rig() -> None:
+    world = draw_world("one", ("current_offset",), (8, 4))
+    a, b = log_of(Follower(), world), log_of(Follower(), without_effects(world))
+    offset = world.effects["current_offset"]["current_A"]
+    for one, other in zip(a, b, strict=True):
+        rounded = world.sensing.current_quantum_A
+        assert np.allclose(one["current"] - other["current"], offset, atol=1.01 * rounded)
+        assert np.array_equal(one["time"], other["time"])
