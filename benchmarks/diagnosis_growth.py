@@ -80,7 +80,7 @@ def measure(folder: Path, names: list[str]) -> None:
 
     began = time.process_time()
     found = diagnose(
-        Dataset(dataset.recordings, model), rng=np.random.default_rng(0), onlooker=count
+        Dataset(dataset.recordings, model), rng=np.random.default_rng(0), inspect=count
     )
     seconds = time.process_time() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20

@@ -19,13 +19,13 @@ import numpy as np
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.start import bandwidth_of, begun
+from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
 from identification.diagnosis.fit.within_limits import within_limits
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.score.significance import screened
+from identification.diagnosis.score.significance import trial_candidates
 from identification.diagnosis.selection.baselines import greedy_bic, library
-from identification.diagnosis.selection.held_out import held_out
+from identification.diagnosis.selection.held_out import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.prepare import torque_unit
@@ -45,7 +45,7 @@ def greedy(dataset: Dataset, equation: str) -> tuple[int, float, float | None]:
     """
     fitted, aside = dataset.part("fit"), dataset.part("validate")
     unit, bandwidth = torque_unit(fitted[0]), bandwidth_of(fitted)
-    here, nominal = begun(dataset, bandwidth)
+    here, nominal = views_and_fit(dataset, bandwidth)
     left_out = set(dataset.model.terms)
     terms = [t for t in TERMS if t.name not in left_out]
     names = greedy_bic(library(nominal, terms))
@@ -57,7 +57,7 @@ def greedy(dataset: Dataset, equation: str) -> tuple[int, float, float | None]:
     sigma = next(e.sigma for e in joint.equations if e.name == equation)
     error = sigma * math.sqrt(float(np.mean(joint.residual[rows] ** 2)))
     others = views((*fitted, *aside), bandwidth, campaign=dataset.recordings)[len(fitted) :]
-    return len(names), error, held_out(joint, others, unit).get(equation)
+    return len(names), error, validation_rms(joint, others, unit).get(equation)
 
 
 def _best(joint: Joint, name: str) -> Added | None:
@@ -66,7 +66,7 @@ def _best(joint: Joint, name: str) -> Added | None:
     """
     term = next(t for t in TERMS if t.name == name)
     context = Context(joint.equations[0].views, joint.nominal)
-    best = max(screened(joint.stack, context, [term]), key=lambda c: c.score, default=None)
+    best = max(trial_candidates(joint.stack, context, [term]), key=lambda c: c.score, default=None)
     if best is None:
         return None
     return Added(term, best.shape, tuple(float(c) for c in best.coefficients))

@@ -314,7 +314,7 @@ class Servo(SpeedRemedies, Recognised, ABC):
             ConfigurationError: The drive was not prepared for it, or has no such input.
         """
         raise ConfigurationError(
-            f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run without "
+            f"this drive has no torque offset, but {torque_N_m:g} N m are requested: run without "
             f"feed-forward, "
             "or use a CANopen drive with object 60B2h"
         )

@@ -19,7 +19,7 @@ def require_plain(path: Path) -> None:
         mode = path.stat().st_mode
     except ValueError as error:
         # The path has a zero byte, or a character not allowed in file names here.
-        raise OSError(errno.EINVAL, f"it is no name of a file ({error})", str(path)) from error
+        raise OSError(errno.EINVAL, f"it is not a valid file name ({error})", str(path)) from error
     if stat.S_ISDIR(mode):
         raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
     if not stat.S_ISREG(mode):

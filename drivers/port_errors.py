@@ -88,7 +88,8 @@ def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None
     """
     if running_s is not None and running_s != cycle_s:
         raise ConfigurationError(
-            f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {running_s:g} s"
+            f"{who} needs a cycle of {cycle_s:g} s, but its link runs at {running_s:g} s: "
+            "devices of one link need the same cycle"
         )
 
 

@@ -255,7 +255,10 @@ class EncoderScales:
             ConfigurationError: The resolution is not positive, or the sign is not 1 or -1.
         """
         if self.counts_per_turn <= 0:
-            raise ConfigurationError(f"counts_per_turn is {self.counts_per_turn}, must be positive")
+            raise ConfigurationError(
+                f"counts_per_turn is {self.counts_per_turn}, must be positive: correct the bench "
+                "file"
+            )
         if self.sign not in (1, -1):
             raise ConfigurationError(
                 f"sign is {self.sign}, must be 1 or -1: correct the bench file"

@@ -130,7 +130,7 @@ class Amt21Encoder(Encoder):
     def __init__(self, line: Amt21Line, scales: EncoderScales, gate: Gate) -> None:
         if scales.counts_per_turn != COUNTS_PER_TURN:
             raise ConfigurationError(
-                f"an AMT21 has {COUNTS_PER_TURN} counts per turn, the bench file says "
+                f"an AMT21 has {COUNTS_PER_TURN} counts per turn, but the bench file states "
                 f"{scales.counts_per_turn}"
             )
         self.line = line

@@ -50,7 +50,9 @@ class SlcanPort:
         speed = slcan.SPEEDS.get(bitrate)
         if speed is None:
             known = ", ".join(f"{rate}" for rate in slcan.SPEEDS)
-            raise OSError(f"an slcan adapter has no {bitrate} bit/s, choose one of {known}")
+            raise OSError(
+                f"an slcan adapter does not support {bitrate} bit/s; choose one of {known}"
+            )
         # The first of two ends a line that an earlier program may have left incomplete. Frames for
         # that program are discarded.
         line.write(2 * slcan.CLOSE)

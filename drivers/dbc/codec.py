@@ -105,7 +105,7 @@ class Signal:
         if self.real:
             code, unsigned = _FLOATS[self.width]
             if not math.isfinite(raw):
-                raise ValueError(f"{self.name}: {raw:g} is no finite number")
+                raise ValueError(f"{self.name}: {raw:g} is not a finite number")
             try:
                 packed = struct.pack(code, raw)
             except OverflowError:

@@ -295,7 +295,7 @@ class DbcServo(Servo):
         quantity = self._wiring.torque_offset
         if quantity is None:
             raise ConfigurationError(
-                f"this drive has no torque offset ({torque_N_m:g} N m was to be added): run "
+                f"this drive has no torque offset, but {torque_N_m:g} N m are requested: run "
                 "without feed-forward, or state the signal under servo.torque_offset"
             )
         try:
@@ -335,7 +335,7 @@ class DbcServo(Servo):
         slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
         if watchdog_s is not None and slowest > watchdog_s / 2:
             raise ConfigurationError(
-                f"commands go every {slowest * 1e3:g} ms, and the drive stops after "
+                f"a command is sent every {slowest * 1e3:g} ms, but the drive stops after "
                 f"{watchdog_s * 1e3:g} ms without a command; commands must be at most half of "
                 "this time apart: raise cycle_Hz"
             )

@@ -145,7 +145,7 @@ class EposSerialLink(Link):
             node.heard_ns = now
         elif now - node.heard_ns > self._silence_ns:
             raise LinkError(
-                f"{node.label} gave no whole answer for {(now - node.heard_ns) / NS:.3f} s "
+                f"{node.label} sent no complete answer for {(now - node.heard_ns) / NS:.3f} s "
                 f"(limit {self._silence_ns / NS:g} s); check its supply and the serial cable"
             )
 

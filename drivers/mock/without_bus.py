@@ -28,8 +28,8 @@ class Samples(NamedTuple):
 
     ``velocity`` is the drive's estimate at the joint; ``angle`` is that of the joint encoder, and
     ``motor_angle`` that of the motor encoder. ``current`` and ``voltage`` are means over the cycle
-    that ends at the sample. ``pressure`` is the pressure behind the valve while no gas generator
-    burns.
+    that ends at the sample. ``pressure`` is the pressure downstream of the valve while no gas
+    generator burns.
     """
 
     time: Channel

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.design.simulated import Nominal, PlannedStage, at_the_truth
+from identification.design.simulated import PlannedModel, PlannedStage, at_the_truth
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.uncertainty.cramer_rao import matching_means, replicate_information
@@ -93,7 +93,7 @@ class Pinned:
         return self.half_widths[self.weakest]
 
 
-def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
+def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> Information:
     """Return the information of one stage, from simulated runs that are replicates of one another.
 
     It is :data:`NOTHING` where a run has too few breakaways or the filter does not follow it. It is
@@ -201,7 +201,7 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
 
 
-def _turn(names: Sequence[str], nominal: Nominal) -> Array:
+def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
     """Return the matrix from relative changes of named parameters to the search's coordinates
     (logarithms, rises).
     """

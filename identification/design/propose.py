@@ -21,7 +21,7 @@ import numpy as np
 from identification.design.excitation import Bounds, Frame, Part
 from identification.design.pinning import Pinned
 from identification.design.search import Design, Search, halved, planned, predicted
-from identification.design.simulated import Nominal, PlannedStage, with_drives
+from identification.design.simulated import PlannedModel, PlannedStage, with_drives
 from identification.design.simulated_trial import attained, expected
 
 CANDIDATES = (60, 200)
@@ -70,7 +70,7 @@ class Proposal:
 
 def propose(
     frames: Sequence[Frame],
-    nominal: Nominal,
+    nominal: PlannedModel,
     bounds: Bounds,
     rng: np.random.Generator,
     progress: Progress | None = None,

@@ -23,7 +23,7 @@ from identification.design.pinning import (
     stage_information,
 )
 from identification.design.shares import shared
-from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
+from identification.design.simulated import PlannedModel, PlannedStage, followed, stage_response
 from identification.estimate.equation_error.regression import HIGHEST_SHARE
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
@@ -86,7 +86,7 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
 
 
 def predicted(
-    frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str
+    frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[PlannedModel], target: str
 ) -> Pinned:
     """Return the intervals of fixed stages, predicted by their information."""
     informations = [
@@ -97,7 +97,7 @@ def predicted(
 
 
 def halved(
-    design: Design, frames: Sequence[Frame], nominals: Sequence[Nominal], target: str
+    design: Design, frames: Sequence[Frame], nominals: Sequence[PlannedModel], target: str
 ) -> Design:
     """Return the design in half of the time, with the present excitation in the other half.
 
@@ -122,7 +122,7 @@ class Search:
     """Simulates excitations, keeps those within the limits, and shares the time among them."""
 
     frames: Sequence[Frame]
-    nominals: Sequence[Nominal]
+    nominals: Sequence[PlannedModel]
     bounds: Bounds
     rng: np.random.Generator
     target: str
@@ -345,7 +345,7 @@ class Search:
         found = stage_information(stage, self.nominals)
         return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
 
-    def _within_limits(self, stage: PlannedStage, nominal: Nominal) -> bool:
+    def _within_limits(self, stage: PlannedStage, nominal: PlannedModel) -> bool:
         """Return whether the response of a drive stays within the limits by a margin."""
         b, response = self.bounds, stage_response(stage, nominal)
         return (

@@ -56,8 +56,8 @@ class PlannedStage:
 
 
 @dataclass(frozen=True)
-class Nominal:
-    """The model on which an experiment is planned: the nine parameters by name, SI, the bench, its
+class PlannedModel:
+    """The nominal model of a planned experiment: the nine parameters by name, SI, the bench, its
     sensors, and the greatest torque, N m.
 
     ``loop`` is the drive loop known from recordings; None if it is assumed from the inertia.
@@ -82,7 +82,7 @@ class Nominal:
         return self.bench.contact_force(weight) * (self.bench.moment_arm or 0.0)
 
 
-def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
+def with_drives(nominal: PlannedModel) -> tuple[PlannedModel, ...]:
     """Return copies of the model with its own, a softer and a stiffer drive.
 
     A proposal must be identifiable with all three drives.
@@ -95,7 +95,7 @@ def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
 
 def stage_response(
     stage: PlannedStage,
-    nominal: Nominal,
+    nominal: PlannedModel,
     rng: np.random.Generator | None = None,
     share: float = 1.0,
 ) -> Response:
@@ -117,7 +117,7 @@ def stage_response(
 
 
 def recorded(
-    number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator
+    number: int, stage: PlannedStage, nominal: PlannedModel, rng: np.random.Generator
 ) -> Recording:
     """Return the simulated recording of a stage, with half of the noise power in the torque itself
     and half in its measurement.
@@ -148,7 +148,7 @@ def recorded(
 
 def at_the_truth(
     stages: Sequence[PlannedStage],
-    nominal: Nominal,
+    nominal: PlannedModel,
     names: Sequence[str],
     noise: int,
     whole: bool = True,
@@ -189,7 +189,10 @@ def at_the_truth(
 
 
 def followed(
-    stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]
+    stage: PlannedStage,
+    nominals: Sequence[PlannedModel],
+    names: Sequence[str],
+    noises: Iterable[int],
 ) -> bool:
     """Return whether the filter follows a stage with every drive and each of several noise
     series.

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.design.pinning import NAMES, Pinned, likelihood_slope
-from identification.design.simulated import Nominal, PlannedStage, at_the_truth, recorded
+from identification.design.simulated import PlannedModel, PlannedStage, at_the_truth, recorded
 from identification.estimate.default import identify
 from identification.estimate.uncertainty.covariance import covariances, rise_to_static
 from identification.model.parameters import SYSTEM_PARAMETERS
@@ -23,7 +23,9 @@ from identification.numerics.spread import Spread
 from identification.recording import Dataset, RecordingError
 
 
-def attained(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
+def attained(
+    stages: Sequence[PlannedStage], nominal: PlannedModel, rng: np.random.Generator
+) -> Pinned:
     """Return the relative half widths that the default method attains on one simulated run.
 
     Where an estimate is farther from the simulated value than its half width, the distance replaces
@@ -49,7 +51,9 @@ def attained(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     return Pinned(widths)
 
 
-def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tuple[Pinned, float]:
+def expected(
+    stages: Sequence[PlannedStage], nominals: Sequence[PlannedModel]
+) -> tuple[Pinned, float]:
     """Return the relative half widths that the joint fit would state at the simulated values, and
     the steepness of the likelihood there.
 

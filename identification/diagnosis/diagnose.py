@@ -1,8 +1,8 @@
-"""From recordings to a verdict: noise floor, is anything missing, where, which physics, the
-corrected model, the proof.
+"""Diagnosis of recordings: noise floor, test for a mismatch, its location, the effects, the
+corrected model and its validation.
 
-Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which names
-are kept, and are scored.
+Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which
+effects are accepted, and they are scored.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ import numpy as np
 
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
-from identification.diagnosis.fit.intervals import pinned
+from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, begun, started
+from identification.diagnosis.fit.start import bandwidth_of, fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -28,35 +28,39 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.score.collinear import taken_up
+from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.locate import curve
 from identification.diagnosis.score.observable import Observable, observable
 from identification.diagnosis.score.significance import LEVEL
-from identification.diagnosis.score.single_recordings import crowded, standing
-from identification.diagnosis.selection.held_out import held_out, paying, unpaid
-from identification.diagnosis.selection.indistinct import opened
+from identification.diagnosis.score.single_recordings import crowded_recordings, rests_under_torque
+from identification.diagnosis.selection.held_out import (
+    dropped_effects,
+    validated_effects,
+    validation_rms,
+)
+from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Progress, Search, search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.verdict.judgement import effects_of, judged, too_little
-from identification.diagnosis.verdict.unrecorded import unsought
+from identification.diagnosis.verdict.judgement import effects_of, insufficient_effects, verdict_of
+from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, Recording, RecordingError
 
-GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
-"""Effects by which the valve moves otherwise than the motor, so that its friction follows the joint
-encoder.
+FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
+"""Effects with which the valve moves otherwise than the motor, so that its friction depends on the
+joint encoder's angle.
 """
-TURNING = (
+ANGULAR = (
     "cogging",
     "torque_ripple",
     "gear_mesh_ripple",
     "encoder_eccentricity",
     "gravity_imbalance",
 )
-"""Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
+"""Effects periodic in an angle, which a linear bench without a gear ratio (rad/m) cannot show."""
 
 
 def diagnose(
@@ -65,42 +69,42 @@ def diagnose(
     bandwidth_Hz: float | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
-    onlooker: Callable[[Joint], None] | None = None,
+    inspect: Callable[[Joint], None] | None = None,
 ) -> Diagnosis:
-    """Say whether physics is missing from the nominal model of these recordings, where, and which.
+    """Test whether effects are missing from the nominal model, identify and locate them.
 
     Args:
         dataset: Recordings; those with role ``validate`` take no part in any fit.
-        bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
-        rng: Of the tests by sign flips.
-        progress: Called with what is being done and the share done.
-        onlooker: Shown the nominal model's fit before anything is sought.
+        bandwidth_Hz: Bandwidth of every error; None chooses it from the recordings.
+        rng: Random generator for the sign flips.
+        progress: Called with the name of the step and the share done.
+        inspect: Called with the nominal model's fit before the search.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model or bear a declared term.
+        RecordingError: The recordings do not determine the nominal model or a declared term.
     """
-    clock = perf_counter()
-    tell: Progress = progress or (lambda _stage, _share: None)
-    tell("nominal model", 0.0)
-    chance = rng or np.random.default_rng(0)
+    clock, rng = perf_counter(), rng or np.random.default_rng(0)
+    report: Progress = progress or (lambda _stage, _share: None)
+    report("nominal model", 0.0)
     fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
     unit = torque_unit(fitted[0])
-    here, first = begun(dataset, bandwidth)
-    terms, why = _sought(dataset, here)
-    if onlooker is not None:
-        onlooker(first)
-    here, found, gives = _searched(dataset, (here, first), terms, bandwidth, chance, tell)
-    aside = _aside(dataset, bandwidth, gives)
-    tell("what each name is worth on recordings that took no part", 0.92)
-    searched, found = found, opened(paying(found, here, aside, unit), terms)
-    tell("locating", 0.95)
-    verdict, where, drawn = judged(found, chance, searched)
-    effects = effects_of(found, chance) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    here, first = views_and_fit(dataset, bandwidth)
+    terms, why = _effects_to_search(dataset, here)
+    if inspect is not None:
+        inspect(first)
+    here, searched, gives = _search_sides(dataset, (here, first), terms, bandwidth, rng, report)
+    aside = _validation_views(dataset, bandwidth, gives)
+    report("validating effects on unused recordings", 0.92)
+    found = with_indistinct_effects(validated_effects(searched, here, aside, unit), terms)
+    report("locating", 0.95)
+    verdict, where, drawn = verdict_of(found, rng, searched)
+    effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else found.baseline
     fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
-    unseen, traces = taken_up(found.baseline, terms), _traces(found.baseline, scored)
-    places = (*_places(verdict, traces, (*here, *aside)), *too_little(found, verdict, chance))
+    unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
+    partly = insufficient_effects(found, verdict, rng)
+    places = (*_local_findings(verdict, traces, (*here, *aside)), *partly)
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -115,101 +119,113 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*_warnings(dataset, here, unseen), *why, *unpaid(found), *places),
+        warnings=(*_warnings(dataset, here, unseen), *why, *dropped_effects(found), *places),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
 
 
-def observed(dataset: Dataset, bandwidth_Hz: float | None = None) -> tuple[Observable, ...]:
-    """Say which effects these recordings can show, at which size, and which they cannot
+def observable_effects(
+    dataset: Dataset, bandwidth_Hz: float | None = None
+) -> tuple[Observable, ...]:
+    """Return which effects these recordings can show, at which size, and which they cannot
     distinguish.
 
     Args:
         dataset: Recordings; those with role ``validate`` take no part.
-        bandwidth_Hz: Of every error; None chooses it as :func:`diagnose` does.
+        bandwidth_Hz: Bandwidth of every error; None chooses it as :func:`diagnose` does.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model.
     """
-    here, nominal = begun(dataset, _fitted(dataset, bandwidth_Hz)[1])
-    return observable(nominal, _sought(dataset, here)[0])
+    here, nominal = views_and_fit(dataset, _fitted(dataset, bandwidth_Hz)[1])
+    return observable(nominal, _effects_to_search(dataset, here)[0])
 
 
-def _places(
+def _local_findings(
     verdict: Verdict, traces: Sequence[ResidualTrace], every: Sequence[View]
 ) -> tuple[str, ...]:
-    """Return where recordings stand under a torque, and where the mismatch is crowded."""
-    crowds = crowded(traces) if verdict is not Verdict.NOTHING_MISSING else ()
-    return (*standing(every, torque_unit(every[0].recording)), *crowds)
+    """Return texts on rests under a torque that no other rest withstood, and on recordings that
+    contain most of the mismatch.
+    """
+    crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
+    return (*rests_under_torque(every, torque_unit(every[0].recording)), *crowds)
 
 
 def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recording, ...], float]:
     """Return the recordings to fit, and the bandwidth of every error, Hz.
 
     Raises:
-        RecordingError: There are none.
+        RecordingError: No recording has the role ``fit``.
     """
     fitted = dataset.part("fit")
     if not fitted:
-        raise RecordingError("no recording with role fit")
+        raise RecordingError(
+            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
+            "campaign file"
+        )
     return fitted, bandwidth_Hz or bandwidth_of(fitted)
 
 
-def _searched(
+def _search_sides(
     dataset: Dataset,
-    begun_at: tuple[tuple[View, ...], Joint],
+    start: tuple[tuple[View, ...], Joint],
     terms: Sequence[Term],
     bandwidth: float,
     rng: np.random.Generator,
-    tell: Progress,
+    report: Progress,
 ) -> tuple[tuple[View, ...], Search, bool]:
-    """Search the effects, and once more on the valve's side where the transmission is found to
-    give; return the recordings as searched last, how the search ended, and whether it gives.
+    """Search for effects on the motor's side and, with a flexible transmission, again on the
+    valve's side.
 
     Args:
-        dataset: What is diagnosed.
-        begun_at: Its recordings and the nominal model's fit of them.
+        dataset: The dataset.
+        start: Views of its recordings and the fit of the nominal model.
         terms: Effects to choose from.
-        bandwidth: Of every error, Hz.
-        rng: Of the tests by sign flips.
-        tell: Told what is being done.
+        bandwidth: Bandwidth of every error, Hz.
+        rng: Random generator for the sign flips.
+        report: Called with the name of the step and the share done.
+
+    Returns:
+        Views of the last search, its result, and whether the transmission is flexible.
     """
-    (here, first), fitted, fixed = begun_at, dataset.part("fit"), dataset.model.fixed
+    (here, first), fitted, fixed = start, dataset.part("fit"), dataset.model.fixed
     unit = torque_unit(fitted[0])
-    found = search(here, unit, first, terms, rng, tell, GIVING, fixed)
-    if not any(e.term.name in GIVING for e in found.final.effects):
+    found = search(here, unit, first, terms, rng, report, FLEXIBLE, fixed)
+    if not any(e.term.name in FLEXIBLE for e in found.final.effects):
         return here, found, False
-    tell("the same on the valve's side", 0.0)
+    report("search on the valve's side", 0.0)
     here = views(fitted, bandwidth, True, dataset.recordings)
-    again = started(here, unit, first.nominal, dataset.model)
-    return here, search(here, unit, again, on_the_joint(terms), rng, tell, fixed=fixed), True
+    again = fit_from_estimate(here, unit, first.nominal, dataset.model)
+    return here, search(here, unit, again, on_the_joint(terms), rng, report, fixed=fixed), True
 
 
-def _sought(dataset: Dataset, here: Sequence[View]) -> tuple[list[Term], tuple[str, ...]]:
-    """Return the effects that are sought, and why others are not."""
+def _effects_to_search(
+    dataset: Dataset, here: Sequence[View]
+) -> tuple[list[Term], tuple[str, ...]]:
+    """Return the effects to search for, and warnings that state why others are excluded."""
     fitted = dataset.part("fit")
-    hidden, why = unsought(fitted, here)
-    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ()), *hidden}
+    excluded, why = unrecorded_effects(fitted, here)
+    left_out = {*dataset.model.terms, *(ANGULAR if _is_linear(fitted[0].bench) else ()), *excluded}
     return [t for t in TERMS if t.name not in left_out], why
 
 
-def _aside(dataset: Dataset, bandwidth: float, gives: bool) -> tuple[View, ...]:
-    """Return the recordings that took no part."""
+def _validation_views(dataset: Dataset, bandwidth: float, gives: bool) -> tuple[View, ...]:
+    """Return views of the recordings that are set aside."""
     fitted, held = dataset.part("fit"), dataset.part("validate")
     return views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
 
 
-def _slides(bench: Bench) -> bool:
-    """Whether a linear bench is described without the motor that turns behind it."""
+def _is_linear(bench: Bench) -> bool:
+    """Whether a linear bench is described without its motor and gear."""
     return bench.motion == "linear" and bench.gear_ratio == 1.0
 
 
 def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
-    """Return each nominal parameter before and after, as far as the recordings pin it."""
+    """Return each nominal parameter before and after the correction, if it is identifiable."""
 
     def value(joint: Joint, name: str) -> float | None:
-        return float(joint.nominal.values[name]) if pinned(joint, name) else None
+        return float(joint.nominal.values[name]) if identifiable(joint, name) else None
 
     return {
         name: Shift(value(found.baseline, name), value(final, name), units[name])
@@ -220,7 +236,10 @@ def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, 
 def _fits(
     baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float
 ) -> tuple[Fit, ...]:
-    held_before, held_after = held_out(baseline, aside, unit), held_out(final, aside, unit)
+    held_before, held_after = (
+        validation_rms(baseline, aside, unit),
+        validation_rms(final, aside, unit),
+    )
     out = []
     for equation in baseline.equations:
         rows = baseline.stack.part(equation.name)
@@ -278,9 +297,9 @@ def _statement(
         f"{main.noise_floor_rms:.3g}"
     )
     if verdict is Verdict.NOTHING_MISSING:
-        told = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
-        said = f"nothing is missing that these recordings could show ({told}); {error}"
-        return f"{said}; {_unseen(unseen)}" if unseen else said
+        evidence = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
+        said = f"nothing is missing that these recordings could show ({evidence}); {error}"
+        return f"{said}; {_unobservable_sentence(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
     before, after = (
         (main.validate_baseline_rms, main.validate_final_rms)
@@ -295,7 +314,10 @@ def _statement(
     )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = f", most of it over {where.coordinate}" if where else ""
-        return f"something is missing that is in no catalogue{place}; {error}"
+        return (
+            f"the {main.equation} equation has a mismatch that no effect of the catalogue "
+            f"explains{place}; {error}"
+        )
     words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.AMBIGUOUS:
         groups = [
@@ -305,7 +327,7 @@ def _statement(
     return f"{words}. {change}"
 
 
-def _unseen(names: Sequence[str]) -> str:
+def _unobservable_sentence(names: Sequence[str]) -> str:
     return (
         f"these recordings cannot show {', '.join(title(n) for n in names)}, which the nominal "
         f"parameters can explain completely"
@@ -316,16 +338,18 @@ def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> 
     warnings = []
     if unseen:
         warnings.append(
-            f"{_unseen(unseen)}; an experiment that shows it: "
+            f"{_unobservable_sentence(unseen)}; an experiment that shows it: "
             f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
         )
     if not dataset.part("validate"):
         warnings.append(
-            "no recording is set aside (role: validate), so the errors are of the fit itself"
+            "no recording is set aside (role: validate), so all errors are those of the "
+            "fitted recordings"
         )
     for view in here:
         if not np.any(view.moving):
             warnings.append(
-                f"{view.recording.name}: no sample in steady motion; it says nothing of the torque"
+                f"{view.recording.name}: no sample is in steady motion, so this recording does not "
+                "contribute to the torque equation"
             )
     return tuple(warnings)

@@ -1,8 +1,8 @@
-"""The oracle of a proof: held-out error of the true structure, told by name and fitted to the same
-data.
+"""Oracle of a proof: error on recordings set aside of a model with the true effects, given by name
+and fitted to the same recordings.
 
-Its effects' shapes and sizes, and the nominal parameters, come from the recordings alone, as those
-of the diagnosis do.
+The sizes and nonlinear parameters of the effects, and the nominal parameters, are estimated from
+the recordings alone, as in a diagnosis.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.diagnosis.diagnose import GIVING
+from identification.diagnosis.diagnose import FLEXIBLE
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.score.significance import screened
-from identification.diagnosis.selection.held_out import held_out
+from identification.diagnosis.score.significance import trial_candidates
+from identification.diagnosis.selection.held_out import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.transmission import on_the_joint
@@ -28,22 +28,23 @@ from identification.recording import Dataset
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors over recordings set aside in the equation where the true structure gains most.
+    """Errors over recordings set aside, in the equation where the true effects reduce the error
+    most.
 
     Attributes:
-        equation: Its name.
-        baseline_rms: Of the nominal model alone, in the equation's unit.
-        oracle_rms: With the true effects.
+        equation: Name of the equation.
+        baseline_rms: Error of the nominal model alone, in the equation's unit.
+        oracle_rms: Error with the true effects.
         noise_rms: Noise of one row.
-        beside: Effect to what the others and a new fit of the constants leave of it, over the noise
-            of a row, in the equation that shows it most.
+        remaining_strength: Effect to the error that remains without it after a new fit of
+            everything else, over the noise of a row, in the equation that shows it most.
     """
 
     equation: str
     baseline_rms: float
     oracle_rms: float
     noise_rms: float
-    beside: Mapping[str, float]
+    remaining_strength: Mapping[str, float]
 
 
 def oracle(
@@ -52,49 +53,49 @@ def oracle(
     """Fit the effects of these names and score them on the recordings set aside.
 
     Args:
-        dataset: As diagnosed.
-        first: The nominal model's fit of its recordings.
-        names: True effects, all of the catalogue.
-        bandwidth_Hz: Of every error.
+        dataset: Dataset of the diagnosis.
+        first: Fit of the nominal model to its recordings.
+        names: Names of the true effects in the catalogue.
+        bandwidth_Hz: Bandwidth of every error.
 
     Returns:
-        None where nothing was set aside, or where the recordings do not admit one of the effects:
-        the nominal model absorbs it, or noise gives it an unphysical sign.
+        None if no recording is set aside, or if an effect is collinear with the nominal model or
+        gets an unphysical sign.
     """
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
         return None
     unit = torque_unit(fitted[0])
-    gives = any(name in GIVING for name in names)
+    gives = any(name in FLEXIBLE for name in names)
     here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
     baseline = fit(here, unit, first.nominal)
     left = {t.name: t for t in (on_the_joint(TERMS) if gives else TERMS) if t.name in names}
     joint = baseline
     while left:
-        best = _strongest(joint, list(left.values()))
+        best = _best_candidate(joint, list(left.values()))
         if best is None:
             return None
         added = Added(left.pop(best.name), best.shape, tuple(float(c) for c in best.coefficients))
         joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
-    before, after = held_out(baseline, aside, unit), held_out(joint, aside, unit)
-    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
-    # judges no model.
+    before, after = validation_rms(baseline, aside, unit), validation_rms(joint, aside, unit)
+    # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
+    # breakaway equation is not scored.
     noise = {
         e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
     }
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
-    beside = {}
+    remaining_strength = {}
     for effect in joint.effects:
         rest = tuple(e for e in joint.effects if e is not effect)
         without = fit(here, unit, joint.nominal, rest, baseline) if rest else baseline
-        beside[effect.term.name] = _left(without, joint, list(noise))
-    return HeldOut(where, before[where], after[where], noise[where], beside)
+        remaining_strength[effect.term.name] = _remaining_strength(without, joint, list(noise))
+    return HeldOut(where, before[where], after[where], noise[where], remaining_strength)
 
 
-def _left(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
-    """Return what is left without an effect beyond what is left with it, over the noise, where that
-    is most.
+def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
+    """Return the mismatch without an effect beyond the mismatch with it, over the noise, in the
+    equation where it is greatest.
     """
     beyond = []
     for name in equations:
@@ -103,7 +104,7 @@ def _left(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
     return math.sqrt(max(0.0, *beyond))
 
 
-def _strongest(joint: Joint, terms: Sequence[Term]) -> Candidate | None:
-    """Return the effect at the trial shape that explains most of what is left."""
+def _best_candidate(joint: Joint, terms: Sequence[Term]) -> Candidate | None:
+    """Return the effect, at trial parameters, that explains most of the remaining mismatch."""
     context = Context(joint.equations[0].views, joint.nominal)
-    return max(screened(joint.stack, context, terms), key=lambda c: c.score, default=None)
+    return max(trial_candidates(joint.stack, context, terms), key=lambda c: c.score, default=None)

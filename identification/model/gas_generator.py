@@ -33,7 +33,7 @@ class GasGenerator:
         C_r: Characteristic velocity, m/s.
         gamma: Specific-heat ratio of the gas; it determines R_g T_g from C_r.
         V_0: Free volume at ignition, m^3.
-        p_c0: Pressure behind the valve, Pa (eq. 10).
+        p_c0: Pressure downstream of the valve, Pa (eq. 10).
         valve: Dimensions of Fig. 3.
     """
 

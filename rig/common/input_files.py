@@ -47,7 +47,9 @@ def read_utf8(path: Path, remedy: str = "") -> str:
             f"{path}: cannot be read: {error.strerror or error}{_after(remedy)}"
         ) from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: byte {error.start} is not UTF-8; is it a text file?") from error
+        raise InputError(
+            f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8 text"
+        ) from error
 
 
 def parse_json(path: Path, text: str) -> Any:

@@ -29,7 +29,7 @@ def require_folder(path: Path, option: str) -> None:
         above = above.parent
     if not is_folder(above):
         raise InputError(
-            f"{path}: cannot be made, as {above} is a file; give {option} another place"
+            f"{path}: cannot be created, as {above} is a file; give {option} another place"
         )
     if not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{path}: {above} may not be written to; give {option} another place")

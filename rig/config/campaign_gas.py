@@ -164,7 +164,7 @@ class GasGeneratorSection(Schema):
         characteristic_velocity: Characteristic velocity C_r, m/s.
         heat_ratio: Specific-heat ratio; it determines R_g T_g from C_r.
         free_volume: Volume of the chamber without the grain, at ignition, m^3.
-        back_pressure: Pressure p_c0 behind the valve, Pa.
+        back_pressure: Pressure p_c0 downstream of the valve, Pa.
         valve: Dimensions of the gate.
     """
 

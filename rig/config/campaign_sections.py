@@ -160,7 +160,7 @@ class ModelSection(Schema):
     def _once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
         repeated = sorted({name for name in terms if terms.count(name) > 1})
         if repeated:
-            raise ValueError(f"{', '.join(repeated)} listed more than once")
+            raise ValueError(f"{', '.join(repeated)} listed more than once; remove the repetition")
         return terms
 
     @field_validator("fixed")

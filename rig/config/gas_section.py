@@ -47,7 +47,7 @@ class GasGeneratorSection(Schema):
         hole_diameter_m: Diameter of the hole in the valve's plate.
         opening_diameter_m: Diameter of the opening that the plate covers.
         plate_width_m: Width of the plate.
-        back_pressure_MPa: Pressure p_c0 behind the valve.
+        back_pressure_MPa: Pressure p_c0 downstream of the valve.
         propellant_density_kg_m3: Density rho_b of the propellant.
         burning_rate_mm_s: Burning rate a at 1 MPa.
         pressure_exponent: Exponent n of the burning law.

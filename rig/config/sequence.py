@@ -104,7 +104,7 @@ class StageSection(Schema):
     @model_validator(mode="after")
     def _one_excitation(self) -> Self:
         if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
-            raise ValueError("a stage needs tones, a ramp or a flow, and only one of them")
+            raise ValueError("a stage needs exactly one of tones, ramp and flow")
         if self.flow is not None and self.stage != "hot_fire":
             raise ValueError(
                 f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire"

@@ -234,8 +234,8 @@ def require_buildable(machine: Machine) -> None:
     generator = machine.gas
     if not generator.pressure_exponent < 1.0:
         raise ValueError(
-            f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure is "
-            "steady: it must be below 1"
+            f"gas.pressure_exponent is {generator.pressure_exponent:g}; it must be below 1, "
+            "because no pressure is stable at 1 or more"
         )
     if not generator.valve.hole_diameter_m < min(
         generator.valve.plate_width_m, generator.valve.opening_diameter_m

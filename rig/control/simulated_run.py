@@ -54,7 +54,7 @@ def run_simulated(
         raise InputError(
             bench.problem(
                 ("bus",),
-                "this command runs without an operator, so that the bench must be simulated",
+                "this command runs without an operator, so the bench must be simulated",
             )
         )
     plan = make_plan(sequence, bench, feedforward=feedforward)

@@ -25,7 +25,7 @@ def entry_of(name: str) -> Entry:
         InputError: There is no such effect; suggests the nearest name.
     """
     if name not in ENTRIES:
-        raise InputError(f"{name}: no effect of the catalogue; {nearest(name, list(ENTRIES))}")
+        raise InputError(f"{name}: not an effect of the catalogue; {nearest(name, list(ENTRIES))}")
     return ENTRIES[name]
 
 

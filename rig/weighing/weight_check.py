@@ -1,8 +1,8 @@
 """Check of the confirmed mass on the lever by the measured friction.
 
-The reference is an accepted identification of the bench, or stages of other masses of the same run,
-which lie on a straight line at each speed (eq. 13: the working load is proportional to the contact
-force).
+The reference is an accepted identification of the bench, or the friction of stages with other
+masses in the same run. At each speed that friction is linear in the mass (eq. 13: the working load
+is proportional to the contact force).
 """
 
 from __future__ import annotations

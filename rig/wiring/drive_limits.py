@@ -149,9 +149,8 @@ def require_within_own(
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
             f"{_list(rows, 'bench file', 'drive')}; tighten the "
-            "bench file, or change the drive with its maker's tool; limits left by a run that "
-            "died go when the "
-            "drive's supply is switched off and on"
+            "bench file, or change the drive with its maker's tool; limits left by an "
+            "aborted run are cleared by switching the drive's supply off and on"
         )
 
 

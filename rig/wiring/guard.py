@@ -207,7 +207,7 @@ class Guard:
                 return None
             data = os.read(descriptor, _CHUNK)
             if not data:
-                raise LinkError(f"the guardian of {self.name} is gone; stop and run again")
+                raise LinkError(f"the guardian of {self.name} has ended; stop and run again")
             self._heard += data
         end = self._heard.index(words) + len(words)
         said, self._heard = self._heard[:end], self._heard[end:]
@@ -223,11 +223,11 @@ class Guard:
             os.write(_pipe(self._process.stdin).fileno(), data)
         except BlockingIOError as error:
             raise LinkError(
-                f"the guardian of {self.name} does not listen; stop and run again"
+                f"the guardian of {self.name} accepts no messages; stop and run again"
             ) from error
         except OSError as error:
             raise LinkError(
-                f"the guardian of {self.name} is gone ({error.strerror}); stop and run again"
+                f"the guardian of {self.name} has ended ({error.strerror}); stop and run again"
             ) from error
 
 

@@ -1,4 +1,6 @@
-"""The resources of a bench that only one program may use: ports, adapters and channels."""
+"""Lock keys of the ports, adapters and channels of a bench, each of which only one program may
+use.
+"""
 
 from __future__ import annotations
 

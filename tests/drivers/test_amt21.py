@@ -243,6 +243,6 @@ def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> Non
 def test_another_resolution_is_refused(host: SerialHost) -> None:
     line = Amt21Line(host.bench.clock, lambda: host.encoder_line, "line")
     with pytest.raises(
-        ConfigurationError, match="has 16384 counts per turn, the bench file says 4096"
+        ConfigurationError, match="has 16384 counts per turn, but the bench file states 4096"
     ):
         Amt21Encoder(line, EncoderScales(4096), GATE)

@@ -229,7 +229,7 @@ def test_unless_told_otherwise_it_is_watched_for_a_tenth_of_a_second_and_takes_n
     drive.take()
     servo = prepared(drive)
     assert drive.take("stage") == [("stage", 1, (0, 1234))]
-    with pytest.raises(ConfigurationError, match="takes no torque offset"):
+    with pytest.raises(ConfigurationError, match="has no torque offset"):
         servo.set_torque_offset(0.0)
 
 

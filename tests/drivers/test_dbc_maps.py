@@ -125,7 +125,7 @@ def test_a_floating_point_limit_is_rounded_to_the_tighter_side(raw: float, upwar
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), -float("inf")])
 @pytest.mark.parametrize("width", [32, 64])
 def test_no_target_is_not_a_number(width: int, value: float) -> None:
-    with pytest.raises(ValueError, match="is no finite number"):
+    with pytest.raises(ValueError, match="is not a finite number"):
         Signal("S", 8, 0, width, real=True).pack(value)
 
 

@@ -321,7 +321,7 @@ def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
 
 
 def test_a_cycle_too_slow_for_the_watchdog_is_refused(host: DbcHost) -> None:
-    with pytest.raises(ConfigurationError, match="every 60 ms, and the drive stops after 100 ms"):
+    with pytest.raises(ConfigurationError, match="every 60 ms, but the drive stops after 100 ms"):
         host.servo.prepare(0.06)
 
 

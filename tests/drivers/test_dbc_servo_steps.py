@@ -342,7 +342,7 @@ def test_commands_that_are_too_rare_for_the_watchdog_are_refused(
     with pytest.raises(ConfigurationError) as caught:
         make(bench, replaced(watchdog_s=watchdog_s)).prepare(cycle_s)
     assert str(caught.value) == (
-        f"commands go every {slowest} ms, and the drive stops after {watchdog_s * 1e3:g} ms "
+        f"a command is sent every {slowest} ms, but the drive stops after {watchdog_s * 1e3:g} ms "
         "without a command; commands must be at most half of this time apart: raise cycle_Hz"
     )
     assert bench.take() == [("await", "Status", 0.3)]

@@ -217,7 +217,7 @@ def test_a_silent_drive_is_reported_as_lost(host: SerialHost) -> None:
     host.cycles(5)
     host.line.cut = True
     with pytest.raises(
-        LinkError, match=r"node 1 gave no whole answer for 0\.20\d s \(limit 0\.2 s\)"
+        LinkError, match=r"node 1 sent no complete answer for 0\.20\d s \(limit 0\.2 s\)"
     ):
         host.cycles(150)
 
@@ -305,7 +305,7 @@ def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
 
 def test_another_cycle_is_refused(host: SerialHost) -> None:
     prepared(host)
-    with pytest.raises(ConfigurationError, match=r"cycle of 0.001 s, the link runs at 0.002 s"):
+    with pytest.raises(ConfigurationError, match=r"cycle of 0.001 s, but its link runs at 0.002 s"):
         host.servo.prepare(0.001)
 
 

@@ -191,7 +191,7 @@ def test_voltage_comes_with_every_sync(host: Host) -> None:
 def test_all_devices_share_one_cycle(host: Host) -> None:
     host.servo.prepare(0.001)
     with pytest.raises(
-        ConfigurationError, match=r"node 2 asks for a cycle of 0\.002 s, the link runs at 0\.001 s"
+        ConfigurationError, match=r"node 2 needs a cycle of 0\.002 s, but its link runs at 0\.001 s"
     ):
         host.encoder.prepare(0.002)
 

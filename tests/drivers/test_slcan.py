@@ -172,7 +172,7 @@ def test_the_channel_is_closed_set_up_and_opened() -> None:
 
 def test_a_rate_that_adapters_do_not_have_is_refused() -> None:
     line = Script(SimulatedClock())
-    with pytest.raises(OSError, match=r"no 300000 bit/s, choose one of 10000, 20000"):
+    with pytest.raises(OSError, match=r"does not support 300000 bit/s; choose one of 10000, 20000"):
         SlcanPort(line, SimulatedClock(), 300_000)
     assert not line.written
 
@@ -324,7 +324,9 @@ def test_an_adapter_has_one_program(adapter: Pty) -> None:
 
 
 def test_an_adapter_that_cannot_be_set_up_is_closed_again(adapter: Pty) -> None:
-    with pytest.raises(LinkError, match="cannot be opened: an slcan adapter has no 33333 bit/s"):
+    with pytest.raises(
+        LinkError, match="cannot be opened: an slcan adapter does not support 33333 bit/s"
+    ):
         CanopenLink.on_interface(
             RealClock(), "slcan", adapter.path, 33_333, {"sleep_after_open": 0}
         ).open()

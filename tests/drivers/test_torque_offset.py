@@ -144,7 +144,7 @@ def test_enabled_again_it_starts_at_zero(host: Host) -> None:
 def test_a_drive_that_was_not_prepared_for_it_says_so(host: Host) -> None:
     plain = enabled(make_host())
     with pytest.raises(
-        ConfigurationError, match=r"takes no torque offset \(6 N m was to be added\): run without"
+        ConfigurationError, match=r"has no torque offset, but 6 N m are requested: run without"
     ):
         plain.servo.set_torque_offset(6.0)
     plain.link.close()

@@ -208,7 +208,7 @@ def test_states_agree_with_the_compiled_ones(view: View) -> None:
     torque = view.torque
     level = 6.0 + 2.0 * np.abs(view.velocity)
     assert lagged(torque, view.time, 0.02) == pytest.approx(
-        memory.lagged(torque, view.step, 0.02), abs=1e-9
+        memory.first_order_lag(torque, view.step, 0.02), abs=1e-9
     )
     assert dahl_friction(view.angle, level, 2e3) == pytest.approx(
         memory.dahl(view.angle, level, 2e3), abs=1e-12

@@ -28,7 +28,7 @@ from identification.design.propose import propose
 from identification.design.search import Candidate, Design, Search, halved, planned, predicted
 from identification.design.shares import best_shares, shared
 from identification.design.simulated import (
-    Nominal,
+    PlannedModel,
     PlannedStage,
     Sensors,
     recorded,
@@ -49,11 +49,11 @@ NOISE = 0.06
 MOMENT = 10.0 * 30.6 * 9.80665 * 0.095
 
 
-def nominal(noise: float = NOISE, step: float = 2.0 * np.pi / 409600.0) -> Nominal:
-    return Nominal(NOMINAL, BENCH, Sensors(PERIOD, step, noise), 75.0)
+def nominal(noise: float = NOISE, step: float = 2.0 * np.pi / 409600.0) -> PlannedModel:
+    return PlannedModel(NOMINAL, BENCH, Sensors(PERIOD, step, noise), 75.0)
 
 
-def information(stage: PlannedStage, model: Nominal | None = None) -> Information:
+def information(stage: PlannedStage, model: PlannedModel | None = None) -> Information:
     return stage_information(stage, with_drives(model or nominal()))
 
 
@@ -522,7 +522,7 @@ def test_the_predicted_intervals_are_those_of_the_stages_information() -> None:
 
 
 def test_moment_of_a_bench_without_lever() -> None:
-    assert Nominal(NOMINAL, Bench(), Sensors(1e-3, 1e-5, 0.1), 1.0).moment(0.0) == 0.0
+    assert PlannedModel(NOMINAL, Bench(), Sensors(1e-3, 1e-5, 0.1), 1.0).moment(0.0) == 0.0
 
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:

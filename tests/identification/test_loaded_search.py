@@ -9,7 +9,7 @@ import math
 import numpy as np
 import pytest
 
-from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded
+from identification.design.simulated import PlannedModel, PlannedStage, Sensors, recorded
 from identification.estimate.likelihood import searches
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
@@ -45,7 +45,7 @@ def sine(amplitude_deg: float, frequency: float, seconds: float) -> Array:
 
 def searched(seed: int) -> tuple[float, float, float]:
     """Search from what an equation error left; return the errors of mu_c, mu_s and omega_sL."""
-    nominal = Nominal(TRUTH, BENCH, Sensors(PERIOD, 2.0 * math.pi / 409600.0, NOISE), 90.0)
+    nominal = PlannedModel(TRUTH, BENCH, Sensors(PERIOD, 2.0 * math.pi / 409600.0, NOISE), 90.0)
     commands = (ramps(1.491, 4.521, 8), sine(24.254, 0.6223, 2.41), ramps(2.896, 5.911, 3))
     rng = np.random.default_rng(seed)
     motions = [

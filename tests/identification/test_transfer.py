@@ -84,7 +84,7 @@ def test_intervals_decide_and_what_is_unknown_has_not_moved() -> None:
 def test_what_was_fitted_is_no_test() -> None:
     data = Dataset((day(7),))
     fitted = identify(data, bandwidth_Hz=100.0)
-    with pytest.raises(RecordingError, match="was fitted to already"):
+    with pytest.raises(RecordingError, match="was fitted to this recording"):
         transfer(fitted, data, data)
     with pytest.raises(RecordingError, match="unloaded recordings only"):
         transfer(fitted, data, Dataset((sine(weight=30.6),)))

@@ -191,7 +191,7 @@ def test_a_motor_constant_may_state_its_standard_deviation(tmp_path: Path) -> No
         ("file: a.csv", "file: []", "file"),
         ("campaign: 1", "campaign: 2", "campaign: input should be 1 (got 2)"),
         ("angle: 2", "angle: -2", "angle"),
-        ("angle: 2", "angle: {column: 2, scale: 0}", "a scale of zero makes the channel zero"),
+        ("angle: 2", "angle: {column: 2, scale: 0}", "the scale is 0, which makes all samples 0"),
         ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
         ("angle: 2", "angle: true", "angle"),
         ("0.095,", "0.095, gear_ratio: 0,", "bench.gear_ratio: input should be greater than 0"),

@@ -64,7 +64,7 @@ def found(
             bandwidth_Hz: float | None,
             rng: np.random.Generator,
             progress: object,
-            onlooker: object,
+            inspect: object,
         ) -> Diagnosis:
             assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
             calls.append((bandwidth_Hz, float(rng.random())))
@@ -160,7 +160,7 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     assert "to split current_offset, asymmetric_coulomb: " in printed
     assert AMBIGUOUS.effects[0].separating_experiment in printed
     assert (
-        "These recordings cannot tell it from asymmetric_coulomb."
+        "These recordings cannot distinguish it from asymmetric_coulomb."
         in (out / "report.html").read_text()
     )
 

@@ -108,7 +108,7 @@ def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reac
     assert [w.split(":")[0] for w in said] == [
         f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)
     ]
-    assert all("to 6.00 s the joint stands at 4" in w for w in said)
+    assert all("to 6.00 s the joint rests at 4" in w for w in said)
 
 
 def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_path: Path) -> None:

@@ -203,8 +203,8 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
     assert str(caught.value) == (
         f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, "
         f"or change the drive "
-        "with its maker's tool; limits left by a run that died go when the drive's supply is "
-        "switched off and on"
+        "with its maker's tool; limits left by an aborted run are cleared by switching the "
+        "drive's supply off and on"
     )
 
 

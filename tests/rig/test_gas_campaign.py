@@ -99,7 +99,7 @@ def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
     )
     assert not without_torque(Dataset((*recordings, hot)))
     assert burning(Dataset((*recordings, hot, cold))).recordings == (*recordings, hot)
-    with pytest.raises(RecordingError, match="no hot firing"):
+    with pytest.raises(RecordingError, match="no recording is a hot firing"):
         burning(Dataset((cold,)))
 
 
@@ -109,7 +109,7 @@ def test_a_gas_result_is_no_model_of_the_motion(
     result = campaign.parent / "d.json"
     result.write_text(json.dumps({"schema": "loadrig.diagnose/1", "fit": {"equation": "pressure"}}))
     assert status(["simulate", str(campaign), "--result", str(result)]) == 2
-    assert "says nothing of the torque" in capsys.readouterr().err
+    assert "has no torque model" in capsys.readouterr().err
 
 
 def test_the_block_of_a_campaign(tmp_path: Path) -> None:

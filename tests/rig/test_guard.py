@@ -314,7 +314,7 @@ def test_a_guardian_that_is_gone_ends_the_run(guard: Guard, guardian: Guardian, 
     time.wait(0.1)
     with pytest.raises(LinkError) as caught:
         guard.feed()
-    assert str(caught.value) == f"the guardian of {NAME} is gone; stop and run again"
+    assert str(caught.value) == f"the guardian of {NAME} has ended; stop and run again"
 
 
 def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Guardian) -> None:
@@ -322,7 +322,9 @@ def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Gua
     guardian.hears.close()
     with pytest.raises(LinkError) as caught:
         guard.release()
-    assert str(caught.value) == f"the guardian of {NAME} is gone (Broken pipe); stop and run again"
+    assert (
+        str(caught.value) == f"the guardian of {NAME} has ended (Broken pipe); stop and run again"
+    )
 
 
 def test_a_guardian_that_does_not_listen_ends_the_run(
@@ -337,7 +339,7 @@ def test_a_guardian_that_does_not_listen_ends_the_run(
     time.wait(0.1)
     with pytest.raises(LinkError) as caught:
         guard.feed()
-    assert str(caught.value) == f"the guardian of {NAME} does not listen; stop and run again"
+    assert str(caught.value) == f"the guardian of {NAME} accepts no messages; stop and run again"
 
 
 def test_a_guardian_that_does_not_start_keeps_the_drive_off(

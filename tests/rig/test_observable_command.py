@@ -18,7 +18,7 @@ HIDDEN = Observable("backlash", 0.0, {}, {})
 
 @pytest.fixture
 def campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(observable, "observed", lambda *_: (SHOWN, CONFUSED, HIDDEN))
+    monkeypatch.setattr(observable, "observable_effects", lambda *_: (SHOWN, CONFUSED, HIDDEN))
     rows = [f"{0.001 * k:.3f},{0.01 * k:.2f},1" for k in range(400)]
     (tmp_path / "log.csv").write_text("\n".join(["t,q,tau", *rows]) + "\n")
     file = tmp_path / "bench.yaml"
@@ -52,4 +52,4 @@ def test_it_goes_with_no_other_kind_of_diagnosis(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["diagnose", str(campaign), "--observable", "--gas"]) == 2
-    assert "--observable goes with neither" in capsys.readouterr().err
+    assert "--observable cannot be combined with" in capsys.readouterr().err

@@ -83,7 +83,8 @@ def test_places_that_will_do(tmp_path: Path) -> None:
 def test_places_that_will_not(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
     with pytest.raises(
-        InputError, match=r"inside/deep: cannot be made, as .*taken is a file; give --out another"
+        InputError,
+        match=r"inside/deep: cannot be created, as .*taken is a file; give --out another",
     ):
         require_folder(tmp_path / "taken" / "inside" / "deep", "--out")
     with pytest.raises(

@@ -438,7 +438,7 @@ def test_a_proof_from_the_command_line(
     again = json.loads((tmp_path / "p.json").read_text())
     assert [r["effects"] for r in again["rigs"]] == [r["effects"] for r in result["rigs"]]
     assert status([*arguments[:2], "4", *arguments[3:]]) == 2
-    assert "holds a proof with other settings" in capsys.readouterr().err
+    assert "contains a proof with other settings" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

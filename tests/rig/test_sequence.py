@@ -187,7 +187,7 @@ def test_an_approach_arrives_smoothly_within_its_speed(
         (
             "{name: a, stage: unloaded, tones: [{amplitude_deg: 0.01, frequency_Hz: 60}], "
             "duration_s: 5}",
-            ["above 50 Hz, 20 control cycles a period"],
+            ["above 50 Hz, 20 control cycles per period"],
         ),
         (
             "{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}",
@@ -196,10 +196,13 @@ def test_an_approach_arrives_smoothly_within_its_speed(
         ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
         ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
-        ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones, a ramp or a flow"]),
+        (
+            "{name: a, stage: unloaded, duration_s: 3}",
+            ["needs exactly one of tones, ramp and flow"],
+        ),
         (
             "{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}",
-            ["only one of them"],
+            ["needs exactly one of tones, ramp and flow"],
         ),
         (
             "{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}",

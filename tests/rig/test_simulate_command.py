@@ -98,7 +98,7 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
             '{"schema": "loadrig.run/1"}',
             "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.run/1')",
         ),
-        ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no value to simulate with"),
+        ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no parameter has a value"),
         (
             '{"schema": "loadrig.identify/1", "fitted": {"J": "x"}}',
             "J: must be a finite number (got 'x')",
@@ -172,6 +172,6 @@ def test_score_on_what_was_fitted_is_refused(
     campaign: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["identify", str(campaign), "--bandwidth", "40", "--score", str(campaign)]) == 2
-    assert "was fitted to already" in capsys.readouterr().err
+    assert "was fitted to this recording" in capsys.readouterr().err
     assert status(["identify", str(campaign), "--method", "paper", "--ladder"]) == 2
-    assert "of the default method" in capsys.readouterr().err
+    assert "need the default method" in capsys.readouterr().err

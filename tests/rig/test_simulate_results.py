@@ -117,16 +117,16 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
             {"schema": "loadrig.paper/1"},
             "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.paper/1')",
         ),
-        ({"parameters": {}}, "parameters: no value to simulate with"),
+        ({"parameters": {}}, "parameters: no parameter has a value"),
         ({"parameters": {"J": "much"}}, "parameters.J: must be a finite number (got 'much')"),
         (
             {"effects": [{"name": "witchcraft", "parameters": {}}]},
-            "witchcraft is no effect of the catalogue",
+            "witchcraft is not an effect of the catalogue",
         ),
         ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
         (
             {"motion": "linear"},
-            "motion: a result of a linear bench, and the recordings are of a rotary one",
+            "motion: the result is of a linear bench, but the recordings are of a rotary one",
         ),
         (
             {
@@ -135,7 +135,7 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
                     "Mc": {"value": 20.4, "unit": "N"},
                 }
             },
-            "motion: a result of a linear bench",
+            "motion: the result is of a linear bench",
         ),
     ],
 )

@@ -43,7 +43,7 @@ def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) ->
     path.write_text(text.replace("interface: mock", "interface: virtual"))
     with pytest.raises(
         InputError,
-        match="bus: this command runs without an operator, so that the bench must be simulated",
+        match="bus: this command runs without an operator, so the bench must be simulated",
     ):
         run_simulated(load_bench(path), load_sequence(sequence), 0, tmp_path / "run")
 

@@ -47,7 +47,7 @@ def gas_vector(machine: constants.Machine) -> Array:
 
 
 def unlit(machine: constants.Machine) -> Array:
-    """Return the state without combustion: no gas, and the pressure behind the valve."""
+    """Return the state without combustion: no gas, and the pressure downstream of the valve."""
     y = np.zeros(gas.GAS_SIZE)
     y[gas.PRESSURE] = machine.gas.back_pressure_Pa
     return y

@@ -48,8 +48,8 @@ class Latches(NamedTuple):
     shape (n,).
 
     ``current_A`` and ``voltage_V`` are means over the cycle that ends at the SYNC; ``run_s`` is the
-    running time of the machine. ``pressure_Pa`` is exact; it is the pressure behind the valve while
-    no gas generator burns.
+    running time of the machine. ``pressure_Pa`` is exact; it is the pressure downstream of the
+    valve while no gas generator burns.
     """
 
     motor_counts: NDArray[np.float64]

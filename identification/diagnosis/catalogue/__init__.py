@@ -1,6 +1,4 @@
-"""The catalogue in words, one module per group; adding an effect means adding one entry, its term
-and their tests.
-"""
+"""The catalogue in words, one module per group; a new effect needs an entry, a term and tests."""
 
 from __future__ import annotations
 
@@ -17,7 +15,7 @@ from identification.diagnosis.catalogue.transmission import TRANSMISSION
 MOTION: Mapping[str, Entry] = {
     e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
 }
-"""What shows in the motion; what hides in a gas generator has a model of its own
+"""Effects that appear in motion; effects of the gas generator have a model of their own
 (:mod:`identification.model`).
 """
 ENTRIES: Mapping[str, Entry] = {**MOTION, **{e.name: e for e in GAS}}

@@ -1,5 +1,5 @@
-"""What hangs on the joint: springs, stops, unbalance, and the lever with its weights (eq. 12 to 17,
-Fig. 10).
+"""Effects of springs, stops and unbalance on the joint, and of the lever with its weights (eq. 12
+to 17, Fig. 10).
 """
 
 from __future__ import annotations
@@ -204,4 +204,4 @@ DEVICE: tuple[Entry, ...] = (
         sentence="friction grows by {coefficient:%} of the load's torque",
     ),
 )
-"""Effects of the load device and of what else acts on the joint."""
+"""Effects of the load device and of other loads on the joint."""

@@ -1,5 +1,5 @@
-"""The catalogue as one table: what an effect is, what it breaks, how it shows and what separates it
-from its likes.
+"""Record of one effect in the catalogue: equation, violated assumption, where it shows, and the
+experiment that distinguishes it from similar effects.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ class Quantity:
 class Entry:
     """One row of the catalogue, in words.
 
-    How it is computed stands in :mod:`identification.diagnosis.terms`, for the gas generator in
+    Its computation is in :mod:`identification.diagnosis.terms`, for the gas generator in
     :mod:`identification.diagnosis.gas.terms`.
 
     Attributes:
         name: Stable name.
         group: motor, transmission, friction, device, sensing or gas generator.
         equation: Governing equation.
-        assumption: What of the paper it breaks.
+        assumption: Assumption of the paper that it violates.
         shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage``,
-        ``breakaway`` or ``pressure``.
+            ``breakaway`` or ``pressure``.
         coordinate: Coordinate or regime where it shows.
-        parameters: With units and plausible ranges.
-        look_alikes: Names of the nearest ones.
-        experiment: What separates it from them.
+        parameters: Parameters with units and plausible ranges.
+        look_alikes: Names of the most similar effects.
+        experiment: Experiment that distinguishes it from these.
         sentence: The finding, with parameters in braces.
     """
 

@@ -1,5 +1,5 @@
-"""Friction of the system: what a static, symmetric, uniform, cold Stribeck curve (eq. 9) leaves
-out.
+"""Effects of the system's friction beyond a static, symmetric, uniform, cold Stribeck curve (eq.
+9).
 """
 
 from __future__ import annotations

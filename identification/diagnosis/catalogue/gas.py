@@ -1,4 +1,4 @@
-"""What the paper's gas generator leaves out (Sec. 3.2, assumptions G1, G4, G5, and the throat of
+"""Effects that the paper's gas generator omits (Sec. 3.2, assumptions G1, G4, G5, and the throat of
 eq. 3).
 """
 
@@ -99,4 +99,4 @@ GAS: tuple[Entry, ...] = (
         sentence="gas leaks beside the throat through {area_m2:mm^2}",
     ),
 )
-"""Effects of the gas generator; they show in pressure and valve angle, whatever the torque."""
+"""Effects of the gas generator, which show in pressure and valve angle."""

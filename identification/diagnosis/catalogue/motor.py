@@ -1,5 +1,5 @@
-"""Motor and its electronics: what makes torque differ from Km I, and voltage from R I + Ke omega
-(eq. 1).
+"""Effects of the motor and its electronics: torque other than Km I, and voltage other than R I + Ke
+omega (eq. 1).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the channels say and what was: instants, zeros and seats of the sensors."""
+"""Effects of the sensors: sampling instants, zeros and mounting."""
 
 from __future__ import annotations
 
@@ -129,4 +129,4 @@ SENSING: tuple[Entry, ...] = (
         ),
     ),
 )
-"""Effects of the sensors and of when they are read."""
+"""Effects of the sensors and of their sampling instants."""

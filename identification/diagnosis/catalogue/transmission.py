@@ -1,5 +1,5 @@
-"""Between motor and joint: what makes theta differ from phi / i, and the joint's torque from i
-times the motor's.
+"""Effects between motor and joint: theta other than phi / i, and joint torque other than i times
+the motor's.
 """
 
 from __future__ import annotations

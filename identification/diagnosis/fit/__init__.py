@@ -1,1 +1,1 @@
-"""Joint fit of nominal constants and effects: stacked equations, fit within limits, intervals."""
+"""Joint fit of nominal parameters and effects: stacked equations, fit within limits, intervals."""

@@ -1,8 +1,8 @@
 """Feasibility of a fit: comparison of the predicted and the attained residual.
 
-A fit is judged by the residual that its linear step predicts. But constants have limits, and static
-friction may not be below Coulomb friction; a residual that is predicted beyond these limits cannot
-be attained.
+A fit is judged by the residual that its linear step predicts. Nominal parameters have limits, and
+static friction may not be below Coulomb friction: a residual that is predicted beyond these limits
+cannot be attained.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from identification.diagnosis.fit.stack import Stack
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
-INFEASIBLE_FROM = 1.5
+INFEASIBLE_RATIO = 1.5
 """Ratio of the attained to the predicted mean-square torque mismatch, from which a fit is
-infeasible. With the right effects it was 1.00 to 1.03 in eight simulated trials; it was 490 000
-where friction had to increase with speed.
+infeasible. In simulated trials it was 1.00 to 1.03 with the right effects, and 490 000 where
+friction had to increase with speed.
 """
 
 
@@ -31,7 +31,7 @@ def predicted_and_attained(
     Args:
         stack: Stack at the nominal values at the end of the fit.
         effects: Effects with their coefficients.
-        residual: Whitened residual of the fit with the constants free, shape (n,).
+        residual: Whitened residual of the fit with the nominal parameters free, shape (n,).
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     rest = equation.residual.copy()
@@ -39,7 +39,7 @@ def predicted_and_attained(
         columns = stack.columns(effect.term, effect.shape).get("torque")
         if columns is not None:
             rest -= columns @ np.array(effect.coefficients)
-    # The rotor's share of the inertia is not a constant of the model.
+    # The rotor's share of the inertia is not a nominal parameter.
     other = equation.tangent[:, [name not in stack.nominal.free for name in equation.names]]
     rest -= other @ np.linalg.lstsq(other, rest, rcond=None)[0]
     return float(np.mean(residual[stack.part("torque")] ** 2)), float(
@@ -48,11 +48,11 @@ def predicted_and_attained(
 
 
 def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
-    """Return the mean-square torque mismatch, over the noise's, with the rises of friction toward
-    rest held.
+    """Return the mean-square torque mismatch, over the noise's, of a fit that holds the rises of
+    static over Coulomb friction.
 
-    All other parameters in which the torque is linear are free. The behaviour of real machines at
-    the slowest speeds may require impossible rises, for which the identified effects are not the
+    All other parameters in which the torque is linear are free. The friction of real machines at
+    the slowest speeds may require impossible rises, of which the identified effects are not the
     cause.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
@@ -68,8 +68,8 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
     return float(np.mean(left**2)) / equation.sigma**2
 
 
-def exceeds(promised: float, kept: float) -> bool:
-    """Whether a fit is infeasible: its attained mismatch exceeds the predicted one; never if it
-    hardly exceeds the noise.
+def is_infeasible(predicted: float, attained: float) -> bool:
+    """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch by
+    :data:`INFEASIBLE_RATIO`, and the noise by as much.
     """
-    return kept > INFEASIBLE_FROM * max(promised, 1.0)
+    return attained > INFEASIBLE_RATIO * max(predicted, 1.0)

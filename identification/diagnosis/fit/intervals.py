@@ -10,16 +10,21 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.linear import STEP, Added, directions, displaced
-from identification.diagnosis.fit.stack import stacked
+from identification.diagnosis.fit.linear import (
+    DERIVATIVE_STEP,
+    Added,
+    effect_derivatives,
+    moved_parameters,
+)
+from identification.diagnosis.fit.stack import stack_of
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.terms.term import Context
 from identification.estimate.uncertainty.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 
-COARSE, PLACE_RAD = 0.02, 0.01
+APPROXIMATION_SHARE, APPROXIMATION_RAD = 0.02, 0.01
 """Errors of parameters due to approximate regressors in simulated trials, 90 %: as a share of a
-size; of an angle, rad.
+size, and of an angle in rad.
 """
 
 
@@ -27,35 +32,38 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
     of time.
 
-    Intervals include the errors of approximate regressors, which do not show in the scatter. A
-    parameter that the fit chooses from a list, as a number per turn, has no width.
+    Intervals include the errors of approximate regressors, which the scatter does not show. A
+    parameter that the fit chooses from a list, such as a number per turn, has an interval of zero
+    width.
 
     Units are left empty; the catalogue has them.
     """
     if not joint.effects:
         return ()
     context = Context(joint.equations[0].views, joint.nominal)
-    stack = stacked(joint.equations, joint.nominal, joint.stack)
-    told = stack.projected(directions(stack, joint.effects))
-    scale = np.linalg.norm(told, axis=0)
+    stack = stack_of(joint.equations, joint.nominal, joint.stack)
+    columns = stack.projected(effect_derivatives(stack, joint.effects))
+    scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
-    scaled = told / scale
+    scaled = columns / scale
     bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     sums = stack.sums(scaled * joint.residual[:, None])
     covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
-    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - told.shape[1], 3)))
+    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - columns.shape[1], 3)))
     out, at = [], 0
     for effect in joint.effects:
-        moves = _moves(effect, context)
+        moves = _parameters_after_steps(effect, context)
         part = covariance[at : at + len(moves), at : at + len(moves)]
         at += len(moves)
         values = effect.parameters(context)
         slopes = {
-            name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values
+            name: np.array([move[name] - values[name] for move in moves]) / DERIVATIVE_STEP
+            for name in values
         }
         half = {
             name: math.hypot(
-                wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name])
+                wide * math.sqrt(max(float(s @ part @ s), 0.0)),
+                _approximation_error(name, values[name]),
             )
             if np.any(s != 0.0)
             else 0.0
@@ -67,16 +75,16 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     return tuple(out)
 
 
-def _coarseness(name: str, value: float) -> float:
+def _approximation_error(name: str, value: float) -> float:
     """Return the error of a parameter due to its approximate regressor."""
     return (
-        PLACE_RAD
+        APPROXIMATION_RAD
         if name.split("_")[0] in ("phase", "center", "zero", "rest")
-        else COARSE * abs(value)
+        else APPROXIMATION_SHARE * abs(value)
     )
 
 
-def pinned(joint: Joint, name: str) -> bool:
+def identifiable(joint: Joint, name: str) -> bool:
     """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
     (half its rise; for a Stribeck speed, 0.5 in the logarithm).
     """
@@ -106,9 +114,9 @@ def pinned(joint: Joint, name: str) -> bool:
     return half < WIDEST * abs(size) or name == "offset"
 
 
-def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the effect's parameters after a small step along each direction of the fit
-    (:func:`directions`).
+def _parameters_after_steps(effect: Added, context: Context) -> list[dict[str, float]]:
+    """Return the effect's parameters after a small step along each column of
+    :func:`effect_derivatives`.
     """
     moves = []
     coefficients = np.array(effect.coefficients)
@@ -117,7 +125,7 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
         scale = float(np.max(np.abs(coefficients))) or 1.0
         for k in range(len(coefficients)):
             step = np.zeros(len(coefficients))
-            step[k] = STEP * scale
+            step[k] = DERIVATIVE_STEP * scale
             there = effect.term.read(coefficients + step, effect.shape, context)
             moves.append(
                 {name: value + (there[name] - value) / scale for name, value in here.items()}
@@ -125,7 +133,11 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
     for index, reach in effect.term.refine.items():
         moves.append(
             dict(
-                effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)
+                effect.term.read(
+                    coefficients,
+                    moved_parameters(effect.shape, index, reach, DERIVATIVE_STEP),
+                    context,
+                )
             )
         )
     return moves

@@ -1,5 +1,5 @@
-"""The linear least-squares problem within a joint fit: coefficients, and steps of nominal values
-and shapes.
+"""The linear least-squares problem within a joint fit: coefficients, and steps of nominal and
+nonlinear parameters.
 """
 
 from __future__ import annotations
@@ -9,21 +9,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.fit.stack import Stack, bound
+from identification.diagnosis.fit.stack import Stack, view_regressors
 from identification.diagnosis.rows.nominal import SPEEDS
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
-FACTOR = 4.0
-"""Factor that corresponds to the full reach of a scale entry."""
-STEP = 1e-3
-"""Step of numerical derivatives with respect to shape, over the reach."""
+SCALE_FACTOR = 4.0
+"""Factor that corresponds to the full reach of a parameter with a logarithmic scale."""
+DERIVATIVE_STEP = 1e-3
+"""Step of numerical derivatives with respect to a nonlinear parameter, over its reach."""
 
 
 @dataclass(frozen=True)
 class Added:
-    """One effect in the model: its term, shape and coefficients."""
+    """One effect in the model: its term, nonlinear parameters and coefficients."""
 
     term: Term
     shape: Shape
@@ -34,18 +34,22 @@ class Added:
         return dict(self.term.read(np.array(self.coefficients), self.shape, context))
 
 
-def sized(effect: Added) -> Mapping[int, float]:
-    """Return the continuous entries of a shape that determines the effect's size; else none."""
+def size_entries(effect: Added) -> Mapping[int, float]:
+    """Return the nonlinear parameters that determine the effect's size, by index, with their
+    reaches; empty for an effect with free coefficients.
+    """
     return effect.term.refine if effect.term.size is not None else {}
 
 
-def displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return a shape with one entry moved by a share of its reach."""
-    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
+def moved_parameters(shape: Shape, index: int, reach: float, share: float) -> Shape:
+    """Return nonlinear parameters with one of them changed by a share of its reach."""
+    entry = (
+        shape[index] * float(SCALE_FACTOR**share) if reach == 0.0 else shape[index] + reach * share
+    )
     return (*shape[:index], entry, *shape[index + 1 :])
 
 
-def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
+def effect_columns(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
     """Return the whitened columns of free coefficients, and the contribution of known
     coefficients.
     """
@@ -60,9 +64,9 @@ def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
     return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
 
 
-def directions(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives of the model with respect to every coefficient and continuous
-    shape entry, shape (n, g).
+def effect_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives of the model with respect to every coefficient and nonlinear
+    parameter, shape (n, g).
     """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
@@ -72,39 +76,41 @@ def directions(stack: Stack, effects: Sequence[Added]) -> Array:
         coefficients = np.array(effect.coefficients)
         for index, reach in effect.term.refine.items():
             there = stack.whitened(
-                stack.columns(effect.term, displaced(effect.shape, index, reach, STEP))
+                stack.columns(
+                    effect.term, moved_parameters(effect.shape, index, reach, DERIVATIVE_STEP)
+                )
             )
-            parts.append((((there - here) @ coefficients) / STEP)[:, None])
+            parts.append((((there - here) @ coefficients) / DERIVATIVE_STEP)[:, None])
     return np.concatenate(parts, axis=1)
 
 
 @dataclass(frozen=True)
-class Solved:
-    """The linear problem solved at one point.
+class Solution:
+    """Solution of the linear problem at one point.
 
     Attributes:
-        shapes: Step of the shapes that determine their effect's size, over their reach.
-        straight: Step of the nominal parameters in which the torque is linear, with the Stribeck
+        linear_step: Step of the nominal parameters in which the torque is linear, with the Stribeck
             speeds held.
-        bend: Step with the Stribeck speeds free to first order, of which only the speeds' steps are
-            used.
+        speed_step: Step with the Stribeck speeds free to first order, of which only the speeds'
+            steps are used.
+        shapes: Step of the nonlinear parameters that determine an effect's size, over their reach.
         effects: Effects with coefficients.
         residual: Whitened residual with the speeds free to first order.
-        cost: Sum of whitened squares with the speeds held, the value of this point: for a speed far
-            off, the first-order prediction is not attained by a step.
+        cost: Sum of whitened squares with the speeds held, the value of this point. For a distant
+            speed, a step does not attain the first-order prediction.
     """
 
-    straight: Array
-    bend: Array
+    linear_step: Array
+    speed_step: Array
     shapes: Array
     effects: tuple[Added, ...]
     residual: Array
     cost: float
 
 
-def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solved:
-    """Solve for coefficients and for steps of the nonlinear parameters, with static levels within
-    their limits.
+def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solution:
+    """Solve for coefficients, and for steps of the nominal parameters and of nonlinear parameters
+    that determine a size; static levels stay within their limits.
 
     Args:
         stack: Stack at the point.
@@ -113,30 +119,32 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
     """
     stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    free, known = wide(stack, effects)
+    free, known = effect_columns(stack, effects)
     unbent = stack.without(SPEEDS)
-    straight, rest = _least(unbent, target - known, free)
+    linear_step, rest = _projected_least_squares(unbent, target - known, free)
     without = {*SPEEDS, *held}
     following = [
-        e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns
+        e
+        for e in _with_coefficients(stack, effects, linear_step)
+        if e.term.follows and "torque" in e.term.columns
     ]
     if following:
-        step = _followed(stack, target - known - free @ straight, following, without)
+        step = _step_with_following(stack, target - known - free @ linear_step, following, without)
     else:
-        step = _step(stack, target - known - free @ straight, without)
+        step = _nominal_step(stack, target - known - free @ linear_step, without)
     beyond = stack.nominal.at_most(step)
     if beyond - set(held):
         return solve(stack, effects, beyond | set(held))
-    found, residual = _least(stack, target - known, free)
-    shifts = _shifts(stack, effects)
+    found, residual = _projected_least_squares(stack, target - known, free)
+    shifts = _size_derivatives(stack, effects)
     every = np.concatenate([free, shifts], axis=1)
-    moved = _least(stack, target - known, every)[0] if shifts.shape[1] else found
-    bend = _step(stack, target - known - every @ moved, held)
-    placed = _with(stack, effects, found)
-    return Solved(step, bend, moved[free.shape[1] :], placed, residual, float(rest @ rest))
+    moved = _projected_least_squares(stack, target - known, every)[0] if shifts.shape[1] else found
+    speed_step = _nominal_step(stack, target - known - every @ moved, held)
+    placed = _with_coefficients(stack, effects, found)
+    return Solution(step, speed_step, moved[free.shape[1] :], placed, residual, float(rest @ rest))
 
 
-def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
+def _with_coefficients(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
     """Return effects with their coefficients, known or from ``found``."""
     placed, at = [], 0
     for effect in effects:
@@ -149,10 +157,11 @@ def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, 
     return tuple(placed)
 
 
-def _followed(
+def _step_with_following(
     stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]
 ) -> Array:
-    """Return the step of :func:`_step` for effects whose regressors change with the nominal values.
+    """Return the step of :func:`_nominal_step` for effects whose regressors depend on the nominal
+    values.
 
     Their coefficients change with the step: a ripple relative to a larger current needs a smaller
     coefficient.
@@ -169,7 +178,7 @@ def _followed(
         unit[k] = length
         there = nominal.moved(unit, np.zeros(len(nominal.free)))
         for e in following:
-            rows = equation.rows(bound(e.term, "torque", there, e.shape))
+            rows = equation.rows(view_regressors(e.term, "torque", there, e.shape))
             change = rows - stack.columns(e.term, e.shape)["torque"]
             columns[0][:, use.index(k)] += change @ np.array(e.coefficients) / length
     columns += [stack.columns(e.term, e.shape)["torque"] for e in following]
@@ -183,23 +192,23 @@ def _followed(
     return step
 
 
-def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives with respect to the shapes that determine their effect's size,
-    shape (n, g).
+def _size_derivatives(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives with respect to the nonlinear parameters that determine an
+    effect's size, shape (n, g).
     """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
-        for index, reach in sized(effect).items():
-            shapes = effect.shape, displaced(effect.shape, index, reach, STEP)
+        for index, reach in size_entries(effect).items():
+            shapes = effect.shape, moved_parameters(effect.shape, index, reach, DERIVATIVE_STEP)
             here, there = (stack.whitened(stack.columns(effect.term, shape)) for shape in shapes)
             assert effect.term.size is not None
-            parts.append((there - here) * (effect.term.size / STEP))
+            parts.append((there - here) * (effect.term.size / DERIVATIVE_STEP))
     return np.concatenate(parts, axis=1)
 
 
-def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
-    """Return the coefficients of columns, with everything that the stack absorbs projected out, and
-    the residual.
+def _projected_least_squares(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
+    """Return the coefficients of columns, with the tangent and the effect basis of the stack
+    projected out, and the residual.
     """
     left = stack.projected(target[:, None])[:, 0]
     columns = stack.projected(free)
@@ -209,7 +218,7 @@ def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
     return found, left - columns @ found
 
 
-def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
+def _nominal_step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
     """Return the least-squares step of the nominal parameters for whitened rows; zero for names in
     ``without``.
     """

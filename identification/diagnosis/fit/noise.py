@@ -2,7 +2,8 @@
 counted as noise.
 
 A torque with seven periods per motor turn, or a hundred per turn of the joint, differs from row to
-row as noise does. With a noise five times too large no other effect can be detected.
+row as noise does. With a noise estimate that is five times too large no other effect can be
+detected.
 """
 
 from __future__ import annotations
@@ -15,17 +16,19 @@ from identification.diagnosis.rows.equations import Equation, least_noise, noise
 from identification.diagnosis.rows.view import View
 from identification.recording import Array
 
-QUICK = ("cogging", "torque_ripple", "gear_mesh_ripple")
+FAST_EFFECTS = ("cogging", "torque_ripple", "gear_mesh_ripple")
 """Effects that may vary by their full amplitude from row to row."""
-QUIETER = 0.5
-"""Ratio of new to old noise estimate, below which the new one is used.
+LOWER_NOISE_RATIO = 0.5
+"""Ratio of the new to the old noise estimate, below which the new one is used.
 
-On simulated benches strong waves gave 0.13 to 0.2. On a single turn of a real motor it was 0.55
-after its cogging, and the rest was outside the catalogue.
+On simulated benches with strong waves the ratio was 0.13 to 0.2. On a real motor with cogging and a
+mismatch outside the catalogue it was 0.55.
 """
 
 
-def quieter(views: Sequence[View], unit: str, baseline: Joint, joint: Joint) -> tuple[Joint, Joint]:
+def with_lower_noise(
+    views: Sequence[View], unit: str, baseline: Joint, joint: Joint
+) -> tuple[Joint, Joint]:
     """Return the fits of the nominal model and with effects, both with the noise estimated from the
     latter if that is lower.
 
@@ -38,19 +41,20 @@ def quieter(views: Sequence[View], unit: str, baseline: Joint, joint: Joint) -> 
         baseline: Fit of the nominal model.
         joint: Fit with every effect identified so far.
     """
-    if joint.effects[-1].term.name not in QUICK:
+    if joint.effects[-1].term.name not in FAST_EFFECTS:
         return baseline, joint
     found = tuple(
-        _measured(e, joint.residual[joint.stack.part(e.name)] * e.sigma) for e in joint.equations
+        _noise_estimate(e, joint.residual[joint.stack.part(e.name)] * e.sigma)
+        for e in joint.equations
     )
     shares = {e.name: now / e.sigma for e, now in zip(joint.equations, found, strict=True)}
-    if min(shares.values()) >= QUIETER:
+    if min(shares.values()) >= LOWER_NOISE_RATIO:
         return baseline, joint
-    before = _over(baseline, shares)
+    before = _with_scaled_noise(baseline, shares)
     return before, fit(views, unit, joint.nominal, joint.effects, before)
 
 
-def _measured(equation: Equation, left: Array) -> float:
+def _noise_estimate(equation: Equation, left: Array) -> float:
     """Return the noise of an equation estimated from its remaining mismatch, at most the present
     estimate.
     """
@@ -64,7 +68,7 @@ def _measured(equation: Equation, left: Array) -> float:
     return min(equation.sigma, max(found, least_noise(equation)))
 
 
-def _over(baseline: Joint, shares: dict[str, float]) -> Joint:
+def _with_scaled_noise(baseline: Joint, shares: dict[str, float]) -> Joint:
     """Return the fit of the nominal model with the noise of each equation multiplied by its share;
     the equations have no common parameters.
     """

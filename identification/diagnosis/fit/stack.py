@@ -19,15 +19,13 @@ from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.lateness import behind
+from identification.diagnosis.terms.lateness import delayed_view
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
-ABSORBED = 1e-3
-"""Share of a regressor's norm after projection, below which it is collinear with the nominal
-model.
-"""
-FEW = 4
+COLLINEAR_BELOW = 1e-3
+"""Share of a regressor's norm after projection, below which it counts as collinear."""
+FEW_REGRESSORS = 4
 """Number of regressors up to which the variance is computed from the residual after the fit."""
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column is rounding error."""
@@ -40,20 +38,21 @@ LEAST_ACTIVE = 3.0
 
 @dataclass(frozen=True)
 class Candidate:
-    """One effect at one shape, scored against the stack.
+    """One effect at one set of nonlinear parameters, scored against the stack.
 
     Attributes:
         name: Name of the term, or of a generic family.
         shape: Nonlinear parameters of the effect.
         coefficients: Least-squares coefficients, in the term's units, shape (k,).
-        gain: Sum of whitened squares it explains.
+        gain: Sum of whitened squares that the effect explains.
         penalty: Expected gain by chance (Takeuchi), in the same unit.
         statistic: Squared score over its variance by blocks after the fit; about chi-square with k
             degrees of freedom if nothing is missing.
         blocks: Score by block, shape (b, k).
         weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty for
             many regressors.
-        share: Power of its contribution over the noise power, in the rows of its equations.
+        share: Power of the effect's contribution over the noise power, in the rows of its
+            equations.
     """
 
     name: str
@@ -74,7 +73,7 @@ class Candidate:
     @property
     def surprise(self) -> float:
         """-log of the probability of at least this statistic."""
-        return surprise(self.statistic, len(self.coefficients))
+        return log_surprise(self.statistic, len(self.coefficients))
 
     @property
     def preference(self) -> float:
@@ -89,7 +88,7 @@ class Candidate:
         return float(np.sum(gain)) / spread if spread > 0.0 else 0.0
 
 
-def surprise(statistic: Array | float, degrees: int) -> float:
+def log_surprise(statistic: Array | float, degrees: int) -> float:
     """Return -log of the probability of a chi-square beyond ``statistic``."""
     with np.errstate(divide="ignore"):
         return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
@@ -97,26 +96,26 @@ def surprise(statistic: Array | float, degrees: int) -> float:
 
 @dataclass(frozen=True)
 class Stack:
-    """Whitened rows of all equations, with the nominal tangent and granted columns projected out.
+    """Whitened rows of all equations, with the nominal tangent and the effect basis projected out.
 
     Attributes:
         equations: Equations in the order of the stack.
         nominal: Nominal values of the equations.
         basis: Orthonormal columns of each equation's tangent.
-        granted: Orthonormal columns of effects already selected, shape (n, g).
+        effect_basis: Orthonormal columns of the selected effects, shape (n, g).
         residual: Whitened residual after projection, shape (n,).
         block: Block of each row, shape (n,).
         blocks: Number of blocks.
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
-        cache: Regressors that do not depend on the nominal values, by term and shape; shared
-            between stacks of the same recordings.
-        own: Regressors that depend on the nominal values, likewise.
+        cache: Regressors that do not depend on the nominal values, by term and nonlinear
+            parameters; shared between stacks of the same recordings.
+        own: Cache of the regressors that depend on the nominal values; not shared.
     """
 
     equations: tuple[Equation, ...]
     nominal: Nominal
     basis: tuple[Array, ...]
-    granted: Array
+    effect_basis: Array
     residual: Array
     block: np.ndarray
     blocks: int
@@ -137,9 +136,9 @@ class Stack:
         """Return the part of the stack in which regressors of these equations can be nonzero after
         projection.
 
-        Granted columns may couple equations; without coupling most rows can be omitted.
+        Columns of the effect basis may couple equations; without coupling most rows can be omitted.
         """
-        wanted = tied(names, self._granted_in)
+        wanted = connected(names, self._effect_basis_equations)
         key = frozenset(e.name for e in self.equations if e.name in wanted)
         if len(key) == len(self.equations):
             return self
@@ -152,14 +151,15 @@ class Stack:
         return {}
 
     @cached_property
-    def _granted_in(self) -> list[set[str]]:
-        """Equations in which each granted column is nonzero."""
+    def _effect_basis_equations(self) -> list[set[str]]:
+        """Equations in which each column of the effect basis is nonzero."""
         shown = {
-            e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING
+            e.name: np.linalg.norm(self.effect_basis[self.part(e.name)], axis=0) > ROUNDING
             for e in self.equations
         }
         return [
-            {name for name, some in shown.items() if some[k]} for k in range(self.granted.shape[1])
+            {name for name, some in shown.items() if some[k]}
+            for k in range(self.effect_basis.shape[1])
         ]
 
     def _restricted(self, names: Collection[str]) -> Stack:
@@ -171,7 +171,7 @@ class Stack:
             self,
             equations=tuple(self.equations[k] for k in kept),
             basis=tuple(self.basis[k] for k in kept),
-            granted=self.granted[rows],
+            effect_basis=self.effect_basis[rows],
             residual=self.residual[rows],
             block=self.block[rows],
             gather=tuple(self.gather[k] for k in kept),
@@ -185,11 +185,11 @@ class Stack:
             self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
         )
         # Torque and breakaway use the same columns, which are computed once.
-        once = cache(_made)
+        once = cache(_computed)
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
-            else equation.rows(bound(term, equation.name, self.nominal, shape, once))
+            else equation.rows(view_regressors(term, equation.name, self.nominal, shape, once))
             for equation in self.equations
             if equation.name in term.columns
         }
@@ -211,15 +211,13 @@ class Stack:
         return out
 
     def projected(self, whitened: Array) -> Array:
-        """Return whitened columns with the nominal tangent and the granted columns projected
-        out.
-        """
+        """Return whitened columns with the nominal tangent and the effect basis projected out."""
         out = whitened.copy()
         for equation, basis in zip(self.equations, self.basis, strict=True):
             rows = self.part(equation.name)
             out[rows] -= basis @ (basis.T @ out[rows])
-        if self.granted.shape[1]:
-            out -= self.granted @ (self.granted.T @ out)
+        if self.effect_basis.shape[1]:
+            out -= self.effect_basis @ (self.effect_basis.T @ out)
         return out
 
     def without(self, names: Collection[str]) -> Stack:
@@ -246,8 +244,8 @@ class Stack:
     def candidate(
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
     ) -> Candidate | None:
-        """Return the score of regressors; None if they are collinear with the nominal model, hardly
-        active, or have an unphysical sign.
+        """Return the score of regressors; None if they are collinear with the nominal model, active
+        in too few blocks, or have an unphysical sign.
         """
         if not columns:
             return None
@@ -261,11 +259,11 @@ class Stack:
         before = _lengths(full)
         rest = self.projected(full)
         after = _lengths(rest)
-        if np.any(before == 0.0) or np.any(after < ABSORBED * before):
+        if np.any(before == 0.0) or np.any(after < COLLINEAR_BELOW * before):
             return None
         q, r = np.linalg.qr(rest)
         diagonal = np.abs(np.diag(r))
-        if np.any(diagonal < ABSORBED * before):
+        if np.any(diagonal < COLLINEAR_BELOW * before):
             return None
         sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
         energy = np.einsum("bkk->b", weights) / q.shape[1]
@@ -275,7 +273,7 @@ class Stack:
         coefficients = np.linalg.solve(r, score)
         if any(coefficients[k] <= 0.0 for k in positive):
             return None
-        if q.shape[1] > FEW:
+        if q.shape[1] > FEW_REGRESSORS:
             weights = NO_WEIGHTS
         rest_sums = sums - weights @ score if len(weights) else sums
         return Candidate(
@@ -284,24 +282,24 @@ class Stack:
             coefficients=coefficients,
             gain=float(score @ score),
             penalty=float(np.sum(rest_sums**2)),
-            statistic=wald(score, rest_sums),
+            statistic=wald_statistic(score, rest_sums),
             blocks=sums,
             weights=weights,
             share=float(score @ score) / sum(len(c) for c in columns.values()),
         )
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
-        """Return the score of one equation's regressors, some of which may be absorbed; the
-        remaining directions are scored.
+        """Return the score of the directions of one equation's regressors that are not collinear
+        with the stack.
         """
         number = next(k for k, e in enumerate(self.equations) if e.name == equation)
         rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
-        granted = self.granted[rows]
+        effect_basis = self.effect_basis[rows]
         rest = columns - basis @ (basis.T @ columns)
-        if granted.shape[1]:
-            rest = rest - granted @ np.linalg.lstsq(granted, rest, rcond=1e-10)[0]
+        if effect_basis.shape[1]:
+            rest = rest - effect_basis @ np.linalg.lstsq(effect_basis, rest, rcond=1e-10)[0]
         values, vectors = np.linalg.eigh(rest.T @ rest)
-        keep = values > ABSORBED * float(np.max(np.sum(columns**2, axis=0), initial=0.0))
+        keep = values > COLLINEAR_BELOW * float(np.max(np.sum(columns**2, axis=0), initial=0.0))
         if not np.any(keep):
             return None
         q = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
@@ -311,15 +309,23 @@ class Stack:
         gain = float(score @ score)
         share, chance = gain / len(columns), float(len(score))
         return Candidate(
-            name, (), score * sigma, gain, chance, wald(score, sums), sums, NO_WEIGHTS, share
+            name,
+            (),
+            score * sigma,
+            gain,
+            chance,
+            wald_statistic(score, sums),
+            sums,
+            NO_WEIGHTS,
+            share,
         )
 
     def term(self, term: Term, shape: Shape) -> Candidate | None:
-        """Return the score of one effect at one shape, or None."""
+        """Return the score of one effect at one set of nonlinear parameters, or None."""
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
 
 
-def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
+def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
     """Return these equations and all that ``ties`` connect to them, directly or through others."""
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
@@ -328,29 +334,33 @@ def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
     return found
 
 
-def _made(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
+def _computed(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
     return make(view, nominal, shape)
 
 
-def bound(
-    term: Term, equation: str, nominal: Nominal, shape: Shape, made: Callable[..., Array] = _made
+def view_regressors(
+    term: Term,
+    equation: str,
+    nominal: Nominal,
+    shape: Shape,
+    made: Callable[..., Array] = _computed,
 ) -> Callable[[View], Array]:
-    """Return regressors of one equation as a function of the view only; ``made`` may be a cached
-    maker.
+    """Return a function from a view to one equation's regressors; ``made`` may be a cached
+    function.
     """
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
-        return lambda view: made(make, behind(view, nominal.late_s), nominal, shape)
+        return lambda view: made(make, delayed_view(view, nominal.late_s), nominal, shape)
     return lambda view: made(make, view, nominal, shape)
 
 
-def wald(score: Array, sums: Array) -> float:
+def wald_statistic(score: Array, sums: Array) -> float:
     """Return the squared score over its variance by blocks."""
     variance = sums.T @ sums
     return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
 
 
-def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
+def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
     """Stack equations at the nominal values; blocks and cache are taken from ``like``, a stack of
     the same recordings.
     """
@@ -381,10 +391,10 @@ def _orthonormal(tangent: Array) -> Array:
     return np.asarray(q[:, np.abs(np.diag(r)) > 1e-9])
 
 
-def granting(stack: Stack, regressors: Array) -> Stack:
-    """Return the stack with whitened regressors, shape (n, g), projected out as well."""
+def with_effect_basis(stack: Stack, regressors: Array) -> Stack:
+    """Return the stack with whitened regressors, shape (n, g), as its effect basis."""
     columns = stack.projected(regressors)
     q, r = np.linalg.qr(columns)
     diagonal = np.abs(np.diag(r))
     q = q[:, diagonal > 1e-9 * max(float(np.max(diagonal, initial=0.0)), 1e-300)]
-    return replace(stack, granted=q, residual=stack.residual - q @ (q.T @ stack.residual))
+    return replace(stack, effect_basis=q, residual=stack.residual - q @ (q.T @ stack.residual))

@@ -1,4 +1,6 @@
-"""Start of a diagnosis: the default estimator's nominal parameters, fitted to all equations."""
+"""Start of a diagnosis: fit of the nominal model to all equations, from the default estimator's
+values and from assumed falls of friction.
+"""
 
 from __future__ import annotations
 
@@ -17,20 +19,22 @@ from identification.model.ladder import LADDER, bears_load
 from identification.prepare import prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
-FALLING, FALLS = (0.02, 0.3), 3
-"""Quantiles of the speed between which Stribeck speeds are tried, and their number."""
-WORTH_RAISING = 0.7
+SPEED_QUANTILES, TRIAL_SPEEDS = (0.02, 0.3), 3
+"""Quantiles of the speed between which trial Stribeck speeds are placed, and the number of these
+speeds.
+"""
+ACCEPTED_RATIO = 0.7
 """Ratio of the remaining squares to those of the fit from the estimate, below which an assumed fall
 of friction is accepted.
 
-In simulated trials in which an injected effect masked the fall the ratio was 0.06 to 0.6; a wrong
-fall can gain a few per cent.
+In simulated trials in which an injected effect masked the fall of friction the ratio was 0.06 to
+0.6; a wrong fall lowers the squares by a few per cent.
 """
 GREATEST_BANDWIDTH_HZ = 25.0
-"""Greatest bandwidth, as far as enough samples are in motion; above it effects add hardly any
-signal, but noise.
+"""Greatest bandwidth, if enough samples are in motion at it. A higher bandwidth adds noise and
+hardly any signal of the effects.
 """
-UNBURDENED: Mapping[str, str] = {
+RUNG_WITHOUT_LOAD: Mapping[str, str] = {
     "load_dependent": "coulomb_viscous",
     "stribeck_load_dependent": "stribeck",
 }
@@ -46,7 +50,7 @@ def bandwidth_of(recordings: Sequence[Recording]) -> float:
     return common_bandwidth(recordings, GREATEST_BANDWIDTH_HZ)
 
 
-def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
+def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
     """Return views of the recordings to fit, and the fit of the nominal model to them.
 
     Raises:
@@ -54,16 +58,17 @@ def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Join
             declared term.
     """
     fitted = dataset.part("fit")
-    start = estimated(dataset, fitted, bandwidth_Hz)
+    start = estimated_nominal(dataset, fitted, bandwidth_Hz)
     here = views(fitted, bandwidth_Hz, campaign=dataset.recordings)
-    return here, started(here, torque_unit(fitted[0]), start, dataset.model)
+    return here, fit_from_estimate(here, torque_unit(fitted[0]), start, dataset.model)
 
 
-def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
+def fit_from_estimate(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
     """Fit the nominal model, starting from the estimate and, if that leaves more than noise, from
-    assumed rises of friction as well.
+    assumed falls of friction as well.
 
-    Missing physics can mask the fall of friction in an estimate, and no step of a fit recovers it.
+    An unmodelled effect can mask the fall of friction with speed in an estimate, and no step of a
+    fit recovers it.
     """
     return with_assumed_fall(here, unit, fit(here, unit, start), start, model.fixed)
 
@@ -71,8 +76,8 @@ def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Jo
 def with_assumed_fall(
     here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
 ) -> Joint:
-    """Return the fit, or one with the same effects that starts from an assumed fall of friction, if
-    that leaves far less.
+    """Return the fit, or a fit with the same effects that starts from an assumed fall of friction
+    with speed, if that leaves far less.
 
     Args:
         here: Recordings.
@@ -81,19 +86,19 @@ def with_assumed_fall(
         start: Nominal values from which it started.
         fixed: Names of nominal parameters that are not estimated.
     """
-    if _squares(first) < NEAR_FLOOR:
+    if _mean_square(first) < NEAR_FLOOR:
         return first
-    raised = [start.raised(omega, fixed) for omega in _falls(here)]
-    other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_squares)
-    return other if _squares(other) < WORTH_RAISING * _squares(first) else first
+    raised = [start.raised(omega, fixed) for omega in _trial_stribeck_speeds(here)]
+    other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_mean_square)
+    return other if _mean_square(other) < ACCEPTED_RATIO * _mean_square(first) else first
 
 
 def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
     """Return the fit, or a feasible one that starts from an assumed fall of friction, if the first
     is infeasible.
 
-    A rise under load that becomes zero during a fit, because few rows are slow enough to determine
-    it, does not recover.
+    The static friction of the load may become equal to Coulomb friction during a fit, because few
+    rows are slow enough to determine it; no later step recovers it.
 
     Args:
         here: Recordings.
@@ -104,25 +109,31 @@ def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
         return first
     held = first.nominal.values.keys() - set(first.nominal.free)
     again = fit(
-        here, unit, first.nominal.raised(_falls(here)[FALLS // 2], held), first.effects, first
+        here,
+        unit,
+        first.nominal.raised(_trial_stribeck_speeds(here)[TRIAL_SPEEDS // 2], held),
+        first.effects,
+        first,
     )
     return first if infeasible(again) else again
 
 
-def _falls(here: Sequence[View]) -> list[float]:
+def _trial_stribeck_speeds(here: Sequence[View]) -> list[float]:
     """Return trial Stribeck speeds of the assumed fall, rad/s."""
     speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
-    low, high = np.quantile(speed, FALLING)
-    return [float(omega) for omega in np.geomspace(low, high, FALLS)]
+    low, high = np.quantile(speed, SPEED_QUANTILES)
+    return [float(omega) for omega in np.geomspace(low, high, TRIAL_SPEEDS)]
 
 
-def _squares(joint: Joint) -> float:
+def _mean_square(joint: Joint) -> float:
     """Return the mean-square torque mismatch over the noise's; 0 without torque rows."""
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 
 
-def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: float) -> Nominal:
+def estimated_nominal(
+    dataset: Dataset, recordings: Sequence[Recording], bandwidth: float
+) -> Nominal:
     """Estimate the nominal parameters from some of a dataset's recordings by variable projection.
 
     Raises:
@@ -134,7 +145,7 @@ def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: floa
     model = dataset.model
     unknown = bears_load(model.friction) and not any(r.known_load for r in recordings)
     if unknown:
-        model = replace(model, friction=UNBURDENED[model.friction])
+        model = replace(model, friction=RUNG_WITHOUT_LOAD[model.friction])
     values, _ = solve_stages(unloaded, loaded, model, lambda _stage, _share: None)
     free = free_names(values, model)
     if unknown:

@@ -1,8 +1,9 @@
-"""Refinement of a fit within the limits of its constants, and the residual of these constants.
+"""Refinement of a fit within the limits of its nominal parameters, and the residual of these
+parameters.
 
 The search compares effects by fits without limits. A machine has no negative friction and no
-negative inertia. The fit within these limits is the one that is reported and that is scored on
-recordings set aside (bounded least squares: Stark and Parker, Comput. Stat. 10 (1995) 129).
+negative inertia. The fit within these limits is reported, and scored on recordings that are set
+aside (bounded least squares: Stark and Parker, Comput. Stat. 10 (1995) 129).
 """
 
 from __future__ import annotations
@@ -15,13 +16,13 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from identification.diagnosis.fit.feasibility import (
-    exceeds,
+    is_infeasible,
     predicted_and_attained,
     with_rises_held,
 )
-from identification.diagnosis.fit.joint import Joint, begun, told
-from identification.diagnosis.fit.linear import Added, directions
-from identification.diagnosis.fit.stack import Stack, granting, stacked
+from identification.diagnosis.fit.joint import Joint, nominal_after_effects, start_fit
+from identification.diagnosis.fit.linear import Added, effect_derivatives
+from identification.diagnosis.fit.stack import Stack, stack_of, with_effect_basis
 from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.nominal import LARGEST_STEP, SPEEDS, Nominal
 from identification.diagnosis.rows.view import View
@@ -29,30 +30,30 @@ from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
 ROUNDS = 8
-"""Most steps: friction's fall and regressors that follow the nominal values make the problem
-nonlinear.
+"""Greatest number of steps. The fall of friction, and regressors that depend on the nominal values,
+make the problem nonlinear.
 """
-SETTLED = 1e-5
-"""Relative change of the cost at which they end."""
-SHARES = (1.0, 0.5, 0.2)
+CONVERGED = 1e-5
+"""Relative change of the cost below which the refinement ends."""
+STEP_SHARES = (1.0, 0.5, 0.2)
 """Shares of a step that are tried."""
 RIDGE = 1e-4
-"""Weight, over that of the rows, at which every constant is drawn to zero: of constants that the
-rows cannot tell apart the least are taken.
+"""Weight, over that of the rows, of a ridge penalty on every parameter; of equivalent solutions the
+smallest is chosen.
 """
 _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 
 @dataclass(frozen=True)
 class _Point:
-    """Constants, and what they leave.
+    """Parameters and their residual.
 
     Attributes:
-        nominal: Within its limits.
-        effects: With coefficients.
-        stack: There.
-        left: Whitened rows, shape (n,): of the torque what these constants leave, of the other
-            equations less what their own constants, which are not reported, absorb.
+        nominal: Nominal values within their limits.
+        effects: Effects with coefficients.
+        stack: Stack at these values.
+        left: Whitened residual, shape (n,). In equations other than the torque, their own
+            constants, which are not reported, are projected out.
     """
 
     nominal: Nominal
@@ -67,77 +68,87 @@ class _Point:
 
 
 def infeasible(joint: Joint) -> bool:
-    """Whether a fit is infeasible: with its constants within their limits it leaves far more than
-    the unlimited fit predicts. Its effects are then not accepted either.
+    """Whether a fit is infeasible: with its parameters within their limits it leaves far more than
+    the unlimited fit predicts. Effects of an infeasible fit are not accepted.
 
-    A fit whose last effect is not in the torque equation is never called infeasible: such an effect
-    changes no constant of friction.
+    A fit whose last effect is not in the torque equation counts as feasible: such an effect changes
+    no friction parameter.
     """
     if joint.effects and "torque" not in joint.effects[-1].term.columns:
         return False
     promised, kept = predicted_and_attained(joint.stack, joint.effects, joint.residual)
-    return exceeds(promised, kept) and exceeds(
+    return is_infeasible(promised, kept) and is_infeasible(
         promised, with_rises_held(joint.stack, joint.effects)
     )
 
 
 def within_limits(views: Sequence[View], unit: str, joint: Joint) -> Joint:
-    """Return a fit with its constants and coefficients refined within their limits.
+    """Return a fit with its nominal parameters and coefficients refined within their limits.
 
-    Its residual is what these constants leave, not what a step of them would.
+    Its residual is that of the refined values, not the residual that a linear step predicts.
 
     Args:
         views: Recordings that were fitted.
-        unit: Of the torque.
+        unit: Unit of the torque.
         joint: The fit.
     """
-    best = _at(views, unit, joint.nominal, joint.effects, joint.stack)
+    best = _point_at(views, unit, joint.nominal, joint.effects, joint.stack)
     for _ in range(ROUNDS):
         better = None
         for held in ((), SPEEDS):
-            step, effects = _bounded(best, held)
-            trials = (_after(views, unit, best, share * step, effects, share) for share in SHARES)
+            step, effects = _bounded_step(best, held)
+            trials = (
+                _point_after(views, unit, best, share * step, effects, share)
+                for share in STEP_SHARES
+            )
             better = next((t for t in trials if t.cost < best.cost), None)
             if better is not None:
                 break
         if better is None:
             break
-        done = better.cost > (1.0 - SETTLED) * best.cost
+        done = better.cost > (1.0 - CONVERGED) * best.cost
         best = better
         if done:
             break
     left = replace(best.stack, residual=best.stack.projected(best.left[:, None])[:, 0])
-    granted = granting(left, directions(left, best.effects))
-    return Joint(best.nominal, best.effects, best.stack.equations, best.left, granted)
+    effect_basis = with_effect_basis(left, effect_derivatives(left, best.effects))
+    return Joint(best.nominal, best.effects, best.stack.equations, best.left, effect_basis)
 
 
-def moves(joint: Joint) -> Array:
-    """Return what steps of the constants and coefficients change, whitened, shape (n, k)."""
-    return _problem(_Point(joint.nominal, joint.effects, joint.stack, joint.residual), ())[0]
+def parameter_derivatives(joint: Joint) -> Array:
+    """Return whitened derivatives of the rows with respect to nominal parameters and coefficients,
+    shape (n, k).
+    """
+    return _bounded_problem(_Point(joint.nominal, joint.effects, joint.stack, joint.residual), ())[
+        0
+    ]
 
 
-def predicted(joint: Joint, parts: Array) -> Array:
-    """Return what a fit within its limits leaves of each part of the rows when its constants and
-    coefficients are those of all other parts, whitened, shape (n,).
+def cross_validation_residual(joint: Joint, parts: Array) -> Array:
+    """Return the whitened residual of each part of the rows, with nominal parameters and
+    coefficients fitted to all other parts, shape (n,).
 
     Args:
-        joint: From :func:`within_limits`.
-        parts: Number of each row's part, shape (n,); of rows in none (-1) nothing is left.
+        joint: Result of :func:`within_limits`.
+        parts: Number of each row's part, shape (n,); -1 for rows in no part, whose residual is
+            zero.
     """
     point = _Point(joint.nominal, joint.effects, joint.stack, joint.residual)
-    every, begin, limits, drawn = _problem(point, ())
+    every, begin, limits, drawn = _bounded_problem(point, ())
     out = np.where(parts < 0, 0.0, joint.residual)
     for part in np.unique(parts[parts >= 0]):
         mine = parts == part
-        found = _solved(every[~mine], point.left[~mine] + every[~mine] @ begin, limits, drawn)
+        found = _bounded_least_squares(
+            every[~mine], point.left[~mine] + every[~mine] @ begin, limits, drawn
+        )
         out[mine] += every[mine] @ (begin - found)
     return out
 
 
-def _at(
+def _point_at(
     views: Sequence[View], unit: str, nominal: Nominal, effects: Sequence[Added], like: Stack
 ) -> _Point:
-    stack = stacked(equations(views, nominal, unit, like.equations), nominal, like)
+    stack = stack_of(equations(views, nominal, unit, like.equations), nominal, like)
     left = np.concatenate([e.residual / e.sigma for e in stack.equations])
     for effect in effects:
         columns = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -145,15 +156,15 @@ def _at(
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
         rows = stack.part(equation.name)
         if equation.name == "torque":
-            left[rows] -= _nuisance(stack) @ (_nuisance(stack).T @ left[rows])
+            left[rows] -= _nuisance_basis(stack) @ (_nuisance_basis(stack).T @ left[rows])
         else:
             left[rows] -= basis @ (basis.T @ left[rows])
     return _Point(nominal, tuple(effects), stack, left)
 
 
-def _nuisance(stack: Stack) -> Array:
-    """Return orthonormal columns of what the torque's rows absorb that is no nominal parameter: the
-    rotor's share of the inertia, where the transmission gives.
+def _nuisance_basis(stack: Stack) -> Array:
+    """Return orthonormal columns of the torque's tangent that belong to no nominal parameter: the
+    rotor's share of the inertia, with a flexible transmission.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = equation.tangent[:, [n not in stack.nominal.free for n in equation.names]]
@@ -161,12 +172,12 @@ def _nuisance(stack: Stack) -> Array:
     return np.asarray(basis)
 
 
-def _bounded(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ...]]:
+def _bounded_step(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ...]]:
     """Return a step of the nominal parameters within their limits, and effects with the
-    coefficients that go with it.
+    corresponding coefficients.
     """
-    every, begin, limits, drawn = _problem(point, held)
-    found = _solved(every, point.left + every @ begin, limits, drawn)
+    every, begin, limits, drawn = _bounded_problem(point, held)
+    found = _bounded_least_squares(every, point.left + every @ begin, limits, drawn)
     effects, at = [], len(point.nominal.free)
     for effect in point.effects:
         if effect.term.size is None:
@@ -177,9 +188,11 @@ def _bounded(point: _Point, held: Sequence[str]) -> tuple[Array, tuple[Added, ..
     return found[: len(point.nominal.free)], tuple(effects)
 
 
-def _problem(point: _Point, held: Sequence[str]) -> tuple[Array, Array, tuple[Array, Array], Array]:
-    """Return whitened columns of steps of the nominal parameters and of coefficients, shape (n, k),
-    where they stand, their limits, and where they are drawn to.
+def _bounded_problem(
+    point: _Point, held: Sequence[str]
+) -> tuple[Array, Array, tuple[Array, Array], Array]:
+    """Return the bounded least-squares problem: whitened columns of nominal parameters and
+    coefficients, shape (n, k), present values, limits, and centre of the ridge penalty.
     """
     stack, nominal = point.stack, point.nominal
     count = len(nominal.free)
@@ -187,7 +200,7 @@ def _problem(point: _Point, held: Sequence[str]) -> tuple[Array, Array, tuple[Ar
     own = np.zeros((len(point.left), count))
     own[stack.part("torque")] = torque.tangent[:, :count] / torque.sigma
     own[:, [k for k, name in enumerate(nominal.free) if name in held]] = 0.0
-    low, high = _room(nominal)
+    low, high = _step_limits(nominal)
     columns, begin, lows = [own], [np.zeros(count)], [low]
     for effect in point.effects:
         if effect.term.size is None:
@@ -199,7 +212,7 @@ def _problem(point: _Point, held: Sequence[str]) -> tuple[Array, Array, tuple[Ar
     every, start = np.concatenate(columns, axis=1), np.concatenate(begin)
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
         part = stack.part(equation.name)
-        q = _nuisance(stack) if equation.name == "torque" else basis
+        q = _nuisance_basis(stack) if equation.name == "torque" else basis
         every[part] -= q @ (q.T @ every[part])
     lower = np.concatenate(lows)
     upper = np.concatenate([high, np.full(len(start) - count, math.inf)])
@@ -207,8 +220,12 @@ def _problem(point: _Point, held: Sequence[str]) -> tuple[Array, Array, tuple[Ar
     return every, start, (lower, upper), drawn
 
 
-def _solved(every: Array, target: Array, limits: tuple[Array, Array], drawn: Array) -> Array:
-    """Return the least squares within limits, drawn a little to where they are drawn."""
+def _bounded_least_squares(
+    every: Array, target: Array, limits: tuple[Array, Array], drawn: Array
+) -> Array:
+    """Return the least-squares solution within limits, with a small ridge penalty toward
+    ``drawn``.
+    """
     scale = np.linalg.norm(every, axis=0)
     scale[scale == 0.0] = 1.0
     q, r = np.linalg.qr(every / scale)
@@ -222,8 +239,8 @@ def _solved(every: Array, target: Array, limits: tuple[Array, Array], drawn: Arr
 
 
 def _values(nominal: Nominal) -> Array:
-    """Return the values that the directions of a step change: of a static level its rise, of a
-    speed nothing, as its logarithm has no zero.
+    """Return the values that a step changes: the rise for a static level, and 0 for a Stribeck
+    speed, whose logarithm has no zero.
     """
     return np.array(
         [
@@ -233,7 +250,7 @@ def _values(nominal: Nominal) -> Array:
     )
 
 
-def _room(nominal: Nominal) -> tuple[Array, Array]:
+def _step_limits(nominal: Nominal) -> tuple[Array, Array]:
     """Return the least and the greatest step of each free nominal parameter."""
     low = -np.maximum(_values(nominal), 0.0)
     high = np.full(len(low), math.inf)
@@ -244,12 +261,12 @@ def _room(nominal: Nominal) -> tuple[Array, Array]:
             low[k], high[k] = -LARGEST_STEP, LARGEST_STEP
         elif name in nominal.most:
             high[k] = max(nominal.most[name] - nominal.get(name), 0.0)
-    # The solver asks for some room between limits.
+    # The solver requires a nonzero distance between limits.
     room = np.where(np.isfinite(low), 1e-12 * np.maximum(np.abs(low), 1.0), 0.0)
     return low, np.maximum(high, low + room)
 
 
-def _after(
+def _point_after(
     views: Sequence[View],
     unit: str,
     point: _Point,
@@ -268,5 +285,7 @@ def _after(
         )
         for old, new in zip(point.effects, effects, strict=True)
     )
-    nominal, placed = begun(told(point.nominal.moved(step, step), placed), placed)
-    return _at(views, unit, nominal, placed, point.stack)
+    nominal, placed = start_fit(
+        nominal_after_effects(point.nominal.moved(step, step), placed), placed
+    )
+    return _point_at(views, unit, nominal, placed, point.stack)

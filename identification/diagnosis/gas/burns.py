@@ -61,7 +61,7 @@ class Burn:
         return np.asarray(np.gradient(self.areas[0], self.time))
 
 
-def bears(recording: Recording) -> bool:
+def has_gas_channels(recording: Recording) -> bool:
     """Whether a recording allows a diagnosis of the gas generator: it has constants, pressure and
     valve angle.
     """

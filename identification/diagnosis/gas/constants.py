@@ -35,9 +35,9 @@ class Constant:
             else value + self.tolerance * steps
         )
 
-    def steps(self, believed: float, value: float) -> float:
-        """Return how many tolerances a value is off; the inverse of :meth:`moved`."""
-        return (math.log(value / believed) if self.relative else value - believed) / self.tolerance
+    def steps(self, nominal: float, value: float) -> float:
+        """Return the deviation of a value in tolerances; the inverse of :meth:`moved`."""
+        return (math.log(value / nominal) if self.relative else value - nominal) / self.tolerance
 
 
 CONSTANTS: Mapping[str, Constant] = {
@@ -65,7 +65,7 @@ PRESSURE = Constant("Pa", 0.01, relative=True)
 _SENSORS = ("angle_zero", "pressure_zero", "delay")
 
 
-def beliefs(g: GasGenerator) -> dict[str, float]:
+def nominal_constants(g: GasGenerator) -> dict[str, float]:
     """Return the nominal constants of a gas generator and its sensors, by the names of
     :data:`CONSTANTS`.
     """

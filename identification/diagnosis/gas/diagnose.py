@@ -1,5 +1,4 @@
-"""Diagnosis of the gas generator: noise, test whether anything is missing, location, effects,
-validation.
+"""Diagnosis of the gas generator: noise, test for a mismatch, location, effects and validation.
 
 Validation recordings are scored once, at the end.
 """
@@ -18,9 +17,9 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.gas.burns import Burn, burns, noise
 from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
-from identification.diagnosis.gas.fit import Fitted, believed, fit
-from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
-from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
+from identification.diagnosis.gas.fit import Fitted, fit, nominal_model
+from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded_rows
+from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Selected, search
 from identification.diagnosis.gas.terms import GasEffect
 from identification.diagnosis.result import (
     Diagnosis,
@@ -34,7 +33,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.score.locate import OWN_RECORDING, Axis, curve, mapped, ranges
+from identification.diagnosis.score.locate import RECORDING_RATIO, Axis, curve, map_over, ranges
 from identification.diagnosis.score.significance import LEVEL
 from identification.diagnosis.selection.comparison import probability
 from identification.diagnosis.verdict.wording import finding
@@ -46,18 +45,17 @@ ADEQUATE = 0.9
 more than noise is left. The gas balance lacks the details of friction, so the right effect explains
 nearly all.
 """
-_MOST_SURE = 0.99
-UNSEEN = 1.5
-"""Error on validation recordings over the noise, from which a warning is given."""
-STRAINED = 3.0
+_GREATEST_CONFIDENCE = 0.99
+VALIDATION_RATIO = 1.5
+"""Ratio of the error on validation recordings to the noise, from which a warning is given."""
+DEVIATION_LIMIT = 3.0
 """Deviation of a constant, in tolerances, from which it is reported."""
 
 
 def diagnose_gas(
     dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
 ) -> Diagnosis:
-    """Diagnose whether physics is missing from the gas-generator model of these recordings, where,
-    and which.
+    """Test whether effects are missing from the gas-generator model, identify and locate them.
 
     The constants of propellant, valve and sensors, within tolerances
     (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording are
@@ -75,8 +73,7 @@ def diagnose_gas(
     started = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
     chance = rng or np.random.default_rng(0)
-    if not dataset.part("fit"):
-        raise RecordingError("no recording with role fit")
+    _require_fitted(dataset)
     here, aside = burns(dataset.part("fit")), burns(dataset.part("validate"))
     found = search(here, noise(here), chance, tell)
     tell("locating", 0.95)
@@ -88,7 +85,7 @@ def diagnose_gas(
     )
     scored = found.final if effects else found.baseline
     held = (
-        (_started(found.baseline, aside, found.sigma), _started(scored, aside, found.sigma))
+        (_validated(found.baseline, aside, found.sigma), _validated(scored, aside, found.sigma))
         if aside
         else None
     )
@@ -113,6 +110,14 @@ def diagnose_gas(
         warnings=_warnings(dataset, found, main),
         seconds=perf_counter() - started,
     )
+
+
+def _require_fitted(dataset: Dataset) -> None:
+    if not dataset.part("fit"):
+        raise RecordingError(
+            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
+            "campaign file"
+        )
 
 
 def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
@@ -155,17 +160,17 @@ def _effects(found: GasSearch, where: Location) -> tuple[Effect, ...]:
 
 def _effect(
     effect: GasEffect,
-    taken: Taken,
+    taken: Selected,
     sizes: Mapping[str, Estimate],
     where: Location,
     explained: float,
 ) -> Effect:
     entry = ENTRIES[effect.term.name]
-    sure = min([probability(r.preference) for r in taken.rivals], default=_MOST_SURE)
+    sure = min([probability(r.preference) for r in taken.rivals], default=_GREATEST_CONFIDENCE)
     return Effect(
         name=entry.name,
         alias_group=(entry.name, *(r.name for r in taken.rivals if r.open)),
-        confidence=min(_MOST_SURE, sure) * (0.5 + 0.5 * explained),
+        confidence=min(_GREATEST_CONFIDENCE, sure) * (0.5 + 0.5 * explained),
         statement=finding(entry, sizes, where.recordings),
         assumption_broken=entry.assumption,
         where=where,
@@ -188,7 +193,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
     scale = np.linalg.norm(final.tangent, axis=0) + final.held
     tangent = final.tangent / scale
     bread = np.linalg.pinv(tangent.T @ tangent + np.diag((final.held / scale) ** 2), hermitian=True)
-    sums = stack.sums(padded(stack, tangent * final.residual[:, None]))
+    sums = stack.sums(padded_rows(stack, tangent * final.residual[:, None]))
     sums[-1] = final.held / scale * final.pull
     count = final.tangent.shape[1]
     freedom = max(stack.blocks - count, 3)
@@ -222,7 +227,7 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
     units = {c.name: c.unit for c in COORDINATES}
     stack, equation = found.stack, found.stack.equations[0]
     drawn = [
-        mapped(
+        map_over(
             equation,
             Axis(name, units[name], values),
             before,
@@ -240,7 +245,7 @@ def _location(found: GasSearch, best: Map) -> Location:
     edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
     powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
     names = tuple(
-        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING
+        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > RECORDING_RATIO
     )
     return Location(best.coordinate, best.unit, ranges(best), best.share, names)
 
@@ -263,9 +268,9 @@ def _rms(fitted: Fitted, sigma: float) -> float:
     return sigma * math.sqrt(float(np.mean(fitted.residual**2)))
 
 
-def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return a model on recordings that were not fitted; only the start of each is fitted."""
-    starts = believed(aside).starts
+def _validated(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
+    """Return a model on recordings set aside; only the start of each is fitted."""
+    starts = nominal_model(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 
 
@@ -297,14 +302,14 @@ def _statement(
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = f", most of it over {where.coordinate}" if where else ""
         return (
-            f"something is missing from the gas generator that is in no catalogue{place}; {error}"
+            f"the pressure has a mismatch that no effect of the catalogue explains{place}; {error}"
         )
     words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.AMBIGUOUS:
         groups = [
             " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
         ]
-        words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
+        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
     before, after, on = main.baseline_rms, main.final_rms, "the recordings it was fitted to"
     if main.validate_baseline_rms is not None and main.validate_final_rms is not None:
         before, after, on = main.validate_baseline_rms, main.validate_final_rms, "unseen recordings"
@@ -318,29 +323,31 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
         warnings.append(
-            "no recording is set aside (role: validate), so the errors are of the fit itself"
+            "no recording is set aside (role: validate), so all errors are those of the fitted "
+            "recordings"
         )
     unseen = main.validate_final_rms
-    if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
+    if unseen is not None and unseen > VALIDATION_RATIO * main.noise_floor_rms:
         warnings.append(
             f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
-            f"noise: those fitted do not determine the gas generator; "
-            "also fit recordings with steps between narrow and wide throats"
+            f"noise, above {VALIDATION_RATIO:g}: the fitted recordings do not determine the gas "
+            "generator; also fit recordings with steps between narrow and wide throats"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
             warnings.append(
-                f"{burn.recording.name}: the throat hardly moves; it shows no transient"
+                f"{burn.recording.name}: the throat area hardly changes, so this recording shows "
+                "no transient"
             )
     off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
     strained = [
         f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}"
         for (name, c), p in off
-        if abs(p) > STRAINED
+        if abs(p) > DEVIATION_LIMIT
     ]
     if strained:
         warnings.append(
-            f"without anything missing these would have to be off: {', '.join(strained)}; check "
-            f"them first"
+            f"without effects these constants would have to differ from their nominal values: "
+            f"{', '.join(strained)}; check them first"
         )
     return tuple(warnings)

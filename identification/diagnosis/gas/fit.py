@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnosis.gas.burns import Burn, generator
-from identification.diagnosis.gas.constants import CONSTANTS, PRESSURE, PROPELLANT, VOLUME, beliefs
+from identification.diagnosis.gas.constants import (
+    CONSTANTS,
+    PRESSURE,
+    PROPELLANT,
+    VOLUME,
+    nominal_constants,
+)
 from identification.diagnosis.gas.terms import GasEffect, effect_at
 from identification.model import gas_kernel as kernel
 from identification.model.gas_generator import constants
@@ -80,10 +86,10 @@ class Fitted:
         return float(self.residual @ self.residual + self.pull @ self.pull)
 
 
-def believed(burns: Sequence[Burn]) -> Model:
+def nominal_model(burns: Sequence[Burn]) -> Model:
     """Return the model with nominal constants; each recording starts at its first pressure."""
     g = generator(burns[0])
-    return Model(beliefs(g), tuple(Start(b.first_pressure, g.V_0) for b in burns))
+    return Model(nominal_constants(g), tuple(Start(b.first_pressure, g.V_0) for b in burns))
 
 
 def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = True) -> Fitted:
@@ -100,7 +106,7 @@ def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = Tru
     x = layout.start
     for stiffness, tolerance, most_steps in _STAGES:
         held = np.where(layout.firm, stiffness, 1.0) * layout.held
-        x = _settled(burns, sigma, layout, x, held, tolerance, most_steps)
+        x = _minimised(burns, sigma, layout, x, held, tolerance, most_steps)
     model = layout.model(x)
     simulated = simulate(burns, model)
     tangent = _tangent(burns, layout, x) / sigma
@@ -115,7 +121,7 @@ def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = Tru
     )
 
 
-def _settled(
+def _minimised(
     burns: Sequence[Burn],
     sigma: float,
     layout: _Layout,
@@ -142,30 +148,34 @@ def _settled(
 
 def simulate(burns: Sequence[Burn], model: Model) -> Array:
     """Return the simulated transducer signal of all rows, Pa, shape (n,)."""
-    return np.concatenate([shown(march(b, model), model) for b in burns])
+    return np.concatenate([transducer_signal(simulated_burn(b, model), model) for b in burns])
 
 
-def shown(marched: Array, model: Model) -> Array:
+def transducer_signal(marched: Array, model: Model) -> Array:
     """Return the signal of a transducer with zero error and delay, Pa, shape (n,)."""
     pressure, _, rise = marched
     return np.asarray(pressure + model.constants["pressure_zero"] - model.constants["delay"] * rise)
 
 
-def march(burn: Burn, model: Model) -> Array:
+def simulated_burn(burn: Burn, model: Model) -> Array:
     """Return simulated pressure (Pa), web burnt (m) and rate of pressure (Pa/s) of one recording,
     shape (3, n).
     """
-    start, own, given = model.starts[burn.index], beliefs(generator(burn)), model.constants
+    start, own, given = (
+        model.starts[burn.index],
+        nominal_constants(generator(burn)),
+        model.constants,
+    )
     off = np.array([given[name] - own[name] for name in ("angle_zero", "d", "D", "b")])
     areas = burn.areas.copy()
     areas[0] += off @ burn.shifts
     c = constants(generator(burn), given, start.pressure, start.volume)
     out = np.empty((3, len(burn.time)))
-    kernel.march(burn.time, areas, c, missing(model.effects), out)
+    kernel.march(burn.time, areas, c, effect_vector(model.effects), out)
     return out
 
 
-def missing(effects: Sequence[GasEffect]) -> Array:
+def effect_vector(effects: Sequence[GasEffect]) -> Array:
     """Return the effects as the kernel's parameter vector."""
     e = np.zeros(kernel.MISSING_SIZE)
     for effect in effects:
@@ -178,7 +188,7 @@ class _Layout:
     """Layout of the fitted vector, whose entries are in tolerances from the nominal value."""
 
     def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
-        self._believed, self._given = believed(burns), start
+        self._believed, self._given = nominal_model(burns), start
         self.constants = CONSTANTS if shared else {}
         self.effects = start.effects if shared else ()
         self.shared, self.ends = len(self.constants), len(self.constants) + 2 * len(burns)

@@ -12,7 +12,7 @@ from scipy import sparse
 
 from identification.diagnosis.fit.stack import Candidate, Stack
 from identification.diagnosis.gas.burns import Burn
-from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
+from identification.diagnosis.gas.fit import Fitted, Model, simulate, simulated_burn
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.rows.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
 from identification.diagnosis.rows.equations import Equation
@@ -51,7 +51,7 @@ COORDINATES = (
 )
 
 
-def stacked(
+def stack_of(
     burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None
 ) -> Stack:
     """Return the stack of a fit's mismatch with everything fitted projected out.
@@ -93,7 +93,7 @@ def stacked(
     )
 
 
-def padded(stack: Stack, values: Array) -> Array:
+def padded_rows(stack: Stack, values: Array) -> Array:
     """Return the rows padded with zeros for the priors, shape (n + p, ...)."""
     out = np.zeros((len(stack.residual), *values.shape[1:]))
     out[: len(values)] = values
@@ -103,12 +103,12 @@ def padded(stack: Stack, values: Array) -> Array:
 def candidates(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
 ) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape, linearised at the fit; coefficients are in the
+    """Yield every effect at all trial parameters, linearised at the fit; coefficients are in the
     effect's unit.
     """
     for term in terms:
         for shape in term.shapes:
-            columns = {PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}
+            columns = {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}
             found = stack.candidate(term.name, shape, columns)
             if found is not None:
                 yield found
@@ -117,13 +117,15 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Return (gain, size, shape) of an effect at every trial shape by linear least squares,
+    """Return (gain, size, shape) of an effect at all trial parameters by linear least squares,
     greatest gain first.
     """
     found = []
     for shape in term.shapes:
         column = stack.projected(
-            stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])})
+            stack.whitened(
+                {PRESSURE: padded_rows(stack, slope(burns, fitted, term, shape)[:, None])}
+            )
         )
         power, score = float(np.sum(column**2)), float(column[:, 0] @ stack.residual)
         if power > 0.0:
@@ -157,7 +159,7 @@ def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Ca
 
 def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Array]]:
     """Yield every coordinate's name and its values over all rows, shape (n,)."""
-    marched = [march(b, fitted.model) for b in burns]
+    marched = [simulated_burn(b, fitted.model) for b in burns]
     for coordinate in COORDINATES:
         yield (
             coordinate.name,
@@ -167,7 +169,7 @@ def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Ar
 
 def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
     columns = (place[:, None] == np.unique(place)).astype(np.float64)
-    found = stack.independent(f"{PRESSURE} over {name}", PRESSURE, padded(stack, columns))
+    found = stack.independent(f"{PRESSURE} over {name}", PRESSURE, padded_rows(stack, columns))
     if found is not None:
         yield found
 

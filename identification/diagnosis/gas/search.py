@@ -14,11 +14,11 @@ from scipy import stats
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.gas.burns import Burn
-from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
-from identification.diagnosis.gas.rows import candidates, families, padded, stacked, starts
+from identification.diagnosis.gas.fit import Fitted, Model, fit, nominal_model
+from identification.diagnosis.gas.rows import candidates, families, padded_rows, stack_of, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
-from identification.diagnosis.score.significance import EXCESS, LEVEL, RARE, chance
+from identification.diagnosis.score.significance import EXCESS, LEVEL, OUTLIER, sign_flip_p_value
 from identification.diagnosis.selection.comparison import SIMPLER_IF
 from identification.diagnosis.selection.removal import FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.recording import Array
@@ -33,7 +33,9 @@ transducer noise is white: the small remainder is significant.
 REJECTED = 1.645
 """Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
 TRIALS_FITTED = 2
-"""Number of shapes of an effect, the best by the linear score, from which it is fitted."""
+"""Number of trial parameters of an effect, the best by the linear score, from which it is
+fitted.
+"""
 
 Progress = Callable[[str, float], None]
 
@@ -64,7 +66,7 @@ class Rivalry:
 
 
 @dataclass(frozen=True)
-class Taken:
+class Selected:
     """A selected effect and its rivals, best first."""
 
     name: str
@@ -92,7 +94,7 @@ class GasSearch:
     baseline: Fitted
     final: Fitted
     stack: Stack
-    taken: tuple[Taken, ...]
+    taken: tuple[Selected, ...]
     p_value: float
     p_after: float
     steps: tuple[Step, ...]
@@ -103,34 +105,39 @@ def search(
 ) -> GasSearch:
     """Add effects one at a time while the test allows, then try to remove each."""
     progress("nominal gas generator", 0.0)
-    baseline = here = fit(burns, sigma, believed(burns))
-    first = stacked(burns, baseline, sigma)
+    baseline = here = fit(burns, sigma, nominal_model(burns))
+    first = stack_of(burns, baseline, sigma)
     seen = _test(burns, first, here, rng)
     p_value = seen.p_value
-    taken: list[Taken] = []
+    taken: list[Selected] = []
     steps = [seen.step]
     while seen.p_value <= LEVEL and len(taken) < MOST_EFFECTS:
         progress("fitting effects", (len(taken) + 0.5) / (MOST_EFFECTS + 1))
-        tried = _fitted(burns, sigma, here, seen.stack)
+        tried = _fits_with_one_more(burns, sigma, here, seen.stack)
         fitted = [f for f in tried if plausible(f.model.effects[-1])]
-        winner = _simplest(fitted, first) if fitted else None
+        winner = _simplest_fit(fitted, first) if fitted else None
         stop = _stop(baseline, here, tried, winner, first, seen.p_value)
         if stop is not None:
             steps.append(stop)
         if stop is not None or winner is None:
             break
-        after = _test(burns, stacked(burns, winner, sigma, first), winner, rng)
-        prefer = preference if after.p_value <= LEVEL else _likelier
+        after = _test(burns, stack_of(burns, winner, sigma, first), winner, rng)
+        prefer = preference if after.p_value <= LEVEL else _likelihood_preference
         rivals = tuple(
-            Rivalry(f.model.effects[-1].term.name, f, prefer(winner, f, first), apart(winner, f))
+            Rivalry(
+                f.model.effects[-1].term.name,
+                f,
+                prefer(winner, f, first),
+                expected_preference(winner, f),
+            )
             for f in sorted(fitted, key=lambda f: f.cost)
             if f is not winner
         )
         name, gain = winner.model.effects[-1].term.name, here.cost - winner.cost
         steps += [Step("add", name, seen.p_value, gain, _why(rivals)), after.step]
-        taken.append(Taken(name, rivals))
+        taken.append(Selected(name, rivals))
         here, seen = winner, after
-    final, taken = _pruned(burns, sigma, here, taken, first, steps)
+    final, taken = _with_needed_effects(burns, sigma, here, taken, first, steps)
     return GasSearch(
         burns, sigma, baseline, final, first, tuple(taken), p_value, seen.p_value, tuple(steps)
     )
@@ -160,7 +167,8 @@ def _stop(
     turned = [
         f
         for f in tried
-        if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, stack) > REJECTED
+        if reversed_sign(f.model.effects[-1])
+        and _likelihood_preference(f, winner, stack) > REJECTED
     ]
     if turned:
         best = min(turned, key=lambda f: f.cost)
@@ -199,9 +207,9 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     left = [t for t in GAS_TERMS if t.name not in named]
     tried = [*candidates(burns, stack, here, left), *families(burns, stack, here)]
     by_shape, by_size, by_belief = (
-        chance(tried, stack.blocks, rng, LEAST_SHARE),
+        sign_flip_p_value(tried, stack.blocks, rng, LEAST_SHARE),
         _excess(here),
-        _strained(here),
+        _deviation_p_value(here),
     )
     p_value = min(1.0, 3.0 * max(min(by_shape, by_size, by_belief), 1e-12))
     loudest = max(tried, key=lambda c: c.surprise).name if tried else ""
@@ -209,18 +217,19 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
     if by_belief < min(by_shape, by_size):
         loudest, words = (
             "beliefs",
-            "valve or sensors would have to be off by more than their tolerances",
+            "valve or sensors would have to deviate by more than their tolerances",
         )
     return _Test(p_value, Step("test", loudest, p_value, 0.0, words), stack)
 
 
-def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
+def _simplest_fit(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
     """Return the fit of least cost, or an indistinguishable one with fewer parameters."""
     best = min(fitted, key=lambda f: f.cost)
     same = [
         f
         for f in fitted
-        if preference(best, f, stack) < SIMPLER_IF and _likelier(best, f, stack) < REJECTED
+        if preference(best, f, stack) < SIMPLER_IF
+        and _likelihood_preference(best, f, stack) < REJECTED
     ]
     return min((best, *same), key=lambda f: (len(f.model.effects[-1].parameters), f.cost))
 
@@ -229,39 +238,43 @@ def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
     """Return the preference of the data for ``chosen``, in standard errors of the difference by
     blocks.
     """
-    loss = stack.sums(padded(stack, (rival.residual**2 - chosen.residual**2)[:, None]))[:, 0]
+    loss = stack.sums(padded_rows(stack, (rival.residual**2 - chosen.residual**2)[:, None]))[:, 0]
     loss[-1] = rival.pull @ rival.pull - chosen.pull @ chosen.pull
     spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
     return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
 
 
-def _likelier(chosen: Fitted, rival: Fitted, _stack: Stack) -> float:
+def _likelihood_preference(chosen: Fitted, rival: Fitted, _stack: Stack) -> float:
     """Return the preference if ``chosen`` leaves white noise: from the root of the likelihood
-    ratio, as in :func:`apart`.
+    ratio, as in :func:`expected_preference`.
     """
     return 0.5 * math.sqrt(max(rival.cost - chosen.cost, 0.0))
 
 
-def apart(one: Fitted, other: Fitted) -> float:
+def expected_preference(one: Fitted, other: Fitted) -> float:
     """Return the expected preference between two models in white noise, from the difference of
     their pressures.
     """
     return 0.5 * float(np.linalg.norm(one.residual - other.residual))
 
 
-def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> list[Fitted]:
+def _fits_with_one_more(
+    burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack
+) -> list[Fitted]:
     """Return the best fit of every effect that lowers the cost, jointly with everything already
     fitted.
     """
     named = {e.term.name for e in here.model.effects}
-    fresh, found = believed(burns), []
+    fresh, found = nominal_model(burns), []
     for term in GAS_TERMS:
         if term.name in named:
             continue
         trials = starts(burns, stack, here, term)[:TRIALS_FITTED]
-        begun = [_with(here.model, fresh, term, size, shape) for _, size, shape in trials]
-        begun += [_with(here.model, here.model, term, size, shape) for _, size, shape in trials[:1]]
-        tried = [fit(burns, sigma, model) for model in begun]
+        started = [_with(here.model, fresh, term, size, shape) for _, size, shape in trials]
+        started += [
+            _with(here.model, here.model, term, size, shape) for _, size, shape in trials[:1]
+        ]
+        tried = [fit(burns, sigma, model) for model in started]
         if tried:
             found.append(min(tried, key=lambda f: (not plausible(f.model.effects[-1]), f.cost)))
     return [f for f in found if f.cost < here.cost]
@@ -298,11 +311,11 @@ def _excess(fitted: Fitted) -> float:
     """Return the p-value of the hypothesis that the mismatch has at most :data:`EXCESS` times the
     noise power.
     """
-    rows: Array = np.minimum(np.abs(fitted.residual), RARE)
+    rows: Array = np.minimum(np.abs(fitted.residual), OUTLIER)
     return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
 
 
-def _strained(fitted: Fitted) -> float:
+def _deviation_p_value(fitted: Fitted) -> float:
     """Return the p-value of the fitted deviations of valve and sensors, for normally distributed
     tolerances.
     """
@@ -316,14 +329,14 @@ def _why(rivals: Sequence[Rivalry]) -> str:
     return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)
 
 
-def _pruned(
+def _with_needed_effects(
     burns: Sequence[Burn],
     sigma: float,
     final: Fitted,
-    taken: list[Taken],
+    taken: list[Selected],
     stack: Stack,
     steps: list[Step],
-) -> tuple[Fitted, list[Taken]]:
+) -> tuple[Fitted, list[Selected]]:
     """Remove every effect that later ones have made unnecessary; return fit and effects."""
     for name in [t.name for t in taken] if len(taken) > 1 else []:
         rest = tuple(e for e in final.model.effects if e.term.name != name)

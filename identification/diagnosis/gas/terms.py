@@ -1,5 +1,5 @@
-"""Computation of the gas generator's effects: their slots in the kernel's vector, and their fitted
-parameters.
+"""Table of the gas generator's effects: their slots in the kernel's parameter vector, scales and
+trial values.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class GasTerm:
 
     @property
     def shapes(self) -> tuple[tuple[float, ...], ...]:
-        """Trial values of all parameters after the first."""
+        """Trial values of all parameters after the first, the nonlinear parameters."""
         shapes: tuple[tuple[float, ...], ...] = ((),)
         for size in list(self.sizes.values())[1:]:
             shapes = tuple((*shape, value) for shape in shapes for value in size.trials)

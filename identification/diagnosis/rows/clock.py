@@ -1,4 +1,4 @@
-"""When recordings began, as far as their declared starts or their time stamps say it."""
+"""Start of each recording in running time, from declared starts or time stamps."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from identification.recording import Recording
 
 
 def one_clock(recordings: Sequence[Recording]) -> bool:
-    """Whether recordings follow one another by their starts or time stamps, as on one clock."""
+    """Whether the starts or time stamps of recordings follow one another, as on one clock."""
     spans = sorted(r.span for r in recordings)
     return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
-    """Return when each recording began, s of running time.
+    """Return the start of each recording, s of running time.
 
-    Where their starts or time stamps follow one another on one clock these say it: from that
-    clock's zero, where it is no further back than the recordings are long, as the machine was cold
-    then; else from the first. Of recordings without a common clock each began cold, at its own
-    zero: in which order they were made nobody says.
+    If starts or time stamps follow one another, running time counts from the zero of their clock,
+    when the machine was cold, provided that this zero precedes the first recording by no more than
+    the recordings' total duration; otherwise it counts from the first recording. Recordings without
+    a common clock have an unknown order; each is assumed to start cold, at its own zero.
     """
     if len(recordings) > 1 and one_clock(recordings):
         first, last = (

@@ -1,5 +1,5 @@
-"""The equations that physics can break, as stacked, filtered rows with the tangent of what the
-nominal model absorbs.
+"""The equations that unmodelled physics can violate, as stacked, filtered rows with the tangent of
+the nominal model.
 
 torque        drive torque = J domega/dt + friction (eq. 15), in motion
 breakaway     torque at the end of a rest = static friction (eq. 9 and 13 at omega = 0)
@@ -23,18 +23,20 @@ from identification.recording import Array
 from identification.signals import BoolArray, Decimator, central_difference, quantum
 
 LEAST_BREAKAWAYS = 12
-"""Breakaways, over all recordings, below which they make no equation."""
+"""Least number of breakaways, over all recordings, for a breakaway equation."""
 WITHIN_STEP = 0.3
-"""Standard deviation of a breakaway's instant within its sample, over the sample (uniform:
+"""Standard deviation of a breakaway's instant within its sample, over the sample time (uniform:
 0.29).
 """
 SURE_NM = 0.1
-"""Torque noise of one sample, about."""
+"""Approximate torque noise of one sample."""
 LEAST_ROWS_OF_A_TONE = 300
-"""Of n rows of white noise the strongest sine takes 2 log(n/2)/n: 3 % of these."""
+"""Least number of rows from which a tone is removed. The strongest sine explains 2 log(n/2)/n of n
+rows of white noise, which is 3 % here.
+"""
 TONE_PADDING, TONE_TRIALS = 4, 10
-"""Length of the spectrum that a tone is sought in, over that of the rows; frequencies tried to
-either side of it.
+"""Length of the padded spectrum in which a tone is searched for, over that of the rows, and number
+of trial frequencies on either side.
 """
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
@@ -44,13 +46,13 @@ class Equation:
     """One equation over all recordings.
 
     Attributes:
-        name: Out of :data:`EQUATIONS`.
-        unit: Of the mismatch.
-        views: Recordings, in order.
-        kept: Per view, which filter outputs (or breakaways) are rows.
+        name: One of :data:`EQUATIONS`.
+        unit: Unit of the mismatch.
+        views: Recordings in order.
+        kept: For each view, which filter outputs (or breakaways) are rows.
         residual: Measured less nominal, shape (n,).
-        tangent: What the nominal model absorbs, shape (n, k).
-        names: Of the tangent's columns; those of the torque equation are nominal parameters.
+        tangent: Derivatives with respect to the parameters of the equation, shape (n, k).
+        names: Names of the tangent's columns; those of the torque equation are nominal parameters.
         owner: Index of each row's recording, shape (n,).
         time: Time stamp of each row, s, shape (n,).
         sigma: Noise of one row.
@@ -79,14 +81,14 @@ class Equation:
 def equations(
     views: Sequence[View], nominal: Nominal, unit: str, before: Sequence[Equation] = ()
 ) -> tuple[Equation, ...]:
-    """Return every equation that these recordings bear, at the nominal values.
+    """Return every equation for which these recordings have channels, at the nominal values.
 
     Args:
         views: Recordings.
         nominal: Values of the nominal parameters.
-        unit: Of the torque.
-        before: The equations at other nominal values: their noise is kept, and all but the torque's
-            rows, whose tangents absorb what the nominal values change in them.
+        unit: Unit of the torque.
+        before: The equations at other nominal values. Their noise is used, and the rows of all
+            equations but the torque, whose tangents contain the change of the nominal values.
     """
     if before:
         known = {e.name: e for e in before}
@@ -103,10 +105,10 @@ def equations(
 
 
 def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
-    """Return the scatter that white noise before the filter has left in a filtered series.
+    """Return the scatter of a filtered series that is due to white noise before the filter.
 
-    Third differences within recordings take away what is smooth from row to row, the median what is
-    rough but rare; the filter's own correlation from row to row is allowed for.
+    Third differences within recordings remove what is smooth from row to row, and the median
+    removes rare outliers; the filter's correlation from row to row is accounted for.
     """
     difference = np.diff(series, n=3)
     same = owner[3:] == owner[:-3]
@@ -126,8 +128,7 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
 def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
     """Return rows less the strongest sine of each recording.
 
-    Noise has no tone: a torque at one frequency passes for noise in differences from row to row,
-    and hides in it.
+    A torque at one frequency would count as noise in differences from row to row.
     """
     out = series.copy()
     for index in np.unique(owner):
@@ -138,7 +139,7 @@ def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
 
 
 def _tone(rows: Array, time: Array) -> Array:
-    """Return the sine that explains most of rows at these times, some of which may be missing."""
+    """Return the sine that explains most of the rows at these times; some rows may be missing."""
     step = float(np.min(np.diff(time)))
     place = np.round(time / step).astype(np.int64)
     even = np.zeros(int(place[-1]) + 1)
@@ -216,8 +217,9 @@ def _own_noise(equation: Equation, rest: Array) -> dict[int, float]:
 
 
 def held_voltage(equation: Equation) -> float:
-    """Return what is not known of the voltage's rows, V: a drive holds it for a sample, and whether
-    the one before a time stamp or the one after it no log says, unless it is declared an average.
+    """Return the uncertainty of the voltage's rows, V. A drive holds its voltage for one sample,
+    before or after the time stamp; logs do not state which, unless the channel is declared as
+    averaged.
     """
     if equation.name != "voltage":
         return 0.0
@@ -232,11 +234,11 @@ def held_voltage(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the noise below which an equation's rows cannot be: of rounding."""
+    """Return the least possible noise of an equation's rows, that of rounding."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least
-    # In slow motion rounding errors follow one another; no filter averages them out.
+    # In slow motion rounding errors are correlated; no filter averages them.
     return max(least, *(_step(v) / math.sqrt(12.0) for v in equation.views))
 
 
@@ -250,8 +252,8 @@ def _step(view: View) -> float:
 def _torque(
     views: Sequence[View], nominal: Nominal, unit: str, before: Equation | None = None
 ) -> Equation | None:
-    # Where the transmission gives, the rotor's share of the inertia moves otherwise than the valve;
-    # how large it is no recording is told.
+    # With a flexible transmission the rotor's unknown share of the inertia moves otherwise than the
+    # valve.
     gives = any(np.any(v.twist) for v in views)
 
     def tangent(view: View) -> Array:
@@ -279,8 +281,8 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
     loaded = any(v.loaded for v in views)
 
     def limit(view: View) -> Array:
-        # The last sample that the encoder still shows at rest; what is late about it goes with the
-        # torque's rise.
+        # The last sample that the encoder shows at rest; its delay is in proportion to the torque's
+        # rise.
         last = np.roll(view.raw_torque, 1)
         return np.asarray(
             last - view.sense * (nominal.get("Ms") + view.moment * nominal.get("mu_s"))
@@ -310,8 +312,8 @@ def _rise(view: View) -> Array:
 
 
 def _sharpness(view: View) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less does one sample say where
-    it broke away.
+    """Return weights of breakaways: the faster the torque rises, the less accurately one sample
+    gives the torque of the breakaway.
     """
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP

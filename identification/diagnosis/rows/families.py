@@ -1,5 +1,5 @@
-"""Generic families of regressors, which detect and locate a mismatch that resembles no effect of
-the catalogue.
+"""Generic families of regressors, which detect and locate a mismatch that is in no effect of the
+catalogue.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ class Quick(NamedTuple):
     noise: float
 
 
-def quick(series: Array, rate: float) -> Quick:
+def quick_speed(series: Array, rate: float) -> Quick:
     """Return the speed by differences over :data:`QUICK_SAMPLES` on either side of each sample of a
     measured position.
     """
@@ -108,18 +108,18 @@ def _swing(series: Array, reach: int) -> Array:
     )
 
 
-def turned(sense: Array) -> BoolArray:
+def reversals(sense: Array) -> BoolArray:
     """Mark samples whose direction differs from the previous sample's."""
     return np.concatenate(([False], sense[1:] != sense[:-1]))
 
 
-def since(time: Array, marks: BoolArray) -> Array:
+def time_since(time: Array, marks: BoolArray) -> Array:
     """Return the time since the last marked sample, or since the start."""
     last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
     return np.asarray(time - time[last])
 
 
-def held(rest: Array, still: BoolArray) -> Array:
+def last_rest_duration(rest: Array, still: BoolArray) -> Array:
     """Return the duration of the last rest, held until the next rest begins."""
     last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
     return np.asarray(rest[last])

@@ -27,7 +27,7 @@ KEPT = 128
 LEAST_RISE = 1e-6
 """Least rise over Coulomb friction."""
 LEAST_FALL = 1e-3
-"""Rise over Coulomb friction below which friction counts as not falling."""
+"""Rise over Coulomb friction below which friction counts as constant with speed."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
@@ -35,41 +35,44 @@ STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 class Nominal:
     """Values of the nominal parameters.
 
-    Instances are cache keys by identity: hundreds of trial shapes use the same series of a
+    Instances are cache keys by identity: hundreds of trial parameters use the same series of a
     recording.
 
     Attributes:
         values: Name to value, at the joint.
         free: Names of the estimated parameters.
         alpha: Stribeck exponent.
-        hidden: Undeclared load torque of identified effects that turns with the joint: coefficients
-            of sin(angle), cos(angle), angle and 1, N m. It loads the gear like a declared one.
+        undeclared: Undeclared load torque of identified effects that turns with the joint:
+            coefficients of sin(angle), cos(angle), angle and 1, N m. It loads the gear like a
+            declared load.
         zero_A: Zero offset of the logged current, from identified effects, A.
         ripple: Ripple of the torque constant, from identified effects: cycles per motor turn (and
             the number of recordings, if each has its own origin), and coefficients; empty for none.
         efficiency: Efficiency of the transmission, from identified effects.
-        bent: Stribeck exponent of an identified effect that replaces ``alpha`` in derivatives with
-            respect to rises and speeds, or None.
+        fitted_alpha: Stribeck exponent of an identified effect that replaces ``alpha`` in
+            derivatives with respect to rises and speeds, or None.
         late_s: Delay of the torque's samples relative to the angles', from an identified effect, s;
             or 0.
-        bristles: Presliding stiffness of friction, from an identified effect, N m/rad; or 0.
+        presliding_stiffness: Presliding stiffness of friction, from an identified effect, N m/rad;
+            or 0.
         most: Greatest static levels that the recordings allow; empty for no limits.
     """
 
     values: Mapping[str, float]
     free: tuple[str, ...]
     alpha: float
-    hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    undeclared: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     zero_A: float = 0.0
     ripple: tuple[tuple[float, ...], ...] = ()
     efficiency: float = 1.0
-    bent: float | None = None
+    fitted_alpha: float | None = None
     late_s: float = 0.0
-    bristles: float = 0.0
+    presliding_stiffness: float = 0.0
     most: Mapping[str, float] = field(default_factory=dict)
 
     def limited(self, views: Sequence[View]) -> Nominal:
-        """Return the values with static levels limited by the torque that overcame them.
+        """Return the values with static levels limited by the greatest torque that broke the joint
+        away.
 
         Without slow rows a fit may otherwise diverge in them.
         """
@@ -125,19 +128,19 @@ class Nominal:
         It excludes the weight's inertia torque, which does not load the gear in eq. 9, in the
         friction ladder or on the bench.
         """
-        return _borne(view, self.hidden)
+        return _borne(view, self.undeclared)
 
     def helping(self, view: View) -> Array:
         """Return the load torque that turns with the joint, declared or identified, N m; positive
         if it helps the drive.
         """
-        if not any(self.hidden):
+        if not any(self.undeclared):
             return view.known
-        return _helping(view, self.hidden)
+        return _helping(view, self.undeclared)
 
     def helped(self, view: View) -> bool:
         """Whether any load torque turns with the joint."""
-        return any(self.hidden) or view.burdened
+        return any(self.undeclared) or view.burdened
 
     def drive(self, view: View) -> Array:
         """Return the whole torque required of the drive, including loads that turn with the joint,
@@ -166,18 +169,18 @@ class Nominal:
         """
         return np.stack([self._direction(view, name) for name in self.free])
 
-    def moved(self, straight: Array, bend: Array, share: float = 1.0) -> Nominal:
+    def moved(self, linear_step: Array, speed_step: Array, share: float = 1.0) -> Nominal:
         """Return the values after a step of the free parameters, within physical limits.
 
         Args:
-            straight: Changes of the parameters in which the torque is linear, with the Stribeck
+            linear_step: Changes of the parameters in which the torque is linear, with the Stribeck
                 speeds held.
-            bend: Changes with the speeds free as well, of which only the speeds' changes are used.
-                They are scaled from the previous rise to the new one.
+            speed_step: Changes with the speeds free as well, of which only the speeds' changes are
+                used. They are scaled from the previous rise to the new one.
             share: Share of the speeds' changes that is applied.
         """
         values = dict(self.values)
-        for name, change in zip(self.free, (float(s) for s in straight), strict=True):
+        for name, change in zip(self.free, (float(s) for s in linear_step), strict=True):
             if name in (*SPEEDS, *STATICS):
                 continue
             values[name] = (
@@ -187,7 +190,7 @@ class Nominal:
             if static in values:
                 rise = self._rise(coulomb, static)
                 if static in self.free:
-                    rise += float(straight[self.free.index(static)])
+                    rise += float(linear_step[self.free.index(static)])
                 level = values[coulomb] + max(rise, LEAST_RISE * values[coulomb])
                 values[static] = max(min(level, self.most.get(static, math.inf)), values[coulomb])
         for name in set(SPEEDS) & set(self.free):
@@ -198,7 +201,7 @@ class Nominal:
             if before > 0.0 and after > 2.0 * LEAST_RISE * sum(
                 values.get(c, 0.0) for c, _, w in _RISES if w == name
             ):
-                change = share * float(bend[self.free.index(name)]) * before / after
+                change = share * float(speed_step[self.free.index(name)]) * before / after
                 values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
         return replace(self, values=values)
 
@@ -256,23 +259,25 @@ class Nominal:
             return np.ones(len(view.time))
         if omega <= 0.0:
             return np.zeros(len(view.time))
-        alpha = self.bent or self.alpha
+        alpha = self.fitted_alpha or self.alpha
         power, fall = _fall(view, omega, alpha)
         return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
 
 
 @lru_cache(maxsize=KEPT)
-def _helping(view: View, hidden: tuple[float, float, float, float]) -> Array:
-    return _frozen(view.known - _unknown(view, hidden))
+def _helping(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    return _frozen(view.known - _unknown(view, undeclared))
 
 
 @lru_cache(maxsize=KEPT)
-def _borne(view: View, hidden: tuple[float, float, float, float]) -> Array:
-    return _frozen(np.abs(view.hanging - _unknown(view, hidden) if any(hidden) else view.hanging))
+def _borne(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    return _frozen(
+        np.abs(view.hanging - _unknown(view, undeclared) if any(undeclared) else view.hanging)
+    )
 
 
-def _unknown(view: View, hidden: tuple[float, float, float, float]) -> Array:
-    sine, cosine, slope, constant = hidden
+def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array:
+    sine, cosine, slope, constant = undeclared
     return np.asarray(
         sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
     )

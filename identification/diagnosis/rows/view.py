@@ -225,13 +225,13 @@ def _view(
     known = hanging - recording.known_inertia * acceleration
     torque = smooth(drive, rate, cutoff) + known
     sense = marks.sense(velocity, torque, still)
-    turned = marks.turned(sense)
+    turned = marks.reversals(sense)
     margin = round(1.5 * rate / cutoff)
     stopped = still | turned
     hasty = marks.unsteady(velocity, quick, rate, cutoff)
     late = widened(irregular(recording.time, grid), margin)
-    rest = marks.since(grid, ~still)
-    reversal = marks.since(grid, turned)
+    rest = marks.time_since(grid, ~still)
+    reversal = marks.time_since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(
         recording=recording,
@@ -249,7 +249,7 @@ def _view(
         moment=contact_moment(recording, grid, angle),
         sense=sense,
         still=still,
-        rest_time=marks.held(rest, still),
+        rest_time=marks.last_rest_duration(rest, still),
         reversal_time=reversal,
         reversal_travel=marks.travel(angle, turned),
         motor=motor,
@@ -275,7 +275,7 @@ def _motion(
         series = resample(recording.time, position, grid)
         still = resting(series)
         angle = smooth(series, rate, cutoff)
-        return angle, central_difference(angle, 1.0 / rate), marks.quick(series, rate), still
+        return angle, central_difference(angle, 1.0 / rate), marks.quick_speed(series, rate), still
     if "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
     velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
@@ -343,7 +343,7 @@ def torque_per_ampere(view: View) -> float:
     return view.recording.bench.ampere_torque
 
 
-def without_origin(views: Sequence[View]) -> bool:
+def lacks_common_origin(views: Sequence[View]) -> bool:
     """Whether recordings have no common origin of their angles because only speed was recorded."""
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

@@ -1,8 +1,8 @@
 """Effects that are collinear with the nominal model, so that no recording of this kind can show
 them.
 
-For example, if friction is the only load, a gear with 80 % efficiency is equivalent to constants
-larger by 1/0.8.
+For example, if friction is the only load, a gear with 80 % efficiency is equivalent to nominal
+parameters that are larger by 1/0.8.
 """
 
 from __future__ import annotations
@@ -12,15 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import ABSORBED
+from identification.diagnosis.fit.stack import COLLINEAR_BELOW
 from identification.diagnosis.terms.term import Context, Term
 
 
-def taken_up(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
-    """Return the names of effects that the nominal tangent absorbs completely, whatever their size.
+def collinear_effects(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
+    """Return the names of effects that are collinear with the nominal tangent, whatever their size.
 
-    Only effects with one shape are tested; of several shapes, not all can be collinear with the
-    nominal model. Breakaways are not tested, since their tangent includes lateness.
+    Only effects without nonlinear parameters are tested; of several trial parameters, not all can
+    be collinear with the nominal model. Breakaways are not tested, since their tangent includes the
+    delay.
 
     Args:
         baseline: Fit of the nominal model.
@@ -40,6 +41,6 @@ def taken_up(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
         before, after = (
             np.linalg.norm(rows[judging], axis=0) for rows in (whole, stack.projected(whole))
         )
-        if np.all(before > 0.0) and np.all(after < ABSORBED * before):
+        if np.all(before > 0.0) and np.all(after < COLLINEAR_BELOW * before):
             found.append(term.name)
     return tuple(found)

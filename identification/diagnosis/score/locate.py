@@ -20,11 +20,11 @@ from identification.recording import Array
 BINS = 16
 LEAST_ROWS = 5
 DRAWS = 499
-AS_MUCH = 0.8
+OWN_COORDINATE_RATIO = 0.8
 """Ratio of the share of an effect's own coordinate to the best share, from which the own coordinate
 is reported.
 """
-OWN_RECORDING = 2.0
+RECORDING_RATIO = 2.0
 """Ratio of a recording's mean-square mismatch to the noise's, from which the mismatch counts as
 present in it.
 """
@@ -63,14 +63,16 @@ def maps(
     for coordinate in COORDINATES:
         if any(coordinate.values(v) is None for v in equation.views):
             continue
-        values = equation.rows(partial(_known, coordinate))[:, 0]
+        values = equation.rows(partial(_filled_values, coordinate))[:, 0]
         unit = unit_on(equation.views[0].recording.bench.motion, coordinate.unit)
         axis = Axis(coordinate.name, unit, values)
-        made = mapped(equation, axis, before, after, block, stack.blocks, rng)
+        made = map_over(equation, axis, before, after, block, stack.blocks, rng)
         if made is None:
             continue
         if coordinate.by_direction:
-            sided = mapped(equation, axis, sense * before, sense * after, block, stack.blocks, rng)
+            sided = map_over(
+                equation, axis, sense * before, sense * after, block, stack.blocks, rng
+            )
             if sided is not None and sided.share > made.share:
                 made = replace(sided, against_motion=True)
         found.append(made)
@@ -87,21 +89,23 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
         v.recording.name
         for v in equation.views
         if len(power[v.index])
-        and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
+        and float(np.mean(power[v.index] ** 2)) > RECORDING_RATIO * equation.sigma**2
     )
     if found is None:
         return Location("recording", "1", (), 0.0, names)
     return Location(found.coordinate, found.unit, ranges(found), found.share, names)
 
 
-def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
+def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
     """Return the map over an effect's own coordinate if it explains about as much as the best map,
     else the best map.
     """
     own = next((m for m in drawn if m.coordinate == coordinate), None)
     best = drawn[0] if drawn else None
     return (
-        own if own is not None and best is not None and own.share >= AS_MUCH * best.share else best
+        own
+        if own is not None and best is not None and own.share >= OWN_COORDINATE_RATIO * best.share
+        else best
     )
 
 
@@ -131,12 +135,12 @@ def curve(drawn: Sequence[Map]) -> Curve | None:
     )
 
 
-def _known(coordinate: Coordinate, view: View) -> Array:
+def _filled_values(coordinate: Coordinate, view: View) -> Array:
     values = coordinate.values(view)
     return np.zeros(len(view.time)) if values is None else values
 
 
-def mapped(
+def map_over(
     equation: Equation,
     axis: Axis,
     before: Array,

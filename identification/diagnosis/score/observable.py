@@ -1,7 +1,8 @@
-"""Which effects recordings can show, at which size, and which of them they cannot distinguish.
+"""Observability of effects: which effects recordings can show, at which least size, and which they
+cannot distinguish.
 
-All of it follows from excitation, channels and noise: from the regressors of the effects, with the
-nominal model's tangent projected out. No mismatch is looked at.
+It is computed from excitation, channels and noise: from the regressors of the effects, with the
+nominal model's tangent projected out. The mismatch is not used.
 """
 
 from __future__ import annotations
@@ -14,32 +15,32 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import ABSORBED, Stack
+from identification.diagnosis.fit.stack import COLLINEAR_BELOW, Stack
 from identification.diagnosis.score.significance import LEAST_SHARE, LEVEL
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
 ALIKE = 0.9
-"""Share of an effect's regressor that another effect explains, from which on the two are not
-distinguished.
+"""Share of an effect's regressor that another effect explains, from which the two count as
+indistinguishable.
 """
 MOST_OF_ITS_SHAPES = 0.5
-"""Share of an effect's trial shapes for which that must hold."""
+"""Share of an effect's trial parameters for which this must hold."""
 
 
 @dataclass(frozen=True)
 class Observable:
-    """What recordings can show of one effect.
+    """Observability of one effect.
 
     Attributes:
         name: Name in the catalogue.
-        left: Share of the regressor's squares that the nominal constants cannot explain, median
-            over trial shapes; zero if no recording can show the effect.
-        sizes: Parameter to its value at the least size that these recordings show: median over
-            trial shapes, or of an effect whose shape is its size the faintest trial shape that they
-            show; empty if they show none.
-        alike: Effects that explain its regressor to :data:`ALIKE`, to the share explained, greatest
-            first.
+        left: Share of the regressor's squares that the nominal parameters cannot explain, median
+            over trial parameters; zero if no recording can show the effect.
+        sizes: Parameter to its value at the least observable size. This is the median over trial
+            parameters or, if these determine the size, the smallest observable trial; empty if none
+            is observable.
+        alike: Effects that explain at least :data:`ALIKE` of its regressor, to the share explained,
+            greatest first.
     """
 
     name: str
@@ -50,14 +51,14 @@ class Observable:
 
 @dataclass(frozen=True)
 class _Trial:
-    """An effect at a trial shape.
+    """An effect at trial parameters.
 
     Attributes:
-        term: Its term.
-        shape: The shape.
+        term: Term of the effect.
+        shape: Trial values of its nonlinear parameters.
         span: Orthonormal regressors with the tangent projected out, shape (n, k).
-        left: Share of the squares that is left by the projection.
-        gain: Whitened squares of a first coefficient of one.
+        left: Share of the squares that remains after the projection.
+        gain: Whitened squares for a first coefficient of one.
         rows: Number of rows of its equations.
     """
 
@@ -70,11 +71,11 @@ class _Trial:
 
 
 def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
-    """Return what recordings can show of each effect, in the order of the terms.
+    """Return the observability of each effect, in the order of the terms.
 
     Args:
         joint: Fit of the nominal model; only its values and its noise are used.
-        terms: The effects.
+        terms: Terms of the effects.
     """
     context = Context(joint.equations[0].views, joint.nominal)
     trials = [t for term in terms for t in _trials(joint.stack, context, term)]
@@ -100,7 +101,7 @@ def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
         whole = stack.whitened(columns)
         rest = stack.projected(whole)
         before, after = (np.sum(c**2, axis=0) for c in (whole, rest))
-        if not np.all(before > 0.0) or not np.all(after > ABSORBED**2 * before):
+        if not np.all(before > 0.0) or not np.all(after > COLLINEAR_BELOW**2 * before):
             continue
         span, _ = np.linalg.qr(rest)
         rows = sum(len(c) for c in columns.values())
@@ -121,7 +122,7 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain one effect's regressor at most of its trial shapes."""
+    """Return the effects that explain one effect's regressor at most of its trial parameters."""
     found = {}
     for name in {t.term.name for t in trials} - {trials[own[0]].term.name}:
         others = [k for k, t in enumerate(trials) if t.term.name == name]
@@ -132,7 +133,7 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
 
 
 def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
-    """Return the least size of an effect that these recordings show.
+    """Return the parameters of an effect at its least observable size.
 
     The gain must be significant at ``level``, and at least the share of the noise below which an
     effect is negligible.

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import Candidate, Stack, surprise
+from identification.diagnosis.fit.stack import Candidate, Stack, log_surprise
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
 from identification.diagnosis.terms.term import Context, Term
@@ -18,7 +18,7 @@ from identification.recording import Array
 
 NOISE = 1.0
 """Ratio of the mean-square mismatch to the noise's, up to which an equation is not tested: a
-pattern within the noise is no mismatch that anybody could look for.
+pattern within the noise is not a mismatch.
 """
 EXCESS = 1.5
 """Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the
@@ -28,10 +28,11 @@ LEVEL = 0.01
 """Significance level of the tests whether anything is missing, or anything more."""
 LEAST_SHARE = 0.01
 """Power of a contribution, over the noise power in its equations, below which it is negligible."""
-RARE = 6.0
-RARE_BLOCKS = 0.01
-"""Share of blocks in which a row beyond that may occur by chance; without injected effects
-simulated benches have none.
+OUTLIER = 6.0
+"""Magnitude of a row, over the noise, from which it is an outlier."""
+OUTLIER_BLOCKS = 0.01
+"""Share of blocks in which an outlier may occur by chance; simulated benches without injected
+effects have none.
 """
 EXCESS_OF_ONE = 2.0
 """Ratio of the mean-square torque mismatch in one recording to the noise's, up to which it counts
@@ -39,12 +40,12 @@ as noise. This test is needed since an effect in a few half cycles of one record
 blocks for sign flips.
 """
 DRAWS = 999
-FLAT = 1e-6
+SINGULAR = 1e-6
 """Determinant of a variance over its squared trace, below which the pseudo-inverse is used."""
 
 
-def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape for which these recordings give a candidate."""
+def trial_candidates(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
+    """Yield every effect at all trial parameters for which these recordings give a candidate."""
     for term in terms:
         for shape in term.shapes(context):
             candidate = stack.term(term, shape)
@@ -52,7 +53,7 @@ def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[
                 yield candidate
 
 
-def generic(stack: Stack) -> Iterator[Candidate]:
+def generic_candidates(stack: Stack) -> Iterator[Candidate]:
     """Yield the generic families in every equation."""
     for equation in stack.equations:
         for name, columns in families(equation):
@@ -61,7 +62,7 @@ def generic(stack: Stack) -> Iterator[Candidate]:
                 yield candidate
 
 
-def chance(
+def sign_flip_p_value(
     candidates: Sequence[Candidate],
     blocks: int,
     rng: np.random.Generator,
@@ -84,15 +85,15 @@ def chance(
     # the greatest is needed.
     greatest: dict[int, Array] = {}
     for candidate in candidates:
-        degrees, drawn = candidate.blocks.shape[1], flipped(candidate, flips)
+        degrees, drawn = candidate.blocks.shape[1], flipped_statistics(candidate, flips)
         greatest[degrees] = np.maximum(greatest.get(degrees, drawn), drawn)
     beyond = np.any(
-        [surprise(drawn, degrees) >= seen for degrees, drawn in greatest.items()], axis=0
+        [log_surprise(drawn, degrees) >= seen for degrees, drawn in greatest.items()], axis=0
     )
     return float((1 + np.sum(beyond)) / (1 + DRAWS))
 
 
-def flipped(candidate: Candidate, flips: Array) -> Array:
+def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
     """Return the statistic under sign flips of shape (draws, b), computed as the observed one,
     shape (draws,).
     """
@@ -141,7 +142,7 @@ def _over_two(score: Array, variance: Array) -> Array:
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T
     left = a * c - b * b
-    flat = left <= FLAT * (a + c) ** 2
+    flat = left <= SINGULAR * (a + c) ** 2
     out = (c * x * x - 2.0 * b * x * y + a * y * y) / np.where(flat, 1.0, left)
     for k in np.flatnonzero(flat):
         out[k] = score[k] @ np.linalg.pinv(variance[k], hermitian=True) @ score[k]
@@ -156,21 +157,21 @@ def beyond_noise(joint: Joint) -> set[str]:
         e.name
         for e in joint.equations
         if float(np.mean(over_own_noise(joint, e) ** 2)) > NOISE
-        or most_of_one(joint, e) > EXCESS_OF_ONE
+        or greatest_mean_square(joint, e) > EXCESS_OF_ONE
     }
 
 
 def over_own_noise(joint: Joint, equation: Equation) -> Array:
-    """Return what a fit leaves of an equation, over the own noise of each row's recording, shape
-    (n,).
+    """Return the residual of a fit in an equation, over the own noise of each row's recording,
+    shape (n,).
     """
     powers = np.array([equation.own.get(index, 1.0) for index in equation.owner.tolist()])
     return np.asarray(joint.residual[joint.stack.part(equation.name)] / np.sqrt(powers))
 
 
-def most_of_one(joint: Joint, equation: Equation) -> float:
-    """Return the mean square that a fit leaves of an equation over that of the recording's own
-    noise, in the recording with most of it.
+def greatest_mean_square(joint: Joint, equation: Equation) -> float:
+    """Return the mean-square mismatch of an equation over that of the recording's own noise, in the
+    recording in which it is greatest.
     """
     rows = over_own_noise(joint, equation)
     return max(
@@ -185,24 +186,24 @@ def level(equation: Equation) -> float:
     return float(np.mean([equation.own.get(index, 1.0) for index in equation.owner.tolist()]))
 
 
-def excess(joint: Joint, only: str = "") -> float:
+def size_p_value(joint: Joint, only: str = "") -> float:
     """Return the p-value of the hypothesis that the mean-square mismatch is at most :data:`EXCESS`
     times the noise's.
 
     It covers all equations, or only the equation named ``only``.
 
     It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
-    detected by its size. Rows beyond :data:`RARE` times the noise are clipped there, so that a few
-    outliers are not taken for physics; a row counts as half an observation, as neighbours share the
-    filter. If outliers recur in many blocks, as after every reversal with presliding, the number of
-    these blocks is tested.
+    detected by its size. Rows are clipped at :data:`OUTLIER` times the noise, so that a few
+    outliers do not count as a mismatch; a row counts as half an observation, as neighbours share
+    the filter. If outliers recur in many blocks, as after every reversal with presliding, the
+    number of these blocks is tested.
     """
     chances = []
     for equation in joint.equations:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
         rows = over_own_noise(joint, equation)
-        powers = np.minimum(np.abs(rows), RARE) ** 2
+        powers = np.minimum(np.abs(rows), OUTLIER) ** 2
         chances.append(_beyond(powers, EXCESS))
         chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
         if equation.name == "torque":
@@ -221,12 +222,12 @@ def _beyond(powers: Array, limit: float) -> float:
 
 
 def _recurring(residual: Array, block: np.ndarray) -> float:
-    """Return the probability of at least so many blocks with a row beyond :data:`RARE`, if one in a
-    hundred blocks has any.
+    """Return the probability of at least so many blocks with an outlier, if one in a hundred blocks
+    has any (:data:`OUTLIER_BLOCKS`).
 
     The result is 1 if the whole mismatch has at most :data:`EXCESS` times the noise power.
     """
     if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
         return 1.0
-    found = len(np.unique(block[np.abs(residual) > RARE]))
-    return float(stats.binom.sf(found - 1, len(np.unique(block)), RARE_BLOCKS))
+    found = len(np.unique(block[np.abs(residual) > OUTLIER]))
+    return float(stats.binom.sf(found - 1, len(np.unique(block)), OUTLIER_BLOCKS))

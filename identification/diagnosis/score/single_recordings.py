@@ -14,9 +14,9 @@ LONG_S = 0.3
 """Least duration of a rest; in shorter ones, under fast-rising torque, the torque exceeds the
 static limit before motion is visible.
 """
-WITHSTOOD = 1.5
-"""Ratio of a rest's torque to the greatest torque at the end of a rest in any other recording, from
-which it is reported.
+TORQUE_RATIO = 1.5
+"""Ratio of the torque during a rest to the greatest torque at the end of a rest in any other
+recording, from which the rest is reported.
 """
 LEAST_BREAKAWAYS = 12
 LEAST_SHARE, CROWDED = 0.25, 3.0
@@ -27,20 +27,20 @@ MOST_OF_IT = 0.8
 """Share of a recording's mismatch that the reported interval contains."""
 
 
-def standing(views: Sequence[View], unit: str) -> tuple[str, ...]:
-    """Return a text for each rest under more torque than any rest of other recordings withstood.
+def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
+    """Return a text for each rest under more torque than ended any rest of other recordings.
 
-    Friction at rest gives a limit, not an equation, so its violation does not show in the mismatch.
-    A drive that switches its torque off may still log the requested torque.
+    At rest friction has only a limit, so a violation does not show in the mismatch. A drive that
+    switches its torque off may still log the requested torque.
 
     Args:
         views: All recordings.
         unit: Unit of the torque.
     """
-    return tuple(line for view in views for line in _standing(view, views, unit))
+    return tuple(line for view in views for line in _rests_of(view, views, unit))
 
 
-def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
+def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
     # Friction at rest grows with the load, so recordings with less load give no limit.
     others = [
         v
@@ -55,20 +55,19 @@ def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
     linear = view.recording.bench.motion == "linear"
     for first, last in _runs(view.still):
         torque = float(np.median(np.abs(view.raw_torque[first:last])))
-        if view.time[last - 1] - view.time[first] < LONG_S or torque < WITHSTOOD * limit:
+        if view.time[last - 1] - view.time[first] < LONG_S or torque < TORQUE_RATIO * limit:
             continue
         place = float(np.median(view.angle[first:last]))
         where = f"{place:.4g} m" if linear else f"{np.rad2deg(place):.1f} deg"
         yield (
             f"{view.recording.name}: from {view.time[first]:.2f} to {view.time[last - 1]:.2f} s "
-            f"the joint stands at "
-            f"{where} under {torque:.2g} {unit}, where elsewhere no rest withstood more than "
-            f"{limit:.2g}: that torque "
-            "did not reach it (a drive that cut it off), or something held it"
+            f"the joint rests at {where} under a logged torque of {torque:.2g} {unit}; "
+            f"elsewhere every rest ends at {limit:.2g} {unit} or less: check whether the drive "
+            "switched its torque off, or something blocked the joint"
         )
 
 
-def crowded(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
+def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
     """Return a text for each recording that contains most of the final model's mismatch, with the
     interval.
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import ABSORBED, Stack
+from identification.diagnosis.fit.stack import COLLINEAR_BELOW, Stack
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
@@ -131,7 +131,7 @@ def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
             out[equation.name] = full - basis @ (basis.T @ full)
             before = before + np.sum(full**2, axis=0)
             after = after + np.sum(out[equation.name] ** 2, axis=0)
-    return out if np.all(np.sqrt(after) > ABSORBED * np.sqrt(before)) else {}
+    return out if np.all(np.sqrt(after) > COLLINEAR_BELOW * np.sqrt(before)) else {}
 
 
 def _folds(stack: Stack) -> np.ndarray:
@@ -161,7 +161,10 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
         taken = given.groups[best].columns
         named.setdefault(given.groups[best].name)
         power -= gains[best]
-        lever = np.linalg.pinv(gram[taken, taken], rcond=ABSORBED**2, hermitian=True) @ gram[taken]
+        lever = (
+            np.linalg.pinv(gram[taken, taken], rcond=COLLINEAR_BELOW**2, hermitian=True)
+            @ gram[taken]
+        )
         moment = moment - lever.T @ moment[taken]
         gram = gram - gram[:, taken] @ lever
     return tuple(named)
@@ -179,8 +182,8 @@ def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
         mine = np.flatnonzero(widths == width)
         places = np.array([groups[int(k)].columns.start for k in mine])[:, None] + np.arange(width)
         own, its = gram[places[:, :, None], places[:, None, :]], moment[places]
-        known = np.all(np.einsum("gkk->gk", own) >= ABSORBED**2, axis=1)
-        known[known] = np.linalg.cond(own[known]) <= ABSORBED**-2
+        known = np.all(np.einsum("gkk->gk", own) >= COLLINEAR_BELOW**2, axis=1)
+        known[known] = np.linalg.cond(own[known]) <= COLLINEAR_BELOW**-2
         mine, own, its = mine[known], own[known], its[known]
         coefficients = np.linalg.solve(own, its[:, :, None])[:, :, 0]
         signs = [

@@ -1,5 +1,5 @@
-"""Comparison of fits: which of two the data prefer, how many parameters each has, and which are
-plausible.
+"""Comparison of fits: preference of the data between two fits, number of parameters, and
+plausibility.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ REJECTED = 1.645
 """Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
-SAME = 0.01
-"""Square of the difference of two fits over the square of their mismatch, below which they are the
-same.
+SAME_FIT = 0.01
+"""Square of the difference of two fits over the square of their mismatch, below which they count as
+equal.
 """
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
@@ -34,11 +34,11 @@ suit.
 
 @dataclass(frozen=True)
 class Contender:
-    """An effect fitted jointly, and how far the data prefer the chosen one to it.
+    """An effect fitted jointly, and the preference of the data for the selected effect over it.
 
     ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica
-    57 (1989) 307). ``beyond`` says which parameter would have to be beyond its plausible range;
-    empty where none.
+    57 (1989) 307). ``beyond`` names a parameter outside its plausible range; it is empty if there
+    is none.
     """
 
     name: str
@@ -49,14 +49,16 @@ class Contender:
 
 @dataclass(frozen=True)
 class Round:
-    """An accepted effect, and the rivals that it was preferred to, best first."""
+    """A selected effect and its rivals, best first."""
 
     name: str
     rivals: tuple[Contender, ...]
 
 
 def preference(chosen: Joint, rival: Joint) -> float:
-    """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
+    """Return the preference of the data for ``chosen``, in standard errors of the difference by
+    blocks.
+    """
     stack = chosen.stack
     loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
     spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
@@ -64,19 +66,19 @@ def preference(chosen: Joint, rival: Joint) -> float:
 
 
 def probability(preferred: float) -> float:
-    """Return the probability that goes with a preference."""
+    """Return the probability that corresponds to a preference."""
     return float(stats.norm.cdf(preferred))
 
 
 def implausible(joint: Joint) -> str:
-    """Say what makes a fit no model of a bench, empty where nothing does.
+    """Return the reason why a fit is implausible for a bench; empty if it is plausible.
 
-    The cause is a parameter of the last effect beyond its range in the catalogue, at the scale of
-    this bench; or a fit that is infeasible (:func:`infeasible`), such as friction that would have
-    to rise with speed where it falls.
+    The reason is a parameter of the last effect outside its range in the catalogue, at the scale of
+    this bench, or an infeasible fit (:func:`infeasible`), such as friction that would have to rise
+    with speed where it falls.
     """
     if infeasible(joint):
-        return "constants that no bench has"
+        return "nominal parameters outside their physical limits"
     last = joint.effects[-1]
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
@@ -87,18 +89,19 @@ def implausible(joint: Joint) -> str:
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
         if motion == LINEAR and q.unit == "rad" and not q.name.startswith(PHASES):
-            # Metres, of which a radian says nothing: as far in travels as the range is on the usual
-            # bench.
+            # A range in rad does not apply to metres: it is scaled by the travel of both benches.
             low, high = (limit * _travels(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
             name = parameter_title(motion, q.name)
-            return f"{name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
+            return (
+                f"{name} {found[q.name]:.3g}, outside its plausible range {low:.3g} to {high:.3g}"
+            )
     return ""
 
 
 def _scales(views: Sequence[View]) -> dict[str, float]:
-    """Return by unit how much larger this bench is than the one that the catalogue's ranges were
-    written for.
+    """Return by unit the scale of this bench over that of the bench for which the catalogue's
+    ranges were written.
     """
     torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
     speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
@@ -114,7 +117,7 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
 
 
 def _travels(views: Sequence[View]) -> float:
-    """Return the travel over that of the bench that the catalogue's ranges were written for."""
+    """Return the travel over that of the bench for which the catalogue's ranges were written."""
     return max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
 
 
@@ -128,14 +131,17 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     return min(near, key=lambda k: (sizes[k], k))
 
 
-def numbers(effect: Added) -> int:
+def parameter_count(effect: Added) -> int:
     """Return the number of an effect's parameters that are fitted."""
     return effect.term.freedom + len(effect.coefficients)
 
 
-def again(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
+def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
     """Whether a rival contains the chosen effect as a special case: it has more parameters and the
     same fit. Such a rival is no alias.
     """
     difference = its.residual - best.residual
-    return numbers(rival) > numbers(chosen) and float(difference @ difference) < SAME * best.cost
+    return (
+        parameter_count(rival) > parameter_count(chosen)
+        and float(difference @ difference) < SAME_FIT * best.cost
+    )

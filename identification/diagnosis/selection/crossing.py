@@ -1,12 +1,12 @@
-"""Discrimination of backlash from coupling hysteresis by the torque that is transmitted while one
-side moves and the other rests.
+"""Discrimination of backlash from coupling hysteresis by the torque transmitted while one side
+moves and the other rests.
 
 If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
-equal within the encoders' resolution. But a gap is crossed with the torque that the rotor takes,
-T = J_r domega_m/dt + M_r s, and a hysteresis loop with a torque that rises on the way,
-T = J_r domega_m/dt + M_r s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the
-motor's side, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in
-the loop. The rise w u tells the two apart; the constant part may be either's.
+equal within the encoders' resolution. In a gap the drive supplies only the rotor's torque, T = J_r
+domega_m/dt + M_r s. In a hysteresis loop the torque rises with the angle, T = J_r domega_m/dt + M_r
+s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the motor's side, w the torque
+that closes the loop, s the direction, and u from -1 to 1 the position in the loop. The rise w u
+distinguishes the two; the constant part may occur in both.
 """
 
 from __future__ import annotations
@@ -36,15 +36,17 @@ from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")
 INNER = 0.6
-"""Central share of a crossing that is used: near the flanks torque is already transmitted."""
+"""Central share of a crossing that is used; near its ends torque is already transmitted."""
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 LEAST_CROSSINGS = 10
 INERTIA, RISE = 0, 2
-"""Regressors of the rotor's inertia and of the torque that rises on the way."""
-CARRIED = 0.06
-"""Ratio of the loop's closing torque to the torque of the motion, from which it is not a gap."""
-SLACK = 0.02
+"""Regressors of the rotor's inertia and of the torque that rises during a crossing."""
+LOOP_SHARE = 0.06
+"""Ratio of the loop's closing torque to the torque of the motion, from which it is a loop and not a
+gap.
+"""
+GAP_SCATTER = 0.02
 """Standard deviation of that ratio for a gap, from simulated trials."""
 
 
@@ -56,7 +58,7 @@ class Crossing:
         inertia: Inertia of the rotor at the joint, kg m^2.
         torque: Torque that closes the loop, N m; about zero for a gap.
         share: Ratio of this torque to the torque of the motion.
-        error: Standard error of the share: scatter over crossings and :data:`SLACK` combined.
+        error: Standard error of the share: scatter over crossings and :data:`GAP_SCATTER` combined.
     """
 
     inertia: float
@@ -65,7 +67,9 @@ class Crossing:
     error: float
 
 
-def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -> Crossing | None:
+def crossing_torque(
+    views: Sequence[View], nominal: Nominal, gap: float, rotor: float
+) -> Crossing | None:
     """Return the torque while a gap of this size is crossed; None if too few crossings last long
     enough.
 
@@ -92,7 +96,7 @@ def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -
     spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[RISE, RISE]))
     usual = float(np.median(np.concatenate(moving)))
     inertia, rise = float(found[INERTIA]), float(found[RISE])
-    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, SLACK))
+    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, GAP_SCATTER))
 
 
 def _columns(
@@ -104,7 +108,7 @@ def _columns(
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
     way = lead(view, nominal, gap, rotor) / (0.5 * gap)
-    # The weight of a falling joint closes a loop, not the motor's motion.
+    # In a falling joint the weight, not the motor's motion, closes the loop.
     held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
     inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
     turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
@@ -125,7 +129,7 @@ def _quick_acceleration(view: View) -> Array:
     )
 
 
-def told_apart(
+def gap_or_loop(
     views: Sequence[View],
     unit: str,
     baseline: Joint,
@@ -143,7 +147,7 @@ def told_apart(
         return joint, rounds
     own = min(named, key=lambda e: PAIR.index(e.term.name))
     if len(named) > 1:
-        # A gap and a loop in one transmission together look like a larger one of either.
+        # A gap and a loop in one transmission together resemble a larger gap or loop.
         joint = fit(
             views,
             unit,
@@ -154,8 +158,8 @@ def told_apart(
         rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
     gap, rotor = _gap_and_rotor(own)
-    seen = crossed(views, joint.nominal, gap, rotor)
-    other = _other(
+    seen = crossing_torque(views, joint.nominal, gap, rotor)
+    other = _other_of_pair(
         own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views)
     )
     rest = tuple(e for e in joint.effects if e is not own)
@@ -197,10 +201,12 @@ def _preference(
     """
     loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
     prefers_loop = (
-        _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
+        _loop_preference(views, loop.torque)
+        if seen is None
+        else (seen.share - LOOP_SHARE) / seen.error
     )
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
-    if _falls(views, joint.nominal):
+    if _weight_exceeds_friction(views, joint.nominal):
         # Under such a weight the two differ in the angles too: combine both tests by Stouffer's
         # sum.
         prefers_other = (prefers_other - preference(joint, beside)) / (
@@ -218,7 +224,7 @@ def _gap_and_rotor(effect: Added) -> tuple[float, float]:
     return 2.0 * Loop(*effect.shape).deflection, Loop(*effect.shape).rotor
 
 
-def _empty(views: Sequence[View], torque: float) -> float:
+def _loop_preference(views: Sequence[View], torque: float) -> float:
     """Return by how many standard errors a loop with this closing ``torque`` (N m), fitted to the
     angles, is preferred to a gap.
 
@@ -230,10 +236,10 @@ def _empty(views: Sequence[View], torque: float) -> float:
             np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])
         )
     )
-    return min(0.0, (torque / usual - CARRIED) / SLACK)
+    return min(0.0, (torque / usual - LOOP_SHARE) / GAP_SCATTER)
 
 
-def _falls(views: Sequence[View], nominal: Nominal) -> bool:
+def _weight_exceeds_friction(views: Sequence[View], nominal: Nominal) -> bool:
     """Whether in all recordings a weight turns with the joint, and its torque in motion exceeds
     friction.
 
@@ -247,7 +253,7 @@ def _falls(views: Sequence[View], nominal: Nominal) -> bool:
     )
 
 
-def _other(
+def _other_of_pair(
     own: Added,
     by_name: dict[str, Term],
     gap: float,

@@ -1,8 +1,8 @@
 """Tests whether an effect reduces the error on recordings that were not used in its fit.
 
 If recordings are set aside, they are predicted. If none is, each part of the recordings is
-predicted from the others (cross-validation: Stone, J. R. Stat. Soc. B 36 (1974) 111), with shapes
-and Stribeck speeds held.
+predicted from the others (cross-validation: Stone, J. R. Stat. Soc. B 36 (1974) 111), with
+nonlinear parameters and Stribeck speeds held.
 """
 
 from __future__ import annotations
@@ -18,40 +18,50 @@ import numpy as np
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.fit.stack import Stack, stacked
-from identification.diagnosis.fit.within_limits import moves, predicted, within_limits
+from identification.diagnosis.fit.stack import Stack, stack_of
+from identification.diagnosis.fit.within_limits import (
+    cross_validation_residual,
+    parameter_derivatives,
+    within_limits,
+)
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, implausible
-from identification.diagnosis.selection.removal import judging
+from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.recording import Array
 
-UNPAID = "unpaid"
-"""What a step says of a name that does not pay."""
+DROPPED = "drop"
+"""Action of a step that drops an effect because it does not reduce the error on unused
+recordings.
+"""
 PARTS = 4
-"""Parts that blocks of time are dealt to where a recording tells of something alone."""
-MOST_OF_ONE = 0.99
-"""Share of a column's squares in one part of the rows above which that part alone determines it."""
+"""Number of parts of the blocks of time, used if one recording alone determines a parameter."""
+SOLE_SHARE = 0.99
+"""Share of a column's squares in one part of the rows, above which that part alone determines the
+parameter.
+"""
 
 
-def rows_left(joint: Joint, aside: Sequence[View], unit: str) -> tuple[Stack, Array] | None:
-    """Return the rows of recordings that took no part, and what a fit leaves of them, over the
-    noise of the recordings that it was fitted to; None where hardly a sample is in steady motion.
+def validation_residual(
+    joint: Joint, aside: Sequence[View], unit: str
+) -> tuple[Stack, Array] | None:
+    """Return the rows of recordings set aside and the residual of a fit there, over the noise of
+    the fitted recordings; None if hardly a sample is in steady motion.
 
-    Nothing of the torque's model is fitted to them. Of other equations their own constants are, as
-    the zero of an encoder, which are not reported.
+    No parameter of the torque's model is fitted to these rows. In other equations their own
+    constants are fitted, such as the zero of an encoder, which are not reported.
     """
     rows = equations(aside, joint.nominal, unit)
     sigma = {e.name: e.sigma for e in joint.equations}
     rows = tuple(replace(e, sigma=sigma[e.name]) for e in rows if e.name in sigma)
     if not rows:
         return None
-    stack = stacked(rows, joint.nominal)
+    stack = stack_of(rows, joint.nominal)
     left = np.concatenate([e.residual / e.sigma for e in rows])
     for effect in joint.effects:
-        # What a recording alone shows cannot be told of another one: a mislabelled weight, a slip.
+        # An effect in a single recording, as a mislabelled weight, does not apply to another one.
         columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
         if columns:
             left -= stack.whitened(columns) @ np.array(effect.coefficients)
@@ -62,9 +72,9 @@ def rows_left(joint: Joint, aside: Sequence[View], unit: str) -> tuple[Stack, Ar
     return stack, left
 
 
-def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
-    """Return each equation's rms over recordings that took no part (:func:`rows_left`)."""
-    found = rows_left(joint, aside, unit) if aside else None
+def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
+    """Return each equation's rms over recordings set aside (:func:`validation_residual`)."""
+    found = validation_residual(joint, aside, unit) if aside else None
     if found is None:
         return {}
     stack, left = found
@@ -74,19 +84,20 @@ def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]
     }
 
 
-def paying(found: Search, here: Sequence[View], aside: Sequence[View], unit: str) -> Search:
+def validated_effects(
+    found: Search, here: Sequence[View], aside: Sequence[View], unit: str
+) -> Search:
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
     The effect with the least reduction is dropped first, and the others are fitted again without
-    it. Of its rivals that the fit could not reject, the first that reduces the error significantly
-    takes its place.
+    it. The first of its open rivals that reduces the error significantly takes its place.
 
     Args:
         found: The search.
         here: Recordings that were fitted.
-        aside: Recordings that took no part.
-        unit: Of the torque.
+        aside: Recordings that are set aside.
+        unit: Unit of the torque.
     """
     baseline = within_limits(here, unit, found.baseline)
     case = _Case(here, aside, unit, baseline)
@@ -94,21 +105,21 @@ def paying(found: Search, here: Sequence[View], aside: Sequence[View], unit: str
     rounds, steps = {r.name: r for r in found.rounds}, list(found.steps)
     while True:
         trials = [
-            (_worth(case, joint, without, effect), effect.term.name, without)
+            (_error_reduction(case, joint, without, effect), effect.term.name, without)
             for effect in joint.effects
             if effect.term.place is None
-            for without in [_without(case, joint, effect)]
+            for without in [_fit_without(case, joint, effect)]
         ]
         worth, name, without = min(trials, key=lambda t: t[0], default=(math.inf, "", baseline))
         if worth >= REJECTED:
             break
-        steps.append(_step(UNPAID, name, without.cost - joint.cost, worth, case))
+        steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
         joint, taken = without, rounds.pop(name, None)
         for rival in taken.rivals if taken is not None else ():
-            tried = _beside(case, joint, rival)
+            tried = _fit_with_rival(case, joint, rival)
             if tried is None:
                 continue
-            worth = _worth(case, tried, joint, tried.effects[-1])
+            worth = _error_reduction(case, tried, joint, tried.effects[-1])
             if worth >= REJECTED:
                 steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case))
                 joint, rounds[rival.name] = tried, Round(rival.name, ())
@@ -118,16 +129,16 @@ def paying(found: Search, here: Sequence[View], aside: Sequence[View], unit: str
     )
 
 
-def unpaid(found: Search) -> tuple[str, ...]:
+def dropped_effects(found: Search) -> tuple[str, ...]:
     """Return a warning for each effect that was dropped because it does not reduce the error on
-    unused recordings significantly (:func:`paying`).
+    unused recordings significantly (:func:`validated_effects`).
     """
     kept = {e.term.name for e in found.final.effects}
     return tuple(
-        f"{title(s.name)} explains part of the fitted recordings and is not identified: {s.note}; "
-        f"required is less by {REJECTED:.2f}"
+        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}; "
+        f"it must be less by at least {REJECTED:.2f} standard errors"
         for s in found.steps
-        if s.action == UNPAID and s.name not in kept
+        if s.action == DROPPED and s.name not in kept
     )
 
 
@@ -149,8 +160,8 @@ def _step(action: str, name: str, gain: float, worth: float, case: _Case) -> Ste
     return Step(action, name, None, gain, note)
 
 
-def _beside(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
-    """Return the fit with a rival beside what is kept, or None where it could be no model."""
+def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
+    """Return the fit with a rival added to the accepted effects, or None if it is implausible."""
     added = rival.joint.effects[-1]
     if (
         rival.beyond
@@ -162,7 +173,7 @@ def _beside(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
     return None if implausible(tried) else within_limits(case.here, case.unit, tried)
 
 
-def _without(case: _Case, joint: Joint, effect: Added) -> Joint:
+def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
     rest = tuple(e for e in joint.effects if e is not effect)
     if not rest:
         return case.baseline
@@ -170,30 +181,38 @@ def _without(case: _Case, joint: Joint, effect: Added) -> Joint:
     return within_limits(case.here, case.unit, tried)
 
 
-def _worth(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
+def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
     """Return by how many standard errors, over blocks of time, an effect reduces the error in the
     equations by which it is judged.
     """
-    left = [rows_left(j, case.aside, case.unit) for j in (joint, without)] if case.aside else []
+    left = (
+        [validation_residual(j, case.aside, case.unit) for j in (joint, without)]
+        if case.aside
+        else []
+    )
     parts = folds(joint)
-    fitted = partial(_lessened, joint.stack, [predicted(j, parts) for j in (joint, without)])
-    names = judging(joint, effect.term)
+    fitted = partial(
+        _studentised_reduction,
+        joint.stack,
+        [cross_validation_residual(j, parts) for j in (joint, without)],
+    )
+    names = judging_equations(joint, effect.term)
     if not left or left[0] is None or left[1] is None:
         return fitted(names)
     stack, before = left[1]
     shown = stack.columns(effect.term, effect.shape).values()
     if not any(np.any(columns) for columns in shown):
-        # As a phase that each recording has to itself.
+        # The effect is unknown in these recordings, as a phase that each recording has to itself.
         return fitted(names)
-    unseen = _lessened(stack, [left[0][1], before], names)
+    unseen = _studentised_reduction(stack, [left[0][1], before], names)
     rows = np.concatenate([before[stack.part(name)] for name in names])
     if (len(rows) and float(np.mean(rows**2)) > 1.0) or unseen < -REJECTED:
         return unseen
-    # Nothing is left of them that any name could lessen.
+    # The mismatch of these recordings is within the noise, so no effect can reduce it.
     return fitted(names)
 
 
-def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
     """Return by how many standard errors, over blocks of time, the first residual is smaller than
     the second in some equations.
 
@@ -214,22 +233,22 @@ def _lessened(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
 def folds(joint: Joint) -> Array:
     """Return the number of the cross-validation part of each row.
 
-    Parts are recordings. If one recording alone determines some constant, as the only loaded one
-    does, parts are made of blocks of time instead. If a part still determines a constant alone, its
-    rows are in no part (-1), since the others cannot predict them.
+    Parts are recordings. If one recording alone determines a parameter, as the only loaded one
+    does, parts are made of blocks of time instead. If a part still determines a parameter alone,
+    its rows are in no part (-1), since the others cannot predict them.
     """
     stack = joint.stack
-    told = moves(joint) ** 2
+    squares = parameter_derivatives(joint) ** 2
     owner = np.concatenate([e.owner for e in stack.equations])
-    if len(np.unique(owner)) > 1 and not np.any(_alone(told, owner)):
+    if len(np.unique(owner)) > 1 and not np.any(_sole_parts(squares, owner)):
         return owner
     parts = stack.block % PARTS
-    return np.where(np.isin(parts, np.unique(parts)[_alone(told, parts)]), -1, parts)
+    return np.where(np.isin(parts, np.unique(parts)[_sole_parts(squares, parts)]), -1, parts)
 
 
-def _alone(told: Array, parts: Array) -> Array:
-    """Return which parts alone determine some constant, shape (parts,): nearly all squares of that
-    constant's derivative are in one part.
+def _sole_parts(squares: Array, parts: Array) -> Array:
+    """Return which parts alone determine a parameter, shape (parts,): nearly all squares of that
+    parameter's derivative are in one part.
     """
-    energy = np.array([np.sum(told[parts == part], axis=0) for part in np.unique(parts)])
-    return np.asarray(np.any(energy > MOST_OF_ONE * np.sum(energy, axis=0), axis=1))
+    energy = np.array([np.sum(squares[parts == part], axis=0) for part in np.unique(parts)])
+    return np.asarray(np.any(energy > SOLE_SHARE * np.sum(energy, axis=0), axis=1))

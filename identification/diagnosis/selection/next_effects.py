@@ -1,8 +1,8 @@
-"""Selection of the next effects to try, if the mismatch of one equation dominates another's.
+"""Selection of the next effects to fit if the mismatch of one equation dominates another's.
 
 Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
-approximate regressor in the one equation then has far larger squares than all missing physics in
-the other.
+approximate regressor in one equation then has far larger squares than every missing effect in the
+other.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.selection.removal import (
     FURTHER_SHARE,
-    hopeless,
-    judging,
+    judging_equations,
     left_beyond_noise,
+    would_be_removed,
 )
 from identification.diagnosis.terms.term import Term
 
@@ -25,7 +25,7 @@ RIVAL_SHARE = 0.3
 """Least score of a finalist, over the best score."""
 
 
-def groups(
+def finalist_groups(
     baseline: Joint,
     joint: Joint,
     terms: Mapping[str, Term],
@@ -52,8 +52,8 @@ def groups(
     shown = [
         c
         for c in ranked
-        if any(name in seen for name in judging(joint, terms[c.name]))
-        and not hopeless(baseline, joint, terms[c.name], c)
+        if any(name in seen for name in judging_equations(joint, terms[c.name]))
+        and not would_be_removed(baseline, joint, terms[c.name], c)
     ]
     telling = [
         c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])

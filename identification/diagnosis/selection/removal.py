@@ -1,5 +1,5 @@
-"""Removal and replacement of added effects: the worth of each given the others, and comparison with
-rivals.
+"""Removal and replacement of selected effects: the gain of each given the others, and comparison
+with rivals.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from identification.diagnosis.score.significance import EXCESS
 from identification.diagnosis.selection.comparison import (
     Contender,
     Round,
-    again,
+    contains,
     implausible,
-    numbers,
+    parameter_count,
     preference,
     simplest,
 )
@@ -29,28 +29,28 @@ from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 
 FURTHER_SHARE = 0.4
 """Share of the mismatch beyond the noise that one more effect must explain; a smaller share may be
-the shape error of the first.
+due to the shape error of the first effect's regressor.
 """
 UNCERTAIN = 10.0
 """Least gain of one more effect, over the squares explained already in its equations, in multiples
-of the other regressors' shape error; a smaller gain may be due to that error ...
+of the other regressors' shape error; a smaller gain may be due to that error.
 """
 NEARLY_ALL = 0.8
-"""... unless it explains this share of the mismatch beyond the noise; below that error itself no
-effect is accepted.
+"""Share of the mismatch beyond the noise from which an effect is accepted even with less gain than
+:data:`UNCERTAIN`; with less than the shape error itself no effect is accepted.
 """
 LEAST_FURTHER = UNCERTAIN * ROUGH
-SURE = float(stats.norm.isf(0.01))
+SIGNIFICANT = float(stats.norm.isf(0.01))
 """Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
 remains. Its gain must then also be :data:`UNCERTAIN` times the error of the others, unless they are
 exact, because errors of regressors lie below both limits.
 """
 
-MOST_GROWN = 3.0
+GREATEST_GAIN_RATIO = 3.0
 """Greatest ratio of the gain in a joint fit to the gain predicted by an effect's regressors."""
 
 
-def pruned(
+def with_needed_effects(
     views: Sequence[View],
     unit: str,
     baseline: Joint,
@@ -68,7 +68,7 @@ def pruned(
             without = feasible_or_first(
                 views, unit, fit(views, unit, joint.nominal, rest, baseline)
             )
-            share, needed = _worth(baseline, without, joint, effect.term)
+            share, needed = _explained_share(baseline, without, joint, effect.term)
             trials.append((share / needed, share, needed, effect.term.name, without))
         worth, share, needed, name, without = min(
             trials, key=lambda trial: (trial[0], trial[-1].cost)
@@ -85,48 +85,55 @@ def pruned(
     return joint, rounds
 
 
-def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[float, float]:
+def _explained_share(
+    baseline: Joint, without: Joint, joint: Joint, term: Term
+) -> tuple[float, float]:
     """Return the share of the mismatch beyond the noise that one effect explains, and the share
     that it must explain.
     """
-    parts = _touched(joint, term)
+    parts = _judging_rows(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
-    needed = needed_share(others, _error(without, term))
+    needed = needed_share(others, _regressor_error(without, term))
     left = _beyond_noise(without, parts)
-    if left <= 1.0 and (others < _least(without, term) or preference(joint, without) < SURE):
+    if left <= 1.0 and (
+        others < _least_gain(without, term) or preference(joint, without) < SIGNIFICANT
+    ):
         needed = math.inf
     return gain / left, needed
 
 
-def hopeless(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
+def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
     """Whether one more effect would be removed again after the fit, judged by its predicted gain.
 
     This is so if no mismatch beyond the noise remains in its equations, and it explains less than
     the regressor error of the earlier effects or is not significant.
     """
-    parts = _touched(joint, term)
+    parts = _judging_rows(joint, term)
     if _beyond_noise(joint, parts) > 1.0:
         return False
     explained = _squares(baseline, parts) - _squares(joint, parts)
     return (
-        MOST_GROWN * candidate.gain < _least(joint, term) * explained or candidate.preference < SURE
+        GREATEST_GAIN_RATIO * candidate.gain < _least_gain(joint, term) * explained
+        or candidate.preference < SIGNIFICANT
     )
 
 
-def _least(beside: Joint, term: Term) -> float:
+def _least_gain(beside: Joint, term: Term) -> float:
     """Return the relative gain below which an effect may be the regressor error of the others, if
     nothing else is left.
     """
-    error = _error(beside, term)
+    error = _regressor_error(beside, term)
     return UNCERTAIN * error if error > EXACT else error
 
 
-def _error(beside: Joint, term: Term) -> float:
+def _regressor_error(beside: Joint, term: Term) -> float:
     """Return the regressor error of the other effects, relative to the squares that they
     explain.
     """
-    return max((e.term.shape_error for e in beside.effects if alike(e.term, term)), default=EXACT)
+    return max(
+        (e.term.shape_error for e in beside.effects if share_equation(e.term, term)), default=EXACT
+    )
 
 
 def needed_share(others: float, error: float = ROUGH) -> float:
@@ -142,7 +149,7 @@ def needed_share(others: float, error: float = ROUGH) -> float:
     return NEARLY_ALL if others < UNCERTAIN * error else FURTHER_SHARE
 
 
-def revisited(
+def with_best_rivals(
     views: Sequence[View],
     unit: str,
     baseline: Joint,
@@ -165,12 +172,14 @@ def revisited(
             if (
                 name != own.term.name
                 and all(e.term.name != name for e in others)
-                and alike(own.term, added.term)
+                and share_equation(own.term, added.term)
             ):
                 trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
         ranked = sorted(trials, key=lambda trial: trial[1].cost)
         sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
-        chosen, best = sound[simplest([j for _, j in sound], [numbers(e) for e, _ in sound])]
+        chosen, best = sound[
+            simplest([j for _, j in sound], [parameter_count(e) for e, _ in sound])
+        ]
         if chosen is not own:
             note = (
                 f"with the other effects, preferred to {taken.name} by "
@@ -180,36 +189,36 @@ def revisited(
         rivals = tuple(
             Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
             for e, j in ranked
-            if e is not chosen and not infeasible(j) and not again(e, j, chosen, best)
+            if e is not chosen and not infeasible(j) and not contains(e, j, chosen, best)
         )
         joint = best
         rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
     return joint, rounds
 
 
-def alike(one: Term, other: Term) -> bool:
+def share_equation(one: Term, other: Term) -> bool:
     """Whether two effects appear in the same equation and so can replace each other."""
     return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
 
 
 def left_beyond_noise(joint: Joint, term: Term) -> float:
     """Return the sum of whitened squares beyond the noise that remains in an effect's equations."""
-    return _beyond_noise(joint, _touched(joint, term))
+    return _beyond_noise(joint, _judging_rows(joint, term))
 
 
-def judging(joint: Joint, term: Term) -> list[str]:
+def judging_equations(joint: Joint, term: Term) -> list[str]:
     """Return the names of the equations by which an effect is judged.
 
-    A breakaway gives one number per rest, with the noise of an instant within a sample. Breakaways
-    judge only effects that appear in no other equation.
+    The breakaway equation gives one value per rest, with the noise of an instant within a sample.
+    It judges only effects that appear in no other equation.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
     return [name for name in names if name != "breakaway" or len(names) == 1]
 
 
-def _touched(joint: Joint, term: Term) -> list[slice]:
+def _judging_rows(joint: Joint, term: Term) -> list[slice]:
     """Return the rows of the equations by which an effect is judged."""
-    return [joint.stack.part(name) for name in judging(joint, term)]
+    return [joint.stack.part(name) for name in judging_equations(joint, term)]
 
 
 def _squares(joint: Joint, parts: Sequence[slice]) -> float:

@@ -1,4 +1,6 @@
-"""Forward selection of effects by test, with rivals, then removal of those no longer needed."""
+"""Forward selection of effects by tests, comparison with rivals, and removal of effects no longer
+needed.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.noise import QUICK, quieter
+from identification.diagnosis.fit.noise import FAST_EFFECTS, with_lower_noise
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.start import feasible_or_first, with_assumed_fall
 from identification.diagnosis.fit.within_limits import infeasible
@@ -20,24 +22,29 @@ from identification.diagnosis.score.significance import (
     LEAST_SHARE,
     LEVEL,
     beyond_noise,
-    chance,
-    excess,
-    generic,
-    screened,
+    generic_candidates,
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
 )
 from identification.diagnosis.selection.comparison import (
     REJECTED,
     Contender,
     Round,
-    again,
+    contains,
     implausible,
-    numbers,
+    parameter_count,
     preference,
     simplest,
 )
-from identification.diagnosis.selection.crossing import told_apart
-from identification.diagnosis.selection.next_effects import groups
-from identification.diagnosis.selection.removal import alike, judging, pruned, revisited
+from identification.diagnosis.selection.crossing import gap_or_loop
+from identification.diagnosis.selection.next_effects import finalist_groups
+from identification.diagnosis.selection.removal import (
+    judging_equations,
+    share_equation,
+    with_best_rivals,
+    with_needed_effects,
+)
 from identification.diagnosis.terms.term import Context, Shape, Term
 
 MOST_EFFECTS = 3
@@ -135,7 +142,7 @@ def search(
         named = {e.term.name for e in joint.effects}
         left = [t for t in terms if t.name not in named]
         progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
-        test = _tested(joint, case, left, rng)
+        test = _missing_test(joint, case, left, rng)
         p_values.append(test.p_value)
         steps.append(
             Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
@@ -143,35 +150,39 @@ def search(
         if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
             break
         tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
-        taken = _taken(case, (baseline, joint), test, rng, tell, steps)
+        taken = _next_effect(case, (baseline, joint), test, rng, tell, steps)
         if taken is None:
             break
         joint, added = taken
         rounds.append(added)
-        baseline, joint = quieter(views, unit, baseline, joint)
+        baseline, joint = with_lower_noise(views, unit, baseline, joint)
         if added.name in until:
             break
     if not rounds or rounds[-1].name not in until:
-        joint, rounds = _settled(case, (baseline, joint), rounds, progress, steps)
+        joint, rounds = _final_effects(case, (baseline, joint), rounds, progress, steps)
     p_value, p_after = p_values[0], p_values[-1]
     return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
 
 
-def _tested(joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator) -> _Test:
+def _missing_test(
+    joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator
+) -> _Test:
     """Test whether anything is missing, by size and by sign flips.
 
     Only equations are tested whose mismatch is beyond the noise. Effects that may vary by their
     full amplitude from row to row are tested in any case, because they count as noise.
     """
     beyond = beyond_noise(joint)
-    shown = [t for t in left if t.name in QUICK or beyond & {*judging(joint, t)}]
-    trials = tuple(screened(joint.stack, Context(case.views, joint.nominal), shown))
+    shown = [t for t in left if t.name in FAST_EFFECTS or beyond & {*judging_equations(joint, t)}]
+    trials = tuple(trial_candidates(joint.stack, Context(case.views, joint.nominal), shown))
     # The name of a generic family starts with its equation's.
-    unnamed = tuple(c for c in generic(joint.stack) if c.name.split(" ")[0] in beyond)
+    unnamed = tuple(c for c in generic_candidates(joint.stack) if c.name.split(" ")[0] in beyond)
     every = (*trials, *unnamed)
-    by_size = max(excess(joint), 1e-12)
+    by_size = max(size_p_value(joint), 1e-12)
     # Sign flips cannot give a smaller p-value than this.
-    by_flips = 1.0 if by_size < 1.0 / (1 + DRAWS) else chance(every, joint.stack.blocks, rng)
+    by_flips = (
+        1.0 if by_size < 1.0 / (1 + DRAWS) else sign_flip_p_value(every, joint.stack.blocks, rng)
+    )
     loudest = max(every, key=lambda c: c.surprise).name if every else ""
     return _Test(trials, unnamed, min(1.0, 2.0 * min(by_flips, by_size)), loudest)
 
@@ -180,7 +191,7 @@ def _tell(progress: Progress, share: float, finalists: Sequence[Candidate]) -> N
     progress("fitting " + ", ".join(c.name for c in finalists), share)
 
 
-def _taken(
+def _next_effect(
     case: _Case,
     fits: tuple[Joint, Joint],
     test: _Test,
@@ -203,15 +214,15 @@ def _taken(
     if not best:
         return None
     missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)
-    for finalists in groups(baseline, joint, case.terms, best, missing):
+    for finalists in finalist_groups(baseline, joint, case.terms, best, missing):
         tell(finalists)
-        taken = _contest(case, fits, finalists, test.p_value, steps)
+        taken = _best_finalist(case, fits, finalists, test.p_value, steps)
         if taken is not None:
             return taken
     return None
 
 
-def _settled(
+def _final_effects(
     case: _Case,
     fits: tuple[Joint, Joint],
     rounds: list[Round],
@@ -222,15 +233,15 @@ def _settled(
     rounds.
     """
     (baseline, before), views, unit = fits, case.views, case.unit
-    joint, rounds = pruned(views, unit, baseline, before, rounds, steps)
+    joint, rounds = with_needed_effects(views, unit, baseline, before, rounds, steps)
     dropped = [e for e in before.effects if all(e.term.name != r.name for r in rounds)]
     if len(before.effects) > 1:
         progress("rivals, with the other effects", 0.9)
-        joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
-    return told_apart(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
+        joint, rounds = with_best_rivals(views, unit, baseline, joint, rounds, dropped, steps)
+    return gap_or_loop(views, unit, baseline, joint, rounds, list(case.terms.values()), steps)
 
 
-def _contest(
+def _best_finalist(
     case: _Case,
     fits: tuple[Joint, Joint],
     finalists: Sequence[Candidate],
@@ -243,7 +254,7 @@ def _contest(
     if not finalists:
         return None
     terms, joint = case.terms, fits[1]
-    fitted = [_fitted(case, fits, candidate) for candidate in finalists]
+    fitted = [_fit_with(case, fits, candidate) for candidate in finalists]
     beyond = [implausible(f) for f in fitted]
     ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
     order = [k for k in ranked if not beyond[k]]
@@ -254,15 +265,19 @@ def _contest(
         )
         return None
     winner = order[
-        simplest([fitted[k] for k in order], [numbers(fitted[k].effects[-1]) for k in order])
+        simplest(
+            [fitted[k] for k in order], [parameter_count(fitted[k].effects[-1]) for k in order]
+        )
     ]
     ranked.remove(winner)
     rivals = tuple(
         Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
         for k in ranked
-        if alike(terms[finalists[k].name], terms[finalists[winner].name])
+        if share_equation(terms[finalists[k].name], terms[finalists[winner].name])
         and not infeasible(fitted[k])
-        and not again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
+        and not contains(
+            fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner]
+        )
     )
     gain = joint.cost - fitted[winner].cost
     if gain <= 2.0 * finalists[winner].penalty:
@@ -280,27 +295,29 @@ def _contest(
     return fitted[winner], Round(finalists[winner].name, rivals)
 
 
-def _fitted(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
+def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
     """Return the fit with a candidate and the selected effects.
 
-    An effect of several forms is fitted in each; another than the usual one must be preferred for
-    sure.
+    An effect with several forms is fitted in each; a form other than the usual one must be
+    significantly better.
     """
-    usual, *others = (_fitted_as(case, fits, candidate, shape) for shape in _forms(case, candidate))
+    usual, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
     sure = [f for f in others if preference(f, usual) >= REJECTED]
     return min(sure, key=lambda f: f.cost, default=usual)
 
 
 def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
-    """Return a candidate's shape in each of its forms, the usual one first."""
+    """Return a candidate's trial parameters in each of its forms, the usual form first."""
     shapes = [candidate.shape]
     for index, values in case.terms[candidate.name].forms.items():
         shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
     return shapes
 
 
-def _fitted_as(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
-    """Return the fit with a candidate that starts from this shape, and the selected effects."""
+def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
+    """Return the fit with a candidate that starts from these nonlinear parameters, and the selected
+    effects.
+    """
     baseline, joint = fits
     added = Added(
         case.terms[candidate.name],
@@ -323,15 +340,19 @@ def _missing(
 ) -> bool:
     """Whether anything is missing in one equation, by the same test as for the whole model."""
     judged = len(joint.equations)
-    if 2.0 * judged * excess(joint, name) <= LEVEL:
+    if 2.0 * judged * size_p_value(joint, name) <= LEVEL:
         return True
     # The name of a generic family starts with its equation's.
     own = [
         c
         for c in candidates
-        if (name in judging(joint, terms[c.name]) if c.name in terms else c.name.startswith(name))
+        if (
+            name in judging_equations(joint, terms[c.name])
+            if c.name in terms
+            else c.name.startswith(name)
+        )
     ]
-    return 2.0 * judged * chance(own, joint.stack.blocks, rng) <= LEVEL
+    return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, rng) <= LEVEL
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:

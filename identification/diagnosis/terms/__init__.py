@@ -1,4 +1,4 @@
-"""Every effect that can be computed, in the order of the catalogue's groups."""
+"""All effects with their regressors, in the order of the catalogue's groups."""
 
 from __future__ import annotations
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import KEPT, Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.lateness import computed, too_early
-from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.lateness import command_delay_error, voltage_is_computed
+from identification.diagnosis.terms.memory import delayed_series
 from identification.diagnosis.terms.term import (
     CLOSE,
     EXACT,
@@ -36,12 +36,14 @@ EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5
 BOTH = 0.0
 """Side of a pair of end stops."""
 STOPS = 10
-"""Number of trial stops on either side, over the outer half of the travel."""
+"""Number of trial stops on either side, in the outer half of the travel."""
 SKEWS_S: tuple[Shape, ...] = tuple(
     (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
 )
 WITH_VOLTAGE = (1.0,)
-"""End of a skew's shape where the voltage is sampled together with the current."""
+"""Last nonlinear parameter of a time skew for which the voltage is sampled together with the
+current.
+"""
 SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
 
 
@@ -162,10 +164,10 @@ def _has_weight(view: View) -> bool:
 
 
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
-    if computed(view.recording):
-        return rows(too_early(view, -shape[0]))
+    if voltage_is_computed(view.recording):
+        return rows(command_delay_error(view, -shape[0]))
     torque = nominal.drive(view)
-    return rows(delayed(torque, view.step, shape[0]) - torque)
+    return rows(delayed_series(torque, view.step, shape[0]) - torque)
 
 
 def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -174,9 +176,9 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     if shape[1:] == WITH_VOLTAGE:
         speed = view.motor_speed
         return rows(
-            (bench.back_emf_constant or 0.0) * (delayed(speed, view.step, shape[0]) - speed)
+            (bench.back_emf_constant or 0.0) * (delayed_series(speed, view.step, shape[0]) - speed)
         )
-    change = delayed(view.current, view.step, -shape[0]) - view.current
+    change = delayed_series(view.current, view.step, -shape[0]) - view.current
     return rows(
         (bench.resistance or 0.0) * change
         + (bench.inductance or 0.0) * central_difference(change, view.step)
@@ -184,8 +186,8 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _skews(context: Context) -> list[Shape]:
-    """Return trial skews of the current alone and, where a voltage is known, of current and voltage
-    together: the angles are then the late ones.
+    """Return trial skews of the current alone and, if a voltage is known, of current and voltage
+    together, in which case the angles are delayed.
     """
     alone = [(*shape, 0.0) for shape in SKEWS_S]
     if all(v.voltage is None for v in context.views):
@@ -265,7 +267,9 @@ TERMS = (
         in_motion(lambda v, n, _s: rows(v.sense * n.borne(v))),
         one("coefficient"),
         lambda context: (
-            NO_SHAPE if any(context.nominal.hidden) else everywhere(context, _has_weight, NO_SHAPE)
+            NO_SHAPE
+            if any(context.nominal.undeclared)
+            else everywhere(context, _has_weight, NO_SHAPE)
         ),
         positive=(0,),
         follows=True,

@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import KEPT, SPEEDS, Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import (
     CLOSE,
     EXACT,
@@ -24,14 +24,14 @@ from identification.diagnosis.terms.term import (
 from identification.recording import Array
 
 AT_START_S = 0.02
-"""Stretch from whose line of torque the bristles' load at the start of a recording is taken."""
+"""Duration over which a line is fitted to the torque for the initial presliding force."""
 ALPHAS = (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5)
 SAME_FALL = (0.6, 0.1)
-"""Shares of its rise down to which friction has fallen where a fitted exponent and another one
-agree: which they are depends on the speeds that the recordings have.
+"""Shares of its rise to which friction has fallen where two exponents agree; the right share
+depends on the speeds of the recordings.
 """
 LEVEL_OR_SPEED = (0.0, 1.0)
-"""What lags: the level of friction (0), or the speed that this level follows (1)."""
+"""Quantity that lags: the level of friction (0), or the speed on which this level depends (1)."""
 LAGS: tuple[Shape, ...] = tuple(
     (t, of_speed) for of_speed in LEVEL_OR_SPEED for t in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 )
@@ -69,8 +69,8 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 
 def _exponents(context: Context) -> list[Shape]:
-    """Return exponents, each with the Stribeck speed over the nominal one at which falls agree at
-    one share.
+    """Return trial exponents, each with the ratio of its Stribeck speed to the nominal one at which
+    both falls agree at one share.
     """
     usual = context.nominal.alpha
     return [
@@ -80,18 +80,18 @@ def _exponents(context: Context) -> list[Shape]:
     ]
 
 
-def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Hand the wider fall over to the nominal Stribeck speeds, which a joint fit seeks."""
+def _start_with_exponent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Return nominal values whose Stribeck speeds include the factor of the trial, as start values
+    of a joint fit.
+    """
     alpha, wider = shape
     values = {n: v * wider if n in SPEEDS else v for n, v in nominal.values.items()}
-    return replace(nominal, values=values, bent=alpha), (alpha, 1.0)
+    return replace(nominal, values=values, fitted_alpha=alpha), (alpha, 1.0)
 
 
 @lru_cache(maxsize=KEPT)
 def _level(view: View, nominal: Nominal) -> Array:
-    """Return the part of friction that depends on speed otherwise than in proportion, without its
-    sign, N m.
-    """
+    """Return the part of friction that is not proportional to speed, without its sign, N m."""
     total = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
     if view.loaded:
         slope = nominal.get("mu_2") * np.abs(view.velocity)
@@ -102,40 +102,45 @@ def _level(view: View, nominal: Nominal) -> Array:
 def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
     time_s, of_speed = shape
     level = _level(view, nominal)
-    late = _level(_late(view, time_s), nominal) if of_speed else lagged(level, view.step, time_s)
-    if nominal.bristles:  # what is late then is how far the bristles yield
-        start = _borne_at_start(view, nominal)
-        late, level = (dahl(view.angle, each, nominal.bristles, start) for each in (late, level))
+    late = (
+        _level(_with_lagged_speed(view, time_s), nominal)
+        if of_speed
+        else first_order_lag(level, view.step, time_s)
+    )
+    if nominal.presliding_stiffness:  # the lag is then in the presliding deflection
+        start = _initial_friction(view, nominal)
+        late, level = (
+            dahl(view.angle, each, nominal.presliding_stiffness, start) for each in (late, level)
+        )
         return rows(late - level)
     return rows(view.sense * (late - level))
 
 
 @lru_cache(maxsize=KEPT)
-def _late(view: View, time_s: float) -> View:
+def _with_lagged_speed(view: View, time_s: float) -> View:
     """Return the view with its speed after a first-order lag."""
-    return replace(view, velocity=lagged(view.velocity, view.step, time_s))
+    return replace(view, velocity=first_order_lag(view.velocity, view.step, time_s))
 
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
     return rows(
-        dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level
+        dahl(view.angle, level, shape[0], _initial_friction(view, nominal)) - view.sense * level
     )
 
 
-def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Tell what else is built from friction that it springs."""
-    return replace(nominal, bristles=shape[0]), shape
+def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Return nominal values with the presliding stiffness, for the regressors of other effects."""
+    return replace(nominal, presliding_stiffness=shape[0]), shape
 
 
 @lru_cache(maxsize=KEPT)
-def _borne_at_start(view: View, nominal: Nominal) -> float:
-    """Return the friction with which a recording begins, N m: what the drive's torque then leaves
-    to it.
+def _initial_friction(view: View, nominal: Nominal) -> float:
+    """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
 
-    A joint stands on its bristles as it came to rest, loaded by up to its static friction to either
-    side, and no recording shows how. One number of the measured torque, forgotten with the first
-    slip, explains nothing else.
+    A resting joint is held by its presliding stiffness, with up to its static friction in either
+    direction, which no recording shows. This one number of the measured torque decays with the
+    first slip, so it explains nothing else.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]
@@ -153,14 +158,16 @@ def _patches(context: Context) -> list[Shape]:
     return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
 
 
-# What rest has added is gone after a little sliding: it shows as a rest ends, and not in steady
+# Friction added during a rest vanishes after a short slide: it appears at breakaway, not in steady
 # motion.
 def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
 
 
 def _last_rest(view: View) -> Array:
-    """Return how long the rest before each sample lasted, s, also at the sample that ends it."""
+    """Return the duration of the rest before each sample, s, including the sample that ends the
+    rest.
+    """
     return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
 
 
@@ -197,7 +204,7 @@ TERMS = (
         size=1.0,
         follows=True,
         limits={0: (0.3, 8.0)},
-        begin=_bent,
+        begin=_start_with_exponent,
     ),
     Term(
         "friction_memory",
@@ -228,7 +235,7 @@ TERMS = (
         positive=(0,),
         size=1.0,
         follows=True,
-        begin=_sprung,
+        begin=_start_with_presliding,
         shape_error=CLOSE,
     ),
     Term(

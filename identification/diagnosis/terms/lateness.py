@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.memory import delayed_series
 from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 
@@ -27,7 +27,7 @@ NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")
 
 
-def computed(recording: Recording) -> bool:
+def voltage_is_computed(recording: Recording) -> bool:
     """Whether a recording's torque comes from a voltage that was computed from its samples by the
     control law.
     """
@@ -49,7 +49,7 @@ def computed(recording: Recording) -> bool:
     return float(np.max(np.abs(volts - _law(recording, 0.0))[known])) <= AS_COMPUTED * greatest
 
 
-def too_early(view: View, late_s: float) -> Array:
+def command_delay_error(view: View, late_s: float) -> Array:
     """Return the error of the torque because its command is not delayed like its angle, N m, shape
     (m,).
     """
@@ -60,7 +60,7 @@ def too_early(view: View, late_s: float) -> Array:
     return np.asarray(here - there)
 
 
-def behind(view: View, late_s: float) -> View:
+def delayed_view(view: View, late_s: float) -> View:
     """Return a view whose motion is delayed like the torque's samples, for effects that depend on
     the angle.
 
@@ -69,7 +69,7 @@ def behind(view: View, late_s: float) -> View:
     """
     known = view.behind.get(late_s)
     if known is None:
-        known = view if computed(view.recording) else _moved(view, late_s)
+        known = view if voltage_is_computed(view.recording) else _moved(view, late_s)
         view.behind.clear()
         view.behind[late_s] = known
     return known
@@ -77,7 +77,7 @@ def behind(view: View, late_s: float) -> View:
 
 def _moved(view: View, late_s: float) -> View:
     def late(series: Array) -> Array:
-        return delayed(series, view.step, late_s)
+        return delayed_series(series, view.step, late_s)
 
     return replace(
         view,

@@ -12,7 +12,7 @@ SAME_STEP = 1e-6
 
 
 @compiled
-def lagged(series: Array, step: float, time_constant: float) -> Array:
+def first_order_lag(series: Array, step: float, time_constant: float) -> Array:
     """Return the series after a first-order lag, in steady state at the start, linear between
     samples, shape (m,).
 
@@ -120,7 +120,7 @@ def falling_play(
 
 
 @compiled
-def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
+def temperature_rise(loss: Array, run_time: Array, time_constant: float) -> Array:
     """Return the heating of a first-order thermal body, shape (2, m): temperature rise per thermal
     resistance, W, and the remainder of an initial 1 K.
     """
@@ -141,7 +141,7 @@ def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
 
 
 @compiled
-def delayed(series: Array, step: float, time_s: float) -> Array:
+def delayed_series(series: Array, step: float, time_s: float) -> Array:
     """Return a series delayed by ``time_s`` (advanced if negative), ends held, shape (m,)."""
     out = np.empty(len(series))
     last = len(series) - 1

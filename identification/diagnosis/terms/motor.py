@@ -12,8 +12,8 @@ from functools import lru_cache
 import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
-from identification.diagnosis.rows.view import View, torque_per_ampere, without_origin
-from identification.diagnosis.terms.memory import warmed
+from identification.diagnosis.rows.view import View, lacks_common_origin, torque_per_ampere
+from identification.diagnosis.terms.memory import temperature_rise
 from identification.diagnosis.terms.term import (
     EXACT,
     NO_SHAPE,
@@ -71,8 +71,7 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 # The torque of the current is the required torque divided by one plus the ripple. Without the
-# identified ripple in the divisor its square remains: a hundredth for a ripple of 12 %, which was
-# more than the inertia of a load.
+# identified ripple in the divisor its square remains, which is a hundredth for a ripple of 12 %.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
     return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
@@ -106,14 +105,14 @@ def _waves(context: Context) -> Sequence[Shape]:
     """Return trial cycles per motor turn and, if recordings have no common origin of angles, the
     number of recordings.
     """
-    if without_origin(context.views):
+    if lacks_common_origin(context.views):
         return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
     return CYCLES_PER_TURN
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the shapes of :func:`_waves` without one cycle per turn of the joint, which is a
-    weight imbalance.
+    """Return the trial parameters of :func:`_waves` without one cycle per turn of the joint, which
+    is a weight imbalance.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
@@ -169,7 +168,7 @@ def _rises(view: View, time_constant: float) -> Array:
     """Return the winding's temperature rise per K/W, and the remainder of an initial 1 K, shape (2,
     m).
     """
-    return warmed(_loss(view), view.run_time, time_constant)
+    return temperature_rise(_loss(view), view.run_time, time_constant)
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
@@ -278,7 +277,7 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
 
 
 def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial shapes: the current over which a drop is reached, and the reading without
+    """Return trial parameters: the current over which a drop is reached, and the reading without
     current.
     """
     return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(
@@ -287,8 +286,8 @@ def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
 
 
 def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return the nominal values and a shape whose drop follows the sign of the true current, as the
-    sensor's offset may exceed the step.
+    """Return nominal values and nonlinear parameters whose drop depends on the sign of the true
+    current, as the sensor's offset may exceed the step.
     """
     return nominal, (shape[0], nominal.zero_A)
 

@@ -1,4 +1,4 @@
-"""Definition of an effect for the search: regressors at the full rate for trial shapes, and
+"""Definition of an effect for the search: regressors at the full rate at trial parameters, and
 conversion to its parameters.
 """
 
@@ -16,7 +16,9 @@ from identification.recording import Array
 Shape = tuple[float, ...]
 """Values of an effect's nonlinear parameters."""
 Columns = Callable[[View, Nominal, Shape], Array]
-"""Regressors of one recording at the full rate, shape (k, m), at nominal values, for one shape."""
+"""Regressors of one recording at the full rate, shape (k, m), at nominal values and nonlinear
+parameters.
+"""
 NO_SHAPE: tuple[Shape, ...] = ((),)
 EXACT, CLOSE, ROUGH = 1e-5, 1e-4, 1e-3
 """Shape error of a regressor: squares that its error leaves to other effects, over the squares that
@@ -30,7 +32,7 @@ millionths of the strongest draw's squares, or nothing above 1 % of the noise; i
 
 @dataclass(frozen=True)
 class Context:
-    """Data on which trial shapes may depend: the recordings under diagnosis and their nominal
+    """Data on which trial parameters may depend: the recordings under diagnosis and their nominal
     model.
     """
 
@@ -49,26 +51,29 @@ class Term:
     Attributes:
         name: Stable name of the catalogue.
         columns: Equation to regressors; the effect does not appear in other equations.
-        read: (coefficients, shape, context) to the catalogue's parameters.
-        shapes: Trial shapes; empty if these recordings cannot show the effect.
-        refine: Index of each continuous shape entry to its search range around the trial; 0 for
-            scales, which are searched within a factor.
-        forms: Index of a shape entry that says which form of the effect it is, to its values, the
-            usual form first.
+        read: (coefficients, nonlinear parameters, context) to the catalogue's parameters.
+        shapes: Trial values of the nonlinear parameters; empty if these recordings cannot show the
+            effect.
+        refine: Index of each continuous nonlinear parameter to its search range around the trial; 0
+            for scales, which are searched within a factor.
+        forms: Index of a nonlinear parameter that selects the form of the effect, to its values,
+            the usual form first.
         positive: Indices of coefficients that must be positive to be physical.
         follows: Whether the regressors depend on the nominal values, so that they change during a
             fit.
         varies: Equations whose regressors change with the nominal values while the coefficients do
             not.
-        limits: Index of a shape entry to its least and greatest physical value.
-        place: Index of the shape entry that is the only recording with the effect, if there is one.
-        begin: Function from nominal values and a trial shape to the start values of a joint fit.
+        limits: Index of a nonlinear parameter to its least and greatest physical value.
+        place: Index of the nonlinear parameter that is the only recording with the effect, if there
+            is one.
+        begin: Function from nominal values and trial parameters to the start values of a joint fit.
         shape_error: Squares that the regressor's error leaves to others, over the squares that it
             explains; :data:`EXACT` if the regressor is exact, known from clock, angle, motion or
             torque.
         at_angle: Whether its torque depends on angle, which must then be delayed like the torque's
             samples.
-        size: Fixed coefficient of a regressor whose shape determines its size; else None.
+        size: Fixed coefficient of a regressor whose nonlinear parameters determine its size; else
+            None.
     """
 
     name: str
@@ -96,7 +101,7 @@ class Term:
         return len(self.refine) - (self.size is not None)
 
     def physical(self, shape: Shape) -> bool:
-        """Whether a shape is within its limits."""
+        """Whether nonlinear parameters are within their limits."""
         return all(low <= shape[k] <= high for k, (low, high) in self.limits.items())
 
 
@@ -113,7 +118,7 @@ def one(name: str) -> Reader:
 
 
 def shaped(name: str, index: int = 0) -> Reader:
-    """Return a reader of a shape entry, for effects whose size is in their shape."""
+    """Return a reader of a nonlinear parameter, for effects whose size is determined by it."""
     return lambda _coefficients, shape, _context: {name: shape[index]}
 
 
@@ -127,7 +132,7 @@ def polar(sine: float, cosine: float) -> tuple[float, float]:
 def everywhere(
     context: Context, needed: Callable[[View], bool], shapes: Sequence[Shape]
 ) -> Sequence[Shape]:
-    """Return the shapes if at least one recording can show the effect, else none."""
+    """Return the trial parameters if at least one recording can show the effect, else none."""
     return shapes if any(needed(v) for v in context.views) else ()
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
+from identification.diagnosis.terms.memory import delayed_series, falling_play, first_swing, play
 from identification.diagnosis.terms.term import (
     EXACT,
     Context,
@@ -43,7 +43,9 @@ ROTOR_SHARE = 0.5
 """Start value of the rotor's share of the inertia, which is unknown and fitted."""
 SLIPS_PER_RECORDING = 12
 KEPT = 128
-"""Cache size of series by recording and shape entries; a search changes one entry at a time."""
+"""Cache size of series by recording and nonlinear parameters; a search changes one parameter at a
+time.
+"""
 FIRST_SAMPLES = 20
 """Number of first samples whose encoder readings determine the initial position in a gap or
 loop.
@@ -51,7 +53,9 @@ loop.
 
 
 class Gap(NamedTuple):
-    """Shape of a gap: its width, rad, the compliance of the shaft, and the inertia of the rotor."""
+    """Nonlinear parameters of a gap: its width, rad, the compliance of the shaft, and the inertia
+    of the rotor.
+    """
 
     width: float
     counts: float
@@ -63,8 +67,8 @@ class Gap(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Shape of a coupling's hysteresis loop: closing torque, N m, and deflection, rad; the others
-    as in :class:`Gap`.
+    """Nonlinear parameters of a coupling's hysteresis loop: closing torque, N m, and deflection,
+    rad; the others as in :class:`Gap`.
     """
 
     torque: float
@@ -78,7 +82,7 @@ def _both_encoders(view: View) -> bool:
     return view.lag is not None
 
 
-def carried(view: View, rotor: float) -> Array:
+def coupling_torque(view: View, rotor: float) -> Array:
     """Return the torque through the coupling, N m, for a rotor of this inertia at the joint, kg
     m^2.
 
@@ -102,7 +106,9 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
     gap, counts, per_torque, rotor = Gap(*shape)
-    return rows(lead(view, nominal, gap, rotor) + counts * per_torque * carried(view, rotor))
+    return rows(
+        lead(view, nominal, gap, rotor) + counts * per_torque * coupling_torque(view, rotor)
+    )
 
 
 def count_of_twist(views: Sequence[View]) -> float:
@@ -188,8 +194,8 @@ def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
         at_first, later = (float(lag - compliance * twisting) for lag, twisting in known[:, :2])
         first = (at_first - (later - deflection * float(known[1, 2]))) / deflection
         here = torque[: closed + 1]
-        begun = _sheared(here, width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
-        out[: closed + 1] = deflection * begun + compliance * here
+        initial = _sheared(here, width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
+        out[: closed + 1] = deflection * initial + compliance * here
     return rows(out)
 
 
@@ -202,7 +208,7 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
         it does not depend on the start; means of lag, torque and deflection over the first samples
         and from that sample on, shape (2, 3), or None.
     """
-    torque = carried(view, rotor)
+    torque = coupling_torque(view, rotor)
     state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
     if view.lag is None or closed == len(torque):
         return torque, state, closed, None
@@ -269,12 +275,12 @@ def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
     # Speed times delay is not accurate enough: if the speed changes within the delay its error is
     # far above the encoders' noise.
     logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
-    return rows(delayed(logged, view.step, -shape[0]) - logged)
+    return rows(delayed_series(logged, view.step, -shape[0]) - logged)
 
 
 def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     torque = nominal.drive(view)
-    return rows(delayed(torque, view.step, -shape[0]) - torque)
+    return rows(delayed_series(torque, view.step, -shape[0]) - torque)
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:

@@ -1,1 +1,3 @@
-"""The verdict: identified effects with confidence, in sentences, and what was not recorded."""
+"""The verdict: identified effects with confidence, in sentences, and effects that need channels not
+recorded.
+"""

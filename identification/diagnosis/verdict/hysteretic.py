@@ -1,8 +1,8 @@
-"""Test whether the remaining torque mismatch is hysteretic: then the identified effect is the wrong
-one.
+"""Test whether the remaining torque mismatch is hysteretic, in which case the identified effect is
+wrong.
 
 A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,
-and most of it is explained by one of them. The remaining mismatch starts anew at each reversal.
+which then explains most of it. The remaining mismatch starts anew at each reversal.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ as dependent on it.
 """
 
 
-def remembered(joint: Joint) -> bool:
-    """Whether more than noise is left of the torque, and depends on travel or time since reversal
+def is_hysteretic(joint: Joint) -> bool:
+    """Whether the torque mismatch exceeds the noise and depends on travel or time since reversal
     more than on any other coordinate.
 
-    Unmodelled friction at the lowest speeds, as in real machines, depends on torque, speed or rest
+    Unmodelled friction at the lowest speeds of real machines depends on torque, speed or rest
     instead.
     """
     rows = joint.residual[joint.stack.part("torque")]

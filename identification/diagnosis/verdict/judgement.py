@@ -1,4 +1,4 @@
-"""Verdict of a search: which effects are identified, with their rivals and confidence."""
+"""Verdict of a search: the identified effects, with their rivals and confidence."""
 
 from __future__ import annotations
 
@@ -15,58 +15,60 @@ from identification.diagnosis.fit.start import NEAR_FLOOR
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.rows.equations import Equation
-from identification.diagnosis.score.locate import location, maps, placed
+from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import (
     EXCESS,
     EXCESS_OF_ONE,
     LEVEL,
     NOISE,
+    greatest_mean_square,
     level,
-    most_of_one,
     over_own_noise,
 )
 from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, probability
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.hysteretic import remembered
-from identification.diagnosis.verdict.one_direction import one_way
+from identification.diagnosis.verdict.hysteretic import is_hysteretic
+from identification.diagnosis.verdict.one_direction import direction_dependent
 from identification.diagnosis.verdict.wording import finding
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Bench
 
-ADEQUATE = 0.70
+ADEQUATE_SHARE = 0.70
 """Share of the mismatch's power beyond the noise that the effects must explain together; with less
 the verdict is outside the catalogue.
 """
-MOST = 0.5
+ADEQUATE_AFTER_REMOVAL = 0.5
 """The same share where some effects were dropped because they do not reduce the error on unused
 recordings.
 """
-WHOLE = 0.95
-"""The same, below which what is left may not go by a coordinate that no name has.
+NEARLY_COMPLETE = 0.95
+"""Share of the mismatch's power beyond the noise, below which the remaining mismatch is tested for
+hysteresis.
 
-In simulated trials, right effects that leave more than 1.5 times the noise explained at least 95.9
-%, and springs that were identified in place of a memory of travel 76 to 89 %.
+In simulated trials, right effects that left more than 1.5 times the noise explained at least 95.9
+%; springs that were identified instead of hysteresis explained 76 to 89 %.
 """
-SUREST = 0.99
-"""Most confidence in any name."""
-UNFINISHED = 0.8
-"""Most confidence in a name beside which the test says that more is missing: in 16 such simulated
-trials 13 first names were right.
+GREATEST_CONFIDENCE = 0.99
+"""Greatest confidence in any effect."""
+INCOMPLETE_CONFIDENCE = 0.8
+"""Greatest confidence in an effect if the test finds that more is missing: in 13 of 16 such
+simulated trials the first effect was right.
 """
-FAINT_MOST = 0.9
-FAINT = 1.0 + (EXCESS - 1.0) / (1.0 - FAINT_MOST)
-"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that:
-the rest of it may be something else and still pass for noise
+FAINT_CONFIDENCE = 0.9
+"""Greatest confidence in an effect whose mismatch is faint."""
+FAINT_RATIO = 1.0 + (EXCESS - 1.0) / (1.0 - FAINT_CONFIDENCE)
+"""Ratio of the mean-square mismatch to the noise's, up to which a mismatch is faint: an
+unidentified effect may cause the part that counts as noise
 (:data:`identification.diagnosis.selection.removal.EXCESS`).
 """
-UNLIKELY = 0.05
-"""Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
+IMPLAUSIBLE_CONFIDENCE = 0.05
+"""Confidence in a rival that fits as well, but with a parameter outside its plausible range."""
 
 
 @dataclass(frozen=True)
 class _Excess:
-    """Power of an equation's whitened mismatch before and after, over its rows."""
+    """Power of an equation's whitened mismatch before and after correction, per row."""
 
     equation: str
     before: float
@@ -74,7 +76,7 @@ class _Excess:
 
     @property
     def explained(self) -> float:
-        """Share of what is beyond the noise that is explained."""
+        """Share of the power beyond the noise that the effects explain."""
         beyond = max(self.before - 1.0, 1e-12)
         return min(1.0, max(0.0, (self.before - max(self.after, 1.0)) / beyond))
 
@@ -91,13 +93,13 @@ def _excess(found: Search) -> list[_Excess]:
     return out
 
 
-def judged(
+def verdict_of(
     found: Search, rng: np.random.Generator, searched: Search | None = None
 ) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
-    """Return the verdict, where the mismatch is, and its maps.
+    """Return the verdict, the location of the mismatch, and its maps.
 
     Args:
-        found: The search with its fits within their limits and the effects that were kept.
+        found: The search with its fits within their limits and the accepted effects.
         rng: Random generator for the bands of the maps.
         searched: The search before effects were dropped; None if it is the same. Both must explain
             enough of the mismatch.
@@ -111,36 +113,39 @@ def judged(
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > LEVEL:
         return Verdict.NOTHING_MISSING, None, drawn
-    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
-    # judges no model.
+    # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
+    # breakaway equation judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     least = NOISE if found.final.effects else EXCESS
-    if not _beyond(found.baseline, judges, least):
+    if not _any_beyond_noise(found.baseline, judges, least):
         return Verdict.NOTHING_MISSING, None, drawn
     fewer = len(found.final.effects) < len(searched.final.effects)
     if (
         not found.final.effects
-        or _short(searched)
-        or (fewer and _short(found, MOST))
-        or one_way(found.final)
+        or _insufficient(searched)
+        or (fewer and _insufficient(found, ADEQUATE_AFTER_REMOVAL))
+        or direction_dependent(found.final)
         or infeasible(searched.final)
-        or _remembered(searched)
+        or _hysteretic_remainder(searched)
     ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
-    open_rivals = any(_open(r) for r in found.rounds)
+    open_rivals = any(_open_rivals(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
 
 
-def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tuple[str, ...]:
-    """Say what effects of the catalogue explain a part of a mismatch that has no name, or one way
-    of motion only.
+def insufficient_effects(
+    found: Search, verdict: Verdict, rng: np.random.Generator
+) -> tuple[str, ...]:
+    """Return texts on effects that explain only a part of a mismatch outside the catalogue, or only
+    one direction of motion.
     """
     if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
         return ()
-    lopsided = one_way(found.final)
+    lopsided = direction_dependent(found.final)
     if lopsided:
         return tuple(
-            f"{title(n)} would explain it, were it not another one way than the other"
+            f"{title(n)} would explain the mismatch only with a different size in each "
+            "direction of motion"
             for n in lopsided
         )
     if infeasible(found.final):
@@ -148,47 +153,45 @@ def too_little(found: Search, verdict: Verdict, rng: np.random.Generator) -> tup
     share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
     words = "; and ".join(e.statement for e in effects_of(found, rng))
     return (
-        f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be "
-        f"explained if {words}",
+        f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "
+        f"least {100.0 * ADEQUATE_SHARE:.0f} % are needed), if {words}",
     )
 
 
-def _short(found: Search, share: float = ADEQUATE) -> bool:
-    """Whether names explain less than a share of what is beyond the noise."""
+def _insufficient(found: Search, share: float = ADEQUATE_SHARE) -> bool:
+    """Whether the effects explain less than a share of the mismatch beyond the noise."""
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
         worst.after > NEAR_FLOOR * level(equation)
-        or most_of_one(found.final, equation) > EXCESS_OF_ONE
+        or greatest_mean_square(found.final, equation) > EXCESS_OF_ONE
     )
     return worst.explained < share and left
 
 
-def _beyond(joint: Joint, judges: Sequence[_Excess], least: float) -> bool:
+def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> bool:
     """Whether the nominal model leaves more than noise in any equation.
-
-    A pattern within the noise is no mismatch that anybody could look for.
 
     Args:
         joint: Fit of the nominal model.
-        judges: Its equations.
-        least: Ratio of the mean-square mismatch to the noise's from which it counts.
+        judges: Excess of each of its equations.
+        least: Ratio of the mean-square mismatch to the noise's, from which it is beyond the noise.
     """
     equations = {e.name: e for e in joint.equations}
     return any(
         float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
-        or most_of_one(joint, equations[e.equation]) > EXCESS_OF_ONE
+        or greatest_mean_square(joint, equations[e.equation]) > EXCESS_OF_ONE
         for e in judges
     )
 
 
-def _remembered(found: Search) -> bool:
-    """Whether names leave a share of the torque's mismatch that no right name does, and it goes by
-    travel.
+def _hysteretic_remainder(found: Search) -> bool:
+    """Whether the effects explain less of the torque mismatch than right effects do, and the
+    remaining mismatch is hysteretic.
     """
     torque = next(e for e in _excess(found) if e.equation == "torque")
-    return torque.explained < WHOLE and remembered(found.final)
+    return torque.explained < NEARLY_COMPLETE and is_hysteretic(found.final)
 
 
 def _rows(found: Search, equation: str) -> int:
@@ -197,8 +200,8 @@ def _rows(found: Search, equation: str) -> int:
 
 
 def _main_equation(found: Search) -> Equation:
-    """Return the equation whose mismatch the final model takes away most of; the torque's where
-    there is none.
+    """Return the equation in which the final model reduces the mismatch most; the torque equation
+    if there is no reduction.
     """
     if found.p_value > LEVEL:
         return found.baseline.equations[0]
@@ -212,7 +215,7 @@ def _main_equation(found: Search) -> Equation:
 
     if found.final.effects:
         return max(found.baseline.equations, key=taken)
-    # A breakaway judges no model, however sure its pattern is.
+    # The breakaway equation judges no model, even if its pattern is significant.
     judges = [e for e in found.baseline.equations if e.name != "breakaway"]
     loudest = found.loudest.split(" ")[0]
     named = [e for e in judges if e.name == loudest]
@@ -220,25 +223,26 @@ def _main_equation(found: Search) -> Equation:
 
 
 def _beyond_noise(joint: Joint, equation: Equation) -> float:
-    """Return the sum of whitened squares that a fit leaves of an equation beyond the noise."""
+    """Return the sum of whitened squares beyond the noise that a fit leaves of an equation."""
     rows = joint.residual[joint.stack.part(equation.name)]
     return float(rows @ rows) - len(rows)
 
 
-def _open(taken: Round) -> tuple[str, ...]:
-    """Return rivals that the data cannot reject."""
+def _open_rivals(taken: Round) -> tuple[str, ...]:
+    """Return the rivals that the data do not reject."""
     return tuple(r.name for r in taken.rivals if r.preference < REJECTED)
 
 
 def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
-    """Return every effect that was kept, with its parameters, rivals and confidence.
+    """Return every accepted effect with its parameters, rivals and confidence, in the order of
+    their selection.
 
-    In the order in which the search came upon them, each having explained most of what was left
-    then: what another took the place of since stands last in the fit.
+    A rival that replaced an effect is last in the fit, but it keeps the place of the replaced
+    effect here.
 
     Args:
         found: The search.
-        rng: Of the bands of the maps.
+        rng: Random generator for the bands of the maps.
     """
     sizes = estimates(found.final)
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
@@ -251,7 +255,7 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
 
 
 def own_bench(found: Search) -> Bench:
-    """Return the bench that was diagnosed."""
+    """Return the bench of the recordings."""
     return found.baseline.equations[0].views[0].recording.bench
 
 
@@ -275,20 +279,20 @@ def _effect(
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, own, before, after, rng)
-    where = location(own, placed(drawn, entry.coordinate.split(":")[0]), before)
+    where = location(own, best_map(drawn, entry.coordinate.split(":")[0]), before)
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])
         where = replace(
             where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,)
         )
-    open_names = _open(taken)
+    open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
     confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
     rivals = tuple(
         Rival(
             r.name,
-            min(1.0 - probability(r.preference), UNLIKELY if r.beyond else 0.5),
+            min(1.0 - probability(r.preference), IMPLAUSIBLE_CONFIDENCE if r.beyond else 0.5),
             _why_not(r),
         )
         for r in taken.rivals
@@ -312,24 +316,31 @@ def _effect(
 
 
 def confidence_of(taken: Round, quality: float, p_after: float, before: float) -> float:
-    """Return the confidence in a name: over its rivals, by how much it explains, and whether more
-    is missing after all.
+    """Return the confidence in an effect, from its rivals, the share it explains, and whether more
+    is missing.
 
     Args:
-        taken: With its rivals.
+        taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
-        p_after: Of the test that anything more is missing.
-        before: Mean square of that equation's mismatch over the noise's without any name.
+        p_after: p-value of the test whether anything more is missing.
+        before: Mean-square mismatch of that equation over the noise's, without any effect.
     """
     over = [
-        max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals
+        max(probability(r.preference), 1.0 - IMPLAUSIBLE_CONFIDENCE if r.beyond else 0.0)
+        for r in taken.rivals
     ]
-    most = UNFINISHED if p_after <= LEVEL else FAINT_MOST if before < FAINT else SUREST
-    return min(most, min([SUREST, *over]) * (0.5 + 0.5 * quality))
+    most = (
+        INCOMPLETE_CONFIDENCE
+        if p_after <= LEVEL
+        else FAINT_CONFIDENCE
+        if before < FAINT_RATIO
+        else GREATEST_CONFIDENCE
+    )
+    return min(most, min([GREATEST_CONFIDENCE, *over]) * (0.5 + 0.5 * quality))
 
 
 def _why_not(rival: Contender) -> str:
-    """Say why a rival was not taken; empty where it might as well have been."""
+    """Return why a rival was rejected; empty if it was not."""
     if rival.preference >= REJECTED:
         return f"its error is larger by {rival.preference:.1f} standard errors"
     return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""

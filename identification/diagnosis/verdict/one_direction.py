@@ -1,8 +1,8 @@
-"""Test whether an identified effect holds for one direction of motion only; no effect of the
+"""Test whether an identified effect acts in one direction of motion only; no effect of the
 catalogue has a size that depends on direction.
 
-Asymmetric friction, too, has the same size in both directions; what differs is the friction, which
-the constants describe.
+Asymmetric friction, too, has the same size in both directions; the difference is in the friction,
+which the nominal parameters describe.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from identification.diagnosis.score.significance import level
 from identification.diagnosis.selection.removal import NEARLY_ALL
 
 
-def one_way(joint: Joint) -> tuple[str, ...]:
+def direction_dependent(joint: Joint) -> tuple[str, ...]:
     """Return the effects that, with separate coefficients for the two directions, explain nearly
     all of the remaining torque mismatch.
 
-    Empty if no more than noise is left.
+    The result is empty if no more than noise remains.
     """
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)

@@ -1,5 +1,5 @@
-"""Effects that recordings cannot show because of what was not recorded: an origin of their angles,
-a common clock.
+"""Effects that recordings cannot show because a common origin of their angles, or a common clock,
+was not recorded.
 """
 
 from __future__ import annotations
@@ -8,43 +8,43 @@ from collections.abc import Collection, Sequence
 
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.rows.clock import one_clock
-from identification.diagnosis.rows.view import View, without_origin
+from identification.diagnosis.rows.view import View, lacks_common_origin
 from identification.recording import Recording
 
-PLACED = (
+LOCAL_EFFECTS = (
     "gravity_imbalance",
     "return_spring",
     "end_stop",
     "position_dependent_friction",
     "load_position_dependence",
 )
-"""Effects at a place, of which recordings that do not share an origin of their angles say
-nothing.
+"""Effects at a fixed angle, which recordings without a common origin of their angles cannot
+show.
 """
 
 
-def unsought(
+def unrecorded_effects(
     fitted: Sequence[Recording], views: Sequence[View]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
-    """Return effects that are not to be sought, and warnings that say so.
+    """Return effects to exclude from the search, and warnings that state the reason.
 
     Args:
         fitted: Recordings to fit.
-        views: Of the same.
+        views: Views of these recordings.
     """
     names: set[str] = set()
     warnings = []
-    if without_origin(views):
-        names.update(PLACED)
+    if lacks_common_origin(views):
+        names.update(LOCAL_EFFECTS)
         warnings.append(
-            "angles were not recorded, only speeds: each recording counts them from where it "
-            "began, so that effects at "
-            f"a place ({_titles(PLACED)}) are not sought, and phases are each recording's own"
+            "no angle was recorded, only speed: each recording counts its angle from its own first "
+            f"sample, so effects at a fixed angle ({_titles(LOCAL_EFFECTS)}) are not searched for, "
+            "and phases hold for one recording each"
         )
     if not one_clock(fitted):
         warnings.append(
-            "the recordings have no clock in common, so that each is taken to have begun cold: "
-            "running time counts from its first sample"
+            "the recordings have no common clock, so each is assumed to start cold, with its "
+            "running time counted from its first sample; state start in the campaign file if known"
         )
     return frozenset(names), tuple(warnings)
 

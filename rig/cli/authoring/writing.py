@@ -59,7 +59,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
             schema = write_schema(kind, path.parent / FOLDER)
             if path.exists():
                 raise InputError(
-                    f"{path}: was made by another program meanwhile; it is not overwritten"
+                    f"{path}: another program has created it meanwhile; it is not overwritten"
                 )
     except OSError as error:
         raise InputError(

@@ -110,7 +110,9 @@ def _no_search(gas: bool, refine: bool | None) -> None:
         click.UsageError: One of them was given.
     """
     if gas or refine is not None:
-        raise click.UsageError("--observable goes with neither --gas nor --refine")
+        raise click.UsageError(
+            "--observable cannot be combined with --gas or --refine; leave them out"
+        )
 
 
 def _print_observable(

@@ -143,7 +143,7 @@ def _identify(options: _Options) -> None:
     """
     if (options.source is None) is (options.sequence is None):
         raise click.UsageError(
-            "give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be"
+            "give either SOURCE, the recordings, or --plan SEQUENCE, a planned experiment"
         )
     if options.sequence is not None:
         _plan(options, options.sequence)
@@ -151,13 +151,13 @@ def _identify(options: _Options) -> None:
     assert options.source is not None
     if options.compared and options.method == "paper":
         raise click.UsageError(
-            "--compare sets the others beside the default method; leave out --method paper"
+            "--compare compares the other methods with the default method; leave out --method paper"
         )
     if options.method == "paper" and (
         options.ladder or options.score or options.profile or options.draws
     ):
         raise click.UsageError(
-            "--ladder, --score, --profile and --bootstrap are of the default method; leave "
+            "--ladder, --score, --profile and --bootstrap need the default method; leave "
             "--method paper out"
         )
     _identify_source(options, options.source)

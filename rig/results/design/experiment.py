@@ -16,7 +16,7 @@ import numpy as np
 from drivers.amt21.encoder import COUNTS_PER_TURN
 from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.propose import Proposal, propose
-from identification.design.simulated import Nominal, Sensors
+from identification.design.simulated import PlannedModel, Sensors
 from identification.simulate.drive_loop import drive_loop
 from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
@@ -49,7 +49,7 @@ class Experiment:
     """
 
     sequence: Sequence
-    nominal: Nominal
+    nominal: PlannedModel
     nominal_source: str
     current_noise_A: float
     proposal: Proposal
@@ -141,9 +141,9 @@ def _torque(bench: Bench, limits: Limits) -> float:
     return min(limits.torque, bench_limits(bench).torque_per_ampere * bench.limits.current_A)
 
 
-def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float) -> Nominal:
+def _nominal(bench: Bench, known: NominalValues, limits: Limits, noise_A: float) -> PlannedModel:
     torque, step = _torque(bench, limits), _joint_step(bench)
-    return Nominal(
+    return PlannedModel(
         known.values,
         bench_constants(bench),
         Sensors(bench.cycle_s, step, noise_A * limits.torque_per_ampere),

@@ -85,7 +85,7 @@ def _torque_noise(noise: dict[str, Any] | None) -> float | None:
         return None
     whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
     if not math.isfinite(whole):
-        raise ValueError("the noise is no number")
+        raise ValueError("the noise is not a number")
     return whole or None
 
 

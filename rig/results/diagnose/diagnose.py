@@ -14,7 +14,7 @@ import numpy as np
 from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.gas.burns import bears
+from identification.diagnosis.gas.burns import has_gas_channels
 from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.result import Diagnosis
 from identification.estimate.uncertainty.known_constants import uncertain_constants
@@ -61,7 +61,7 @@ def diagnose_source(
     progress: Callable[[str, float], None] | None = None,
     refine: bool | None = False,
     gas: bool = False,
-    onlooker: Callable[[Joint], None] | None = None,
+    inspect: Callable[[Joint], None] | None = None,
     partial: bool = False,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
@@ -77,7 +77,7 @@ def diagnose_source(
             samples. Gas generator parameters are always refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
         a firing are left out.
-        onlooker: Receives the nominal model's fit before the search; not called for a gas
+        inspect: Receives the nominal model's fit before the search; not called for a gas
             generator.
         partial: Whether to take the unfinished excitations of a run as well; the result warns of
             them.
@@ -97,7 +97,7 @@ def diagnose_source(
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
             found = diagnose(
-                dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker
+                dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, inspect=inspect
             )
         if refine is None:
             found, refine = _refined_or_told(dataset, found)
@@ -139,7 +139,7 @@ def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
 
 def without_torque(dataset: Dataset) -> bool:
     """Whether no recording has torque, and all have the pressure of a gas generator."""
-    return all(bears(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
+    return all(has_gas_channels(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
 
 
 def burning(dataset: Dataset) -> Dataset:
@@ -149,11 +149,13 @@ def burning(dataset: Dataset) -> Dataset:
         RecordingError: There are none.
     """
     kept = tuple(
-        r for r in dataset.recordings if bears(r) and (r.hot_fire or not r.channels.keys() & EFFORT)
+        r
+        for r in dataset.recordings
+        if has_gas_channels(r) and (r.hot_fire or not r.channels.keys() & EFFORT)
     )
     if not kept:
         raise RecordingError(
-            "no hot firing with pressure and angle on a bench with bench.gas_generator"
+            "no recording is a hot firing with pressure, angle and bench.gas_generator"
         )
     return dataclasses.replace(dataset, recordings=kept)
 

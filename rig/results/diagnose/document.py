@@ -146,7 +146,9 @@ def _effect(effect: Effect, found: Diagnosis) -> Section:
     if effect.statement not in found.statement:
         blocks.append(Paragraph(effect.statement))
     if others:
-        blocks.append(Paragraph(f"These recordings cannot tell it from {', '.join(others)}."))
+        blocks.append(
+            Paragraph(f"These recordings cannot distinguish it from {', '.join(others)}.")
+        )
     if effect.separating_experiment:
         lead = "To distinguish them:" if others else "To confirm it:"
         blocks.append(Paragraph(effect.separating_experiment, lead))

@@ -126,9 +126,7 @@ def bench_text(bench: Mapping[str, Any], notes: Sequence[str]) -> str:
     try:
         Bench.model_validate_json(json.dumps(bench), strict=True)
     except ValueError as error:
-        raise InputError(
-            f"the corrected model is no machine that can be simulated: {error}"
-        ) from error
+        raise InputError(f"the corrected model cannot be simulated: {error}") from error
     head = [
         "# A simulated bench whose machine is the corrected model; run it with `rig run SEQUENCE "
         "--bench` this file."

@@ -53,9 +53,9 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
         found = next((_MOTION_OF_INERTIA[u] for u in units if u in _MOTION_OF_INERTIA), motion)
     if found != motion:
         raise InputError(
-            f"{place}: motion: a result of a {found} bench, and the recordings are of a {motion} "
-            f"one; give a result "
-            f"of a {motion} bench, or set bench.motion: {found} in the campaign"
+            f"{place}: motion: the result is of a {found} bench, but the recordings are of a "
+            f"{motion} one; give a result of a {motion} bench, "
+            f"or set bench.motion: {found} in the campaign"
         )
 
 
@@ -75,8 +75,7 @@ def model_of(
     """
     if record.get("fit", {}).get("equation") == PRESSURE:
         raise InputError(
-            f"{place}: a diagnosis of a gas generator says nothing of the torque; give one of the "
-            f"motion"
+            f"{place}: a diagnosis of a gas generator has no torque model; give one of the motion"
         )
     given = record.get("fitted") or record.get("parameters") or {}
     parameters = {}
@@ -85,7 +84,9 @@ def model_of(
         if value is not None:
             parameters[str(name)] = _finite(place, f"parameters.{name}", value)
     if not parameters:
-        raise InputError(f"{place}: parameters: no value to simulate with")
+        raise InputError(
+            f"{place}: parameters: no parameter has a value, so the model cannot be simulated"
+        )
     effects = dict(_effect(place, effect, recordings) for effect in record.get("effects", ()))
     alpha = _finite(place, "alpha", record.get("alpha", 2.0))
     if not 0.0 < alpha <= LARGEST_ALPHA:
@@ -100,7 +101,9 @@ def _effect(
 ) -> tuple[str, dict[str, float]]:
     name = effect["name"]
     if name not in ENTRIES:
-        raise InputError(f"{place}: effects: {name} is no effect of the catalogue; see rig effects")
+        raise InputError(
+            f"{place}: effects: {name} is not an effect of the catalogue; see rig effects"
+        )
     known = {q.name for q in ENTRIES[name].parameters}
     given = {
         key: _finite(place, f"effects.{name}.{key}", entry["value"])

@@ -1,5 +1,5 @@
-"""Output of ``rig diagnose --observable``: which effects recordings can show, and which they cannot
-distinguish.
+"""Analysis and output of ``rig diagnose --observable``: effects that recordings can show, and
+effects that they cannot distinguish.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.diagnose import observed
+from identification.diagnosis.diagnose import observable_effects
 from identification.diagnosis.score.observable import ALIKE, Observable
 from identification.model.units import parameter_unit
 from identification.prepare import torque_unit
@@ -79,7 +79,7 @@ def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -
     dataset = load_source(source)
     described_by = source / RUN_FILE if is_folder(source) else source
     try:
-        effects = observed(dataset, bandwidth_Hz)
+        effects = observable_effects(dataset, bandwidth_Hz)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     seconds = time.perf_counter() - started

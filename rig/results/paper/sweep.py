@@ -1,4 +1,4 @@
-"""Fig. 4: motor current, pressure and impacted area while the valve opens at constant speed."""
+"""Exhibit of Fig. 4: current, pressure and impacted area of the simulated valve sweep."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from identification.plots import regulator
 from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.machine import true_machine
-from rig.results.paper.sweep_gains import PAPER_DEG_S, SLOW_DEG_S, Sweep, sweep
+from rig.results.paper.sweep_simulation import PAPER_DEG_S, SLOW_DEG_S, Sweep, sweep
 
 _ENDS_DEG = np.array([5.0, 29.0])
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, begun
+from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
 from identification.recording import RecordingError
 from rig.results.prove.folder import write
 from rig.results.prove.simulate import Recorded
@@ -58,7 +58,7 @@ def floors_of(campaign: Path) -> dict[str, float]:
     dataset = load_source(campaign)
     fitted = dataset.part("fit")
     try:
-        _, joint = begun(dataset, bandwidth_of(fitted))
+        _, joint = views_and_fit(dataset, bandwidth_of(fitted))
     except RecordingError:
         return {}
     # At least the noise of a row: rounding errors may coincide where little moves.

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, begun
+from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
@@ -56,7 +56,7 @@ def judge(source: Path, seed: int) -> Judgement:
     """
     seen: list[Joint] = []
     began = time.perf_counter()
-    outcome = diagnose_source(source, seed, onlooker=seen.append)
+    outcome = diagnose_source(source, seed, inspect=seen.append)
     diagnosed = time.perf_counter()
     if not seen:
         # A gas generator's equation has neither these baselines nor this oracle.
@@ -88,7 +88,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     dataset = load_source(source)
     bandwidth = bandwidth_of(dataset.part("fit"))
     try:
-        _, first = begun(dataset, bandwidth)
+        _, first = views_and_fit(dataset, bandwidth)
         return _oracle(dataset, first, bandwidth, names)
     except RecordingError:
         return None

@@ -1,4 +1,4 @@
-"""The truth of a trial, sealed: written, and its digest shown, before anything is diagnosed."""
+"""Writing of a trial's truth with its digest, and reading of it with a check of the digest."""
 
 from __future__ import annotations
 
@@ -41,6 +41,6 @@ def unseal(path: Path, digest: str) -> Truth:
     if found != digest:
         raise InputError(
             f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "
-            f"discard this rig"
+            f"discard this trial"
         )
     return load_truth(path)

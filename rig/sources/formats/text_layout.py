@@ -1,4 +1,5 @@
-"""Finds the layout of a delimited text file: encoding, delimiter, header, units, dates and times.
+"""Functions that detect the layout of a delimited text file: encoding, delimiter, header, units,
+dates and times.
 
 All functions but those that open a file are pure functions of lines and cells.
 """

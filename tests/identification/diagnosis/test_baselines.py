@@ -79,12 +79,12 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     assert found is not None
     assert found.equation == "torque"
     assert found.oracle_rms < 1.3 * found.noise_rms < 0.3 * found.baseline_rms
-    assert found.beside["asymmetric_viscous"] > 3.0
+    assert found.remaining_strength["asymmetric_viscous"] > 3.0
     both = oracle(Dataset(lopsided), first, ["asymmetric_viscous", "torque_ripple"], 25.0)
     assert both is not None
-    assert both.beside["torque_ripple"] < 0.3  # which is not there
-    assert both.beside["asymmetric_viscous"] == pytest.approx(
-        found.beside["asymmetric_viscous"], rel=0.05
+    assert both.remaining_strength["torque_ripple"] < 0.3  # which is not there
+    assert both.remaining_strength["asymmetric_viscous"] == pytest.approx(
+        found.remaining_strength["asymmetric_viscous"], rel=0.05
     )
     wrong = oracle(Dataset(lopsided), first, ["cogging"], 25.0)
     assert wrong is None or wrong.baseline_rms - wrong.oracle_rms < 0.1 * (

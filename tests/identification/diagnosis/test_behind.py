@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import bound, stacked
+from identification.diagnosis.fit.stack import stack_of, view_regressors
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.memory import delayed_series
 from identification.diagnosis.terms.term import Term
 
 from .benches import campaign, honest, nominal_fit
@@ -36,12 +36,12 @@ def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
     shape = {"gear_mesh_ripple": (20.0,), "position_dependent_friction": (0.1, 0.05)}.get(
         name, COGGING
     )
-    prompt = bound(term, "torque", joint.nominal, shape)(view)
-    late = bound(term, "torque", replace(joint.nominal, late_s=LATE_S), shape)(view)
+    prompt = view_regressors(term, "torque", joint.nominal, shape)(view)
+    late = view_regressors(term, "torque", replace(joint.nominal, late_s=LATE_S), shape)(view)
     steady = (
         np.abs(view.velocity) > 0.1
     )  # friction jumps at a reversal, which no interpolation follows
-    expected = np.stack([delayed(row, view.step, LATE_S) for row in prompt])
+    expected = np.stack([delayed_series(row, view.step, LATE_S) for row in prompt])
     assert np.max(np.abs(late - expected)[:, steady]) < 5e-3 * np.max(np.abs(expected))
     assert np.max(np.abs(prompt - expected)[:, steady]) > 0.02 * np.max(np.abs(expected))
 
@@ -49,7 +49,7 @@ def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
 def test_rows_kept_from_a_prompt_torque_are_not_taken_for_late_ones() -> None:
     joint = nominal_fit(honest())
     prompt = joint.stack.columns(TERM["cogging"], COGGING)["torque"]
-    late = stacked(joint.equations, replace(joint.nominal, late_s=LATE_S), joint.stack)
+    late = stack_of(joint.equations, replace(joint.nominal, late_s=LATE_S), joint.stack)
     assert not np.allclose(late.columns(TERM["cogging"], COGGING)["torque"], prompt)
     assert joint.stack.columns(TERM["cogging"], COGGING)["torque"] is prompt
 

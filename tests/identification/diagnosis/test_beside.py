@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.fit.noise import quieter
+from identification.diagnosis.fit.noise import with_lower_noise
 from identification.diagnosis.selection.removal import FURTHER_SHARE, UNCERTAIN, needed_share
-from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint
 
@@ -26,7 +26,7 @@ def after(joint: Joint, *names: str) -> Joint:
     for name in names:
         added = begun_with(found, name).effects[-1]
         found = fit(views, "N m", found.nominal, (*found.effects, added), base)
-        base, found = quieter(views, "N m", base, found)
+        base, found = with_lower_noise(views, "N m", base, found)
     return found
 
 
@@ -44,7 +44,7 @@ def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
 def test_what_moves_slowly_leaves_the_noise_as_it_is() -> None:
     joint = nominal_fit(honest())
     slow = begun_with(joint, "asymmetric_coulomb")
-    before, same = quieter(joint.equations[0].views, "N m", joint, slow)
+    before, same = with_lower_noise(joint.equations[0].views, "N m", joint, slow)
     assert before is joint
     assert same is slow
 
@@ -101,7 +101,7 @@ def test_friction_that_is_late_and_springs_is_bristles_over_a_late_level() -> No
     found = (
         view.sense * level + springs(view, nominal, shape)[0] + lags(view, nominal, (0.02, 0.0))[0]
     )
-    expected = dahl(view.angle, lagged(level, view.step, 0.02), 2500.0)
+    expected = dahl(view.angle, first_order_lag(level, view.step, 0.02), 2500.0)
     begun = len(level) // 2  # by then what it began with is forgotten
     assert found[begun:] == pytest.approx(expected[begun:], abs=1e-6)
     alone = lags(view, joint.nominal, (0.02, 0.0))[0]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.fit.stack import Stack, stacked
+from identification.diagnosis.fit.stack import Stack, stack_of
 from identification.diagnosis.gas.terms import GAS_TERMS
 from identification.diagnosis.rows.equations import EQUATIONS, equations
 from identification.diagnosis.rows.nominal import Nominal
@@ -37,7 +37,7 @@ TRUE = {
 def bench() -> tuple[Context, Stack]:
     here = views([r for r in honest() if r.role == "fit"], 25.0)
     nominal = Nominal(TRUE, tuple(TRUE), 2.0)
-    return Context(here, nominal), stacked(equations(here, nominal, "N m"), nominal)
+    return Context(here, nominal), stack_of(equations(here, nominal, "N m"), nominal)
 
 
 def test_entries_and_terms_are_of_the_same_effects() -> None:

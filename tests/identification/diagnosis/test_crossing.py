@@ -12,7 +12,7 @@ from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.selection.comparison import Round
-from identification.diagnosis.selection.crossing import CARRIED, crossed, told_apart
+from identification.diagnosis.selection.crossing import LOOP_SHARE, crossing_torque, gap_or_loop
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.verdict.judgement import REJECTED
 from identification.recording import Dataset, Model, Recording
@@ -43,13 +43,13 @@ def valve_side(name: str) -> tuple[View, ...]:
 
 
 def test_a_gap_is_crossed_without_torque() -> None:
-    seen = crossed(valve_side("backlash"), nominal("backlash"), 2.0 * HALF_RAD, ROTOR_KG_M2)
+    seen = crossing_torque(valve_side("backlash"), nominal("backlash"), 2.0 * HALF_RAD, ROTOR_KG_M2)
     assert seen is not None
-    assert seen.share < 0.5 * CARRIED
+    assert seen.share < 0.5 * LOOP_SHARE
 
 
 def test_a_loop_closes_with_its_torque() -> None:
-    seen = crossed(
+    seen = crossing_torque(
         valve_side("coupling_hysteresis"),
         nominal("coupling_hysteresis"),
         2.0 * HALF_RAD,
@@ -78,12 +78,12 @@ def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_
     """A loop that the angles give some torque stays open to both."""
     gap = 1e-4
     here = valve_side(name)
-    assert crossed(here, nominal(name), gap, ROTOR_KG_M2) is None
+    assert crossing_torque(here, nominal(name), gap, ROTOR_KG_M2) is None
     start = nominal_fit(recordings(name))
     baseline = fit(here, "N m", start.nominal)
     own = Added(TERM["backlash"], (gap, 0.0, 0.0, ROTOR_KG_M2), (1.0,))
     named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
-    _, rounds = told_apart(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
+    _, rounds = gap_or_loop(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
     (rival,) = rounds[0].rivals
     assert rival.name == "coupling_hysteresis"
     assert (rival.preference > REJECTED) == told
@@ -97,6 +97,6 @@ def test_a_narrow_loop_closes_with_its_torque_as_well() -> None:
         {"coupling_hysteresis": {"deflection_rad": half, "torque_Nm": CLOSES_N_M}}, 11, 8.0
     )
     here = views([r for r in narrow if r.role == "fit"], 25.0, True)
-    seen = crossed(here, nominal_fit(narrow).nominal, 2.0 * half, ROTOR_KG_M2)
+    seen = crossing_torque(here, nominal_fit(narrow).nominal, 2.0 * half, ROTOR_KG_M2)
     assert seen is not None
     assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)

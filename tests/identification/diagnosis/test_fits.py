@@ -14,12 +14,12 @@ import pytest
 from identification.diagnosis.fit import joint as fitting
 from identification.diagnosis.fit.feasibility import predicted_and_attained
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate, stacked
+from identification.diagnosis.fit.stack import Candidate, stack_of
 from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.rows.equations import equations, noise, without_tones
 from identification.diagnosis.rows.nominal import STATICS, Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.score.significance import excess, screened
+from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.selection.comparison import infeasible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
@@ -34,7 +34,7 @@ COUNT_RAD = 2.0 * math.pi / 4096 / 100
 def begun_with(joint: Joint, name: str) -> Joint:
     """Fit one effect from the trial shape that explains most."""
     here = joint.equations[0].views
-    trials = screened(joint.stack, Context(here, joint.nominal), [TERM[name]])
+    trials = trial_candidates(joint.stack, Context(here, joint.nominal), [TERM[name]])
     best: Candidate = max(trials, key=lambda c: c.score)
     added = Added(TERM[name], best.shape, tuple(float(c) for c in best.coefficients))
     return fit(here, "N m", joint.nominal, (added,), joint)
@@ -94,9 +94,9 @@ def test_much_in_one_recording_is_noticed_and_a_little_in_all_is_not() -> None:
     rows = np.zeros(len(joint.residual), dtype=bool)
     mine = np.flatnonzero(torque.owner == torque.views[0].index)
     rows[mine[: len(mine) // 8]] = True
-    assert excess(joint) > 0.5
-    assert excess(replace(joint, residual=joint.residual + 6.0 * rows)) < 1e-3
-    assert excess(replace(joint, residual=1.1 * joint.residual)) > 0.5
+    assert size_p_value(joint) > 0.5
+    assert size_p_value(replace(joint, residual=joint.residual + 6.0 * rows)) < 1e-3
+    assert size_p_value(replace(joint, residual=1.1 * joint.residual)) > 0.5
 
 
 def test_large_errors_of_a_few_rows_are_noticed_where_they_recur() -> None:
@@ -110,8 +110,8 @@ def test_large_errors_of_a_few_rows_are_noticed_where_they_recur() -> None:
     few, many = joint.residual.copy(), joint.residual.copy()
     few[rows][first[:1]] += 60.0
     many[rows][first[::2]] += 20.0
-    assert excess(replace(joint, residual=few)) > 0.5
-    assert excess(replace(joint, residual=many)) < 1e-6
+    assert size_p_value(replace(joint, residual=few)) > 0.5
+    assert size_p_value(replace(joint, residual=many)) < 1e-6
 
 
 def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
@@ -125,7 +125,7 @@ def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
     values = {**joint.nominal.values, "Mc": joint.nominal.values["Ms"]}
     flat = replace(joint.nominal, values=values)
     rows = equations(joint.equations[0].views, flat, "N m", joint.equations)
-    beyond = replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack))
+    beyond = replace(joint, nominal=flat, equations=rows, stack=stack_of(rows, flat, joint.stack))
     assert infeasible(beyond)
     assert infeasible(replace(beyond, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
     assert not infeasible(replace(beyond, effects=(Added(TERM["compliance"], (), (0.0,)),))), (
@@ -209,7 +209,7 @@ def test_a_weights_inertia_loads_no_gear() -> None:
     assert nominal.helping(view) == pytest.approx(
         weight.torque(view.angle, BENCH.gravity) - 0.125 * view.acceleration
     )
-    beside = replace(nominal, hidden=(0.0, 0.0, 0.0, 1.0))
+    beside = replace(nominal, undeclared=(0.0, 0.0, 0.0, 1.0))
     assert beside.borne(view) == pytest.approx(
         np.abs(weight.torque(view.angle, BENCH.gravity) - 1.0)
     )
@@ -243,36 +243,36 @@ def test_static_friction_stays_below_the_torque_that_overcame_it() -> None:
 
 
 @pytest.mark.parametrize(
-    ("bearable", "shares"), [(1.0, [1.0]), (0.5, [1.0, 0.5]), (0.0, [1.0, 0.5, 0.0])]
+    ("greatest", "shares"), [(1.0, [1.0]), (0.5, [1.0, 0.5]), (0.0, [1.0, 0.5, 0.0])]
 )
-def test_of_the_last_step_as_much_is_taken_as_breakaways_bear(
-    bearable: float, shares: list[float], monkeypatch: pytest.MonkeyPatch
+def test_a_closing_step_is_shortened_until_the_mismatch_falls(
+    greatest: float, shares: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the other constants' alone: a rise that no row pinned put unseen recordings 19 times the
-    noise off.
+    """If no share of the step lowers it, the step without static friction is taken.
 
-    A saturating motor was refused where the whole step of mu_s, from 0.05 to 0.15, cost breakaways
-    more than it mended.
+    A static level that no row determines raises the error on unused recordings.
     """
     best, after = (SimpleNamespace(stack=stack, effects=(), residual=None) for stack in (None, 1))
-    promises = {None: (1.0, 400.0), 1: (1.0, 1.0)}
+    mismatches = {None: (1.0, 400.0), 1: (1.0, 1.0)}
     tried: list[float] = []
 
-    def stepped(
+    def fit_after_step(
         _views: object, _unit: str, _best: object, step: np.ndarray, enough: float
     ) -> object:
-        assert 1.0 < enough < 400.0, "a step that mends next to nothing is not taken"
+        assert 1.0 < enough < 400.0, (
+            "a step that lowers the mismatch by next to nothing is not taken"
+        )
         tried.append(float(step[0]))
-        return (after, "done") if step[0] <= bearable else None
+        return (after, "done") if step[0] <= greatest else None
 
     def solve(_stack: object, _effects: object, without: object = ()) -> SimpleNamespace:
         assert without is STATICS
-        return SimpleNamespace(straight=np.zeros(1))
+        return SimpleNamespace(linear_step=np.zeros(1))
 
     monkeypatch.setattr(
-        fitting, "predicted_and_attained", lambda stack, _effects, _residual: promises[stack]
+        fitting, "predicted_and_attained", lambda stack, _effects, _residual: mismatches[stack]
     )
-    monkeypatch.setattr(fitting, "_stepped", stepped)
+    monkeypatch.setattr(fitting, "_fit_after_step", fit_after_step)
     monkeypatch.setattr(fitting, "solve", solve)
-    assert fitting._kept((), "N m", best, SimpleNamespace(straight=np.ones(1))) is after
+    assert fitting._closing_steps((), "N m", best, SimpleNamespace(linear_step=np.ones(1))) is after
     assert tried == shares

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from identification.diagnosis.gas.burns import burns, noise
 from identification.diagnosis.gas.diagnose import diagnose_gas
-from identification.diagnosis.gas.fit import believed, fit, simulate
+from identification.diagnosis.gas.fit import fit, nominal_model, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm, effect_at
 from identification.diagnosis.result import Verdict
 from identification.recording import Dataset, Recording, RecordingError
@@ -64,8 +64,8 @@ def test_a_still_valve_cannot_tell_what_a_moving_one_can() -> None:
     found = diagnose_gas(recordings({"throat_deposition": HIDDEN["throat_deposition"]}, still, ()))
     assert found.verdict is Verdict.AMBIGUOUS
     assert {"throat_deposition", "burning_area_change"} <= set(found.effects[0].alias_group)
-    assert "These recordings cannot tell" in found.statement
-    assert any("hardly moves" in w for w in found.warnings)
+    assert "These recordings cannot distinguish" in found.statement
+    assert any("hardly changes" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
     assert found.verdict is Verdict.NOTHING_MISSING
     assert found.parameters["angle_zero"] == pytest.approx(-7e-4, abs=2e-4)
     assert found.parameters["delay"] == pytest.approx(1e-3, abs=3e-4)
-    assert not any("would have to be off" in w for w in found.warnings)
+    assert not any("would have to differ" in w for w in found.warnings)
 
 
 def test_a_belief_that_is_far_off_is_told() -> None:
@@ -138,7 +138,7 @@ def test_rows_faster_than_the_gas_are_averaged() -> None:
 def test_a_fit_stands_where_its_tangent_says() -> None:
     here = burns(recordings({}).part("fit")[:2])
     sigma = noise(here)
-    fitted = fit(here, sigma, believed(here))
+    fitted = fit(here, sigma, nominal_model(here))
     moved = replace(
         fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4}
     )
@@ -172,7 +172,7 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
         (infeasible(angle=None), "burn_0: no angle"),
         (infeasible(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
         (infeasible(pressure=np.full(800, 4e6)), "pressure is constant"),
-        (Dataset(()), "no recording with role fit"),
+        (Dataset(()), "no recording has the role fit"),
     ],
 )
 def test_recordings_that_cannot_be_used(dataset: Dataset, words: str) -> None:

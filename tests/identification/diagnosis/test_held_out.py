@@ -12,12 +12,12 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.held_out import (
-    UNPAID,
-    _lessened,
+    DROPPED,
+    _studentised_reduction,
+    dropped_effects,
     folds,
-    held_out,
-    paying,
-    unpaid,
+    validated_effects,
+    validation_rms,
 )
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
@@ -62,19 +62,21 @@ WRONG = Added(TERM["position_dependent_friction"], (0.2, 0.02), (0.0,))
 @pytest.mark.parametrize("set_aside", [True, False])
 def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
     unseen = aside() if set_aside else ()
-    found = paying(search(RIGHT, WRONG), here(), unseen, "N m")
+    found = validated_effects(search(RIGHT, WRONG), here(), unseen, "N m")
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
     assert [r.name for r in found.rounds] == ["asymmetric_coulomb"]
-    assert [s.name for s in found.steps if s.action == UNPAID] == ["position_dependent_friction"]
+    assert [s.name for s in found.steps if s.action == DROPPED] == ["position_dependent_friction"]
     assert found.final.effects[0].coefficients[0] == pytest.approx(0.5, rel=0.1)
-    (words,) = unpaid(found)
+    (words,) = dropped_effects(found)
     assert "standard errors" in words
     assert ("set aside" if set_aside else "predicted from the others") in words
 
 
 def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
-    found = paying(search(RIGHT), here(), aside(), "N m")
-    before, after = (held_out(j, aside(), "N m")["torque"] for j in (found.baseline, found.final))
+    found = validated_effects(search(RIGHT), here(), aside(), "N m")
+    before, after = (
+        validation_rms(j, aside(), "N m")["torque"] for j in (found.baseline, found.final)
+    )
     assert after < 0.5 * before
     sigma = next(e.sigma for e in found.final.equations if e.name == "torque")
     assert after == pytest.approx(sigma, rel=0.25)
@@ -83,7 +85,7 @@ def test_what_is_held_out_is_scored_by_the_reported_constants() -> None:
 def test_what_one_recording_alone_shows_need_not_pay_on_another() -> None:
     weight = Added(TERM["wrong_weight"], (3.0,), (0.0,))
     assert weight.term.place is not None
-    found = paying(search(RIGHT, weight), here(), aside(), "N m")
+    found = validated_effects(search(RIGHT, weight), here(), aside(), "N m")
     assert {e.term.name for e in found.final.effects} == {"asymmetric_coulomb", "wrong_weight"}
 
 
@@ -102,7 +104,7 @@ def test_without_a_row_that_moves_the_recordings_fitted_judge() -> None:
         n: np.full_like(c, c[0]) if "angle" in n else c for n, c in hidden()[-1].channels.items()
     }
     quiet = views([replace(hidden()[-1], channels=still)], 25.0)
-    found = paying(search(RIGHT), here(), quiet, "N m")
+    found = validated_effects(search(RIGHT), here(), quiet, "N m")
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
 
 
@@ -114,5 +116,5 @@ def test_a_single_block_has_no_scatter_to_be_compared_with() -> None:
         blocks=1,
     )
     before = np.ones(len(stack.residual))
-    assert _lessened(whole, [0.5 * before, before], ["torque"]) == np.inf
-    assert _lessened(whole, [before, 0.5 * before], ["torque"]) == 0.0
+    assert _studentised_reduction(whole, [0.5 * before, before], ["torque"]) == np.inf
+    assert _studentised_reduction(whole, [before, 0.5 * before], ["torque"]) == 0.0

@@ -8,7 +8,7 @@ import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.hysteretic import remembered
+from identification.diagnosis.verdict.hysteretic import is_hysteretic
 
 from .benches import campaign, nominal_fit
 
@@ -24,7 +24,7 @@ def fitted(hidden: dict[str, dict[str, float]], name: str) -> Joint:
 
 @pytest.mark.parametrize("name", ["gravity_imbalance", "return_spring"])
 def test_what_remembers_its_travel_is_no_weight_nor_spring(name: str) -> None:
-    assert remembered(fitted({"x_travel_memory": {"torque_Nm": 1.5, "travel_rad": 0.3}}, name))
+    assert is_hysteretic(fitted({"x_travel_memory": {"torque_Nm": 1.5, "travel_rad": 0.3}}, name))
 
 
 @pytest.mark.parametrize(
@@ -37,4 +37,4 @@ def test_what_remembers_its_travel_is_no_weight_nor_spring(name: str) -> None:
 def test_what_leaves_noise_or_goes_by_the_angle_remembers_nothing(
     hidden: dict[str, dict[str, float]], name: str
 ) -> None:
-    assert not remembered(fitted(hidden, name))
+    assert not is_hysteretic(fitted(hidden, name))

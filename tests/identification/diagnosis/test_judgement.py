@@ -13,7 +13,7 @@ from identification.diagnosis.result import Verdict
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.judgement import effects_of, judged
+from identification.diagnosis.verdict.judgement import effects_of, verdict_of
 from identification.recording import Array
 
 from .benches import campaign, nominal_fit
@@ -34,7 +34,7 @@ def found(size_N_m: float) -> Search:
 
 
 def verdict(search: Search) -> Verdict:
-    return judged(search, np.random.default_rng(0))[0]
+    return verdict_of(search, np.random.default_rng(0))[0]
 
 
 def with_left(joint: Joint, more: Array) -> Joint:

@@ -9,7 +9,7 @@ import pytest
 
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.terms.lateness import computed, too_early
+from identification.diagnosis.terms.lateness import command_delay_error, voltage_is_computed
 from identification.recording import Bench, Controller, Dataset, Model, Recording
 
 from .benches import campaign
@@ -40,27 +40,29 @@ def test_only_the_command_in_a_computed_voltage_is_early() -> None:
     (view,) = views([_recording()], 10.0)
     seen = view.time - LATE_S
     expected = 0.5 / 4.0 * (_law(view.time, seen) - _law(seen, seen))
-    off = too_early(view, LATE_S) - expected
+    off = command_delay_error(view, LATE_S) - expected
     assert np.max(np.abs(off[2:])) < 2e-3 * np.max(np.abs(expected))
 
 
 def test_a_voltage_is_computed_only_if_the_declared_law_makes_it() -> None:
     recording = _recording()
-    assert computed(recording)
-    assert not computed(replace(recording, controller=None))
-    assert not computed(replace(recording, controller=Controller("duty", 1.01 * GAIN)))
-    assert not computed(
+    assert voltage_is_computed(recording)
+    assert not voltage_is_computed(replace(recording, controller=None))
+    assert not voltage_is_computed(replace(recording, controller=Controller("duty", 1.01 * GAIN)))
+    assert not voltage_is_computed(
         replace(recording, channels={**recording.channels, "current": np.zeros(len(TIME))})
     )
     noisy = recording.channels["voltage"] + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
-    assert not computed(replace(recording, channels={**recording.channels, "voltage": noisy}))
+    assert not voltage_is_computed(
+        replace(recording, channels={**recording.channels, "voltage": noisy})
+    )
 
 
 @pytest.mark.parametrize("name", ["command", "supply_voltage"])
 def test_without_a_channel_of_the_law_nothing_is_computed(name: str) -> None:
     recording = _recording()
     channels = {n: c for n, c in recording.channels.items() if n != name}
-    assert not computed(replace(recording, channels=channels))
+    assert not voltage_is_computed(replace(recording, channels=channels))
 
 
 @pytest.mark.parametrize(("late", "early"), [("angles", 0.004), ("current", 0.004)])

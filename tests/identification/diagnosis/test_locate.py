@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.diagnosis.score.locate import curve, maps, placed, ranges
+from identification.diagnosis.score.locate import best_map, curve, maps, ranges
 
 from .benches import campaign, nominal_fit
 
@@ -41,6 +41,6 @@ def test_its_own_coordinate_is_given_where_it_explains_as_much() -> None:
         replace(made, coordinate=name, share=share)
         for name, share in (("torque", 0.9), ("angle", 0.8), ("time", 0.3))
     )
-    assert placed([best, own, poor], "angle") is own
-    assert placed([best, own, poor], "time") is best
-    assert placed([], "time") is None
+    assert best_map([best, own, poor], "angle") is own
+    assert best_map([best, own, poor], "time") is best
+    assert best_map([], "time") is None

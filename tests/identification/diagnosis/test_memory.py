@@ -7,12 +7,12 @@ import pytest
 
 from identification.diagnosis.terms.memory import (
     dahl,
-    delayed,
+    delayed_series,
     falling_play,
+    first_order_lag,
     first_swing,
-    lagged,
     play,
-    warmed,
+    temperature_rise,
 )
 
 TIME = np.arange(2000) * 1e-3
@@ -20,7 +20,7 @@ TIME = np.arange(2000) * 1e-3
 
 def test_a_lag_answers_a_ramp_by_its_time_constant_late() -> None:
     ramp = np.maximum(TIME - 0.5, 0.0)
-    answer = lagged(ramp, 1e-3, 0.1)
+    answer = first_order_lag(ramp, 1e-3, 0.1)
     later = TIME >= 0.5
     since = TIME[later] - 0.5
     assert answer[later] == pytest.approx(since - 0.1 * (1.0 - np.exp(-since / 0.1)), abs=1e-9)
@@ -99,7 +99,7 @@ def test_a_maxwell_slip_element_closes_its_loop_within_its_force() -> None:
 def test_a_warming_body_ends_at_its_loss() -> None:
     run = np.linspace(0.0, 600.0, 6001)
     run[3000:] += 40.0
-    rise, left = warmed(np.full(6001, 3.0), run, 60.0)
+    rise, left = temperature_rise(np.full(6001, 3.0), run, 60.0)
     assert rise == pytest.approx(3.0 * (1.0 - np.exp(-run / 60.0)), abs=1e-9)
     assert left == pytest.approx(np.exp(-run / 60.0), abs=1e-9), (
         "a hole between samples counts as time"
@@ -120,4 +120,4 @@ def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:
 def test_a_delay_goes_straight_from_sample_to_sample_and_holds_the_ends(time_s: float) -> None:
     series, places = np.sin(0.1 * np.arange(200)), np.arange(200)
     expected = np.interp(places - time_s / 0.001, places, series)
-    assert delayed(series, 0.001, time_s) == pytest.approx(expected, abs=1e-14)
+    assert delayed_series(series, 0.001, time_s) == pytest.approx(expected, abs=1e-14)

@@ -13,11 +13,15 @@ import pytest
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.score.collinear import taken_up
-from identification.diagnosis.score.significance import excess, screened
+from identification.diagnosis.score.collinear import collinear_effects
+from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.selection.comparison import preference
-from identification.diagnosis.selection.next_effects import groups
-from identification.diagnosis.selection.removal import alike, hopeless, left_beyond_noise
+from identification.diagnosis.selection.next_effects import finalist_groups
+from identification.diagnosis.selection.removal import (
+    left_beyond_noise,
+    share_equation,
+    would_be_removed,
+)
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Pendulum
@@ -51,7 +55,7 @@ def gap(plain: Joint) -> Joint:
 def ranked(joint: Joint) -> list[Candidate]:
     context = Context(joint.equations[0].views, joint.nominal)
     found: dict[str, Candidate] = {}
-    for candidate in screened(joint.stack, context, [BY_NAME[n] for n in NAMES]):
+    for candidate in trial_candidates(joint.stack, context, [BY_NAME[n] for n in NAMES]):
         if candidate.name not in found or candidate.score > found[candidate.name].score:
             found[candidate.name] = candidate
     return sorted((c for c in found.values() if c.score > 0.0), key=lambda c: -c.score)
@@ -72,13 +76,13 @@ def test_the_effect_that_explains_its_own_equation_is_tried_first(plain: Joint, 
     tenth = 0.1 * left_beyond_noise(gap, BY_NAME["encoder_slip"])
     assert tenth > asymmetry.gain, "in squares a tenth of the encoders' is more"
     slip = replace(asymmetry, name="encoder_slip", gain=tenth)
-    first, rest = list(groups(plain, gap, BY_NAME, [slip, asymmetry], lambda _name: True))
+    first, rest = list(finalist_groups(plain, gap, BY_NAME, [slip, asymmetry], lambda _name: True))
     assert [c.name for c in first] == ["asymmetric_coulomb"]
     assert [c.name for c in rest] == ["encoder_slip"]
 
 
 def test_where_nothing_is_missing_nothing_is_tried(plain: Joint, gap: Joint) -> None:
-    tried = groups(plain, gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
+    tried = finalist_groups(plain, gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
     assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
 
 
@@ -102,12 +106,12 @@ def test_what_could_not_be_kept_is_not_tried(plain: Joint, gap: Joint) -> None:
     )
     assert one_block.preference == pytest.approx(1.0, rel=0.05)
     assert sure.preference > 50.0
-    assert not hopeless(plain, whole, slip, replace(sure, gain=0.1 * plain.cost))
-    assert hopeless(plain, whole, slip, replace(sure, gain=1e-6 * plain.cost))
-    assert hopeless(plain, whole, slip, replace(one_block, gain=0.1 * plain.cost))
-    assert not hopeless(plain, gap, slip, replace(one_block, gain=1e-6 * plain.cost))
+    assert not would_be_removed(plain, whole, slip, replace(sure, gain=0.1 * plain.cost))
+    assert would_be_removed(plain, whole, slip, replace(sure, gain=1e-6 * plain.cost))
+    assert would_be_removed(plain, whole, slip, replace(one_block, gain=0.1 * plain.cost))
+    assert not would_be_removed(plain, gap, slip, replace(one_block, gain=1e-6 * plain.cost))
     first, rest = list(
-        groups(
+        finalist_groups(
             plain,
             whole,
             BY_NAME,
@@ -136,11 +140,13 @@ def test_what_shows_at_breakaways_alone_is_judged_by_them_and_nothing_else_is(
     rests = replace(gap, equations=(*gap.equations, replace(gap.equations[0], name="breakaway")))
     tried = [
         c.name
-        for g in groups(plain, rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway")
+        for g in finalist_groups(
+            plain, rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway"
+        )
         for c in g
     ]
     assert tried == ["dwell_static_friction"]
-    assert excess(rests, "breakaway") == 1.0, "their size says nothing"
+    assert size_p_value(rests, "breakaway") == 1.0, "their size says nothing"
 
 
 @pytest.mark.parametrize("name", ["cogging", "transport_delay", "gear_mesh_ripple"])
@@ -175,8 +181,8 @@ def test_rows_that_an_effect_does_not_touch_need_not_be_looked_at(name: str, gap
 
 
 def test_effects_of_different_equations_are_no_rivals() -> None:
-    assert not alike(BY_NAME["return_spring"], BY_NAME["encoder_slip"])
-    assert alike(BY_NAME["return_spring"], BY_NAME["gravity_imbalance"])
+    assert not share_equation(BY_NAME["return_spring"], BY_NAME["encoder_slip"])
+    assert share_equation(BY_NAME["return_spring"], BY_NAME["gravity_imbalance"])
 
 
 def test_the_transmission_carries_the_declared_weight_too() -> None:
@@ -205,14 +211,14 @@ def test_a_loss_is_built_exactly_however_large() -> None:
 
 def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:
     joint = nominal_fit(honest())
-    assert taken_up(joint, TERMS) == ("transmission_efficiency",)
+    assert collinear_effects(joint, TERMS) == ("transmission_efficiency",)
     hung = [
         replace(r, pendulum=Pendulum(mass=20.0, length=0.3, zero=0.5))
         for r in honest()
         if r.role == "fit"
     ]
     here = views(hung, 25.0)
-    assert taken_up(fit(here, "N m", joint.nominal), TERMS) == ()
+    assert collinear_effects(fit(here, "N m", joint.nominal), TERMS) == ()
 
 
 def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:

@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
-from identification.diagnosis.diagnose import diagnose, observed
+from identification.diagnosis.diagnose import diagnose, observable_effects
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.score.observable import Observable
 from identification.recording import Bench, Dataset, Model, Recording
@@ -20,7 +20,7 @@ RATE_HZ = 500.0
 
 @lru_cache
 def nothing_hidden() -> dict[str, Observable]:
-    found = observed(Dataset(campaign({}, 3, 8.0), Model()))
+    found = observable_effects(Dataset(campaign({}, 3, 8.0), Model()))
     return {o.name: o for o in found}
 
 
@@ -59,7 +59,7 @@ def test_a_turn_one_way_does_not_distinguish_cogging_from_ripple() -> None:
         (one_way("fit", 1, 0.03), one_way("fit", 2, 0.03), one_way("validate", 3, 0.03)),
         Model(terms=("offset",)),
     )
-    seen = {o.name: o for o in observed(dataset)}
+    seen = {o.name: o for o in observable_effects(dataset)}
     assert seen["cogging"].alike["torque_ripple"] == pytest.approx(1.0, abs=0.01)
     found = diagnose(dataset)
     assert found.verdict is Verdict.AMBIGUOUS

@@ -11,7 +11,7 @@ import numpy as np
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.start import NEAR_FLOOR
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.one_direction import one_way
+from identification.diagnosis.verdict.one_direction import direction_dependent
 
 from .benches import campaign, nominal_fit
 
@@ -34,10 +34,10 @@ def power(joint: Joint) -> float:
 def test_a_patch_of_one_way_is_no_patch_of_both() -> None:
     joint = patched("x_one_way_patch", 0.06)
     assert power(joint) > NEAR_FLOOR
-    assert one_way(joint) == ("position_dependent_friction",)
+    assert direction_dependent(joint) == ("position_dependent_friction",)
 
 
 def test_a_patch_of_another_width_is_wrong_both_ways() -> None:
     joint = patched("position_dependent_friction", 0.1)
     assert power(joint) > NEAR_FLOOR
-    assert one_way(joint) == ()
+    assert direction_dependent(joint) == ()

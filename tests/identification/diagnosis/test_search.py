@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.fit.intervals import pinned
+from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Added, fit
-from identification.diagnosis.fit.stack import Candidate, surprise, wald
-from identification.diagnosis.fit.start import begun, started
+from identification.diagnosis.fit.stack import Candidate, log_surprise, wald_statistic
+from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import views
-from identification.diagnosis.score.significance import DRAWS, chance, flipped
+from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
 from identification.diagnosis.selection.comparison import implausible
-from identification.diagnosis.selection.held_out import held_out
+from identification.diagnosis.selection.held_out import validation_rms
 from identification.diagnosis.selection.removal import needed_share
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
@@ -39,7 +39,15 @@ def scored(regressor: np.ndarray, residual: np.ndarray) -> Candidate:
     weights = (unit**2).reshape(BLOCKS, ROWS).sum(axis=1)[:, None, None]
     gain = float(score @ score)
     return Candidate(
-        "any", (), score, gain, 1.0, wald(score, sums - weights @ score), sums, weights, gain
+        "any",
+        (),
+        score,
+        gain,
+        1.0,
+        wald_statistic(score, sums - weights @ score),
+        sums,
+        weights,
+        gain,
     )
 
 
@@ -48,7 +56,7 @@ def study(rng: np.random.Generator, hidden: float) -> float:
     residual = rng.standard_normal(BLOCKS * ROWS) + 0.7 * level
     regressors = np.repeat(rng.standard_normal((CANDIDATES, BLOCKS)), ROWS, axis=1)
     residual = residual + hidden * regressors[0]
-    return chance([scored(r, residual) for r in regressors], BLOCKS, rng)
+    return sign_flip_p_value([scored(r, residual) for r in regressors], BLOCKS, rng)
 
 
 @pytest.mark.parametrize("degrees", [1, 2, 3])
@@ -61,9 +69,9 @@ def test_flips_give_what_flipped_blocks_would(degrees: int, alike: float) -> Non
     sums = np.einsum("bij,bi->bj", columns, residual)
     weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
     flips = rng.choice((-1.0, 1.0), size=(20, BLOCKS))
-    expected = [wald(f @ sums, f[:, None] * sums - weights @ (f @ sums)) for f in flips]
+    expected = [wald_statistic(f @ sums, f[:, None] * sums - weights @ (f @ sums)) for f in flips]
     candidate = Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 1.0, sums, weights, 1.0)
-    assert flipped(candidate, flips) == pytest.approx(expected, rel=1e-6)
+    assert flipped_statistics(candidate, flips) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_flips_of_all_candidates_count_however_many_numbers_they_have() -> None:
@@ -76,15 +84,19 @@ def test_the_flips_of_all_candidates_count_however_many_numbers_they_have() -> N
         )
         sums = np.einsum("bij,bi->bj", columns, residual + size * columns[:, :, 0])
         weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
-        found = wald(sums.sum(axis=0), sums - weights @ sums.sum(axis=0))
+        found = wald_statistic(sums.sum(axis=0), sums - weights @ sums.sum(axis=0))
         candidates.append(
             Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 0.02 * found, sums, weights, 1.0)
         )
     flips = np.random.default_rng(12).choice((-1.0, 1.0), size=(DRAWS, BLOCKS))
-    drawn = np.max([surprise(flipped(c, flips), c.blocks.shape[1]) for c in candidates], axis=0)
+    drawn = np.max(
+        [log_surprise(flipped_statistics(c, flips), c.blocks.shape[1]) for c in candidates], axis=0
+    )
     beyond = int(np.sum(drawn >= max(c.surprise for c in candidates)))
     assert 0 < beyond < DRAWS
-    assert chance(candidates, BLOCKS, np.random.default_rng(12)) == (1 + beyond) / (1 + DRAWS)
+    assert sign_flip_p_value(candidates, BLOCKS, np.random.default_rng(12)) == (1 + beyond) / (
+        1 + DRAWS
+    )
 
 
 def test_false_alarms_come_as_often_as_said() -> None:
@@ -130,7 +142,7 @@ def test_friction_that_falls_is_found_from_an_estimate_without_a_fall() -> None:
     absent = {"Ms", "mu_s", "omega_sf", "omega_sL"}
     stuck = replace(flat.nominal, values=values, free=tuple(n for n in values if n not in absent))
     here = flat.equations[0].views
-    begun = started(here, "N m", stuck, Model())
+    begun = fit_from_estimate(here, "N m", stuck, Model())
     assert begun.cost < 0.9 * fit(here, "N m", stuck).cost
     assert begun.nominal.values["Ms"] > 1.1 * begun.nominal.values["Mc"]
     assert stuck.flat
@@ -180,12 +192,12 @@ def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> Non
     dataset = Dataset(
         recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent")
     )
-    _, first = begun(dataset, 25.0)
+    _, first = views_and_fit(dataset, 25.0)
     assert {"mu_gc", "mu_gs"} <= set(first.nominal.free)
     assert first.nominal.values["mu_gc"] == first.nominal.values["mu_gs"] == 0.0
-    assert not pinned(first, "mu_gc")
-    assert pinned(first, "Mc")
-    plain = begun(replace(dataset, model=Model()), 25.0)[1]
+    assert not identifiable(first, "mu_gc")
+    assert identifiable(first, "Mc")
+    plain = views_and_fit(replace(dataset, model=Model()), 25.0)[1]
     assert first.cost == pytest.approx(plain.cost, rel=0.02)
 
 
@@ -205,7 +217,7 @@ def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
         n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()
     }
     aside = views([replace(recordings[0], channels=still)], 25.0)
-    assert "torque" not in held_out(nominal_fit(recordings[:2]), aside, "N m")
+    assert "torque" not in validation_rms(nominal_fit(recordings[:2]), aside, "N m")
 
 
 def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:
@@ -246,7 +258,7 @@ def test_recordings_that_have_no_clock_in_common_each_began_cold() -> None:
     assert [e.name for e in found.effects] == ["coulomb_drift"]
     assert found.effects[0].parameters["rate_Nm_s"].value == pytest.approx(0.12, rel=0.15)
     assert found.effects[0].parameters["time_s"].value == pytest.approx(5.0, rel=0.3)
-    assert any("no clock in common" in w for w in found.warnings)
+    assert any("no common clock" in w for w in found.warnings)
 
 
 @pytest.mark.parametrize("other", [0.0, -0.3])

@@ -11,7 +11,11 @@ import pytest
 
 from identification.diagnosis.result import ResidualTrace
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.score.single_recordings import crowded, shortest, standing
+from identification.diagnosis.score.single_recordings import (
+    crowded_recordings,
+    rests_under_torque,
+    shortest,
+)
 from identification.recording import Recording
 
 from .benches import campaign
@@ -42,8 +46,8 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
 def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
     recordings: tuple[Recording, ...],
 ) -> None:
-    assert standing(seen(recordings), "N m") == ()
-    (line,) = standing(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
+    assert rests_under_torque(seen(recordings), "N m") == ()
+    (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")
     assert "to 9.0" in line
     assert "under 1.5e+02 N m" in line
@@ -51,10 +55,10 @@ def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
 
 def test_what_friction_holds_is_not_told(recordings: tuple[Recording, ...]) -> None:
     """Nor what the heaviest weight may hold, for which no other recording is a measure."""
-    assert standing(seen((held(recordings[0], 8.0), *recordings[1:])), "N m") == ()
+    assert rests_under_torque(seen((held(recordings[0], 8.0), *recordings[1:])), "N m") == ()
     heaviest = max(range(len(recordings)), key=lambda k: recordings[k].contact_force)
     changed = tuple(held(r, 150.0) if k == heaviest else r for k, r in enumerate(recordings))
-    assert standing(seen(changed), "N m") == ()
+    assert rests_under_torque(seen(changed), "N m") == ()
 
 
 def trace(name: str, after: np.ndarray) -> ResidualTrace:
@@ -65,11 +69,11 @@ def trace(name: str, after: np.ndarray) -> ResidualTrace:
 def test_most_of_what_is_left_lies_in_one_recording_and_a_second_of_it() -> None:
     rng = np.random.default_rng(2)
     plain = [trace(f"r{k}", rng.standard_normal(100)) for k in range(5)]
-    assert crowded(plain) == ()
+    assert crowded_recordings(plain) == ()
     loud = rng.standard_normal(100) + np.where(
         (np.arange(100) >= 40) & (np.arange(100) < 50), 10.0, 0.0
     )
-    (line,) = crowded([*plain, trace("loud", loud)])
+    (line,) = crowded_recordings([*plain, trace("loud", loud)])
     assert line.startswith("loud: ")
     assert "of the remaining torque mismatch" in line
     first, last = shortest(0.1 * np.arange(100), loud**2)

@@ -20,11 +20,11 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate, Stack, stacked
+from identification.diagnosis.fit.stack import Candidate, Stack, stack_of
 from identification.diagnosis.rows.equations import Equation, equations
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.score.significance import excess, screened
+from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.estimate.default import identify, solve_stages
@@ -56,7 +56,7 @@ def timed() -> Joint:
 
 def best(stack: Stack, name: str, seen: tuple[View, ...]) -> Candidate | None:
     """Screen one effect."""
-    trials = screened(stack, Context(seen, stack.nominal), [TERM[name]])
+    trials = trial_candidates(stack, Context(seen, stack.nominal), [TERM[name]])
     return max(trials, key=lambda c: c.score, default=None)
 
 
@@ -227,7 +227,7 @@ def test_least_squares_in_a_closed_loop_is_biased() -> None:
 
 
 def widest_gap(equation: Equation, nominal: Nominal) -> Candidate | None:
-    stack = stacked([equation], nominal)
+    stack = stack_of([equation], nominal)
     shapes = [(float(g), 0.0, 0.0, 0.1) for g in np.geomspace(5e-4, 1e-2, 41)]
     trials = [stack.term(TERM["backlash"], shape) for shape in shapes]
     return max((t for t in trials if t is not None), key=lambda t: t.gain, default=None)
@@ -277,8 +277,8 @@ def test_the_error_is_held_against_the_noise_and_not_against_the_torque() -> Non
     measured = torque.rows(lambda v: v.torque)[:, 0]
     rest = torque.sigma * joint.residual[joint.stack.part("torque")]
     assert 1.0 - np.sum(rest**2) / np.sum((measured - measured.mean()) ** 2) > 0.998
-    assert excess(joint) < 1e-12
-    assert excess(plain()) > 0.5
+    assert size_p_value(joint) < 1e-12
+    assert size_p_value(plain()) > 0.5
 
 
 # Phases differ between recordings where the encoder's origin does.

@@ -14,7 +14,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification.diagnosis.score.significance import chance, excess, generic, screened
+from identification.diagnosis.score.significance import (
+    generic_candidates,
+    sign_flip_p_value,
+    size_p_value,
+    trial_candidates,
+)
 from identification.diagnosis.selection.baselines import greedy_bic, library
 from identification.diagnosis.terms import friction
 from identification.diagnosis.terms.term import Context
@@ -47,7 +52,9 @@ def studies() -> tuple[tuple[Array, Array], ...]:
 
 def by_blocks(residual: Array, regressors: Array) -> bool:
     return (
-        chance([scored(r, residual) for r in regressors], BLOCKS, np.random.default_rng(1))
+        sign_flip_p_value(
+            [scored(r, residual) for r in regressors], BLOCKS, np.random.default_rng(1)
+        )
         <= WANTED
     )
 
@@ -101,16 +108,24 @@ def test_few_blocks_prove_nothing_however_large_the_effect() -> None:
     regressor = np.repeat(np.where(np.arange(BLOCKS) < active, 1.0, 0.0), ROWS)
     residual = rng.standard_normal(BLOCKS * ROWS) + 3.0 * regressor
     assert by_f_test(residual, regressor[None] / np.linalg.norm(regressor))
-    assert chance([scored(regressor, residual)], BLOCKS, rng) >= 0.8 * 2.0 ** (1 - active)
+    assert sign_flip_p_value([scored(regressor, residual)], BLOCKS, rng) >= 0.8 * 2.0 ** (
+        1 - active
+    )
 
 
 def test_an_honest_bench_alarms_by_bic_and_not_by_blocks() -> None:
     joint = nominal_fit(honest())
     terms = friction.TERMS
     assert greedy_bic(library(joint, terms)) != ()
-    trials = list(screened(joint.stack, Context(joint.equations[0].views, joint.nominal), terms))
+    trials = list(
+        trial_candidates(joint.stack, Context(joint.equations[0].views, joint.nominal), terms)
+    )
     assert (
-        chance([*trials, *generic(joint.stack)], joint.stack.blocks, np.random.default_rng(1))
+        sign_flip_p_value(
+            [*trials, *generic_candidates(joint.stack)],
+            joint.stack.blocks,
+            np.random.default_rng(1),
+        )
         > 0.05
     )
-    assert excess(joint) > 0.05
+    assert size_p_value(joint) > 0.05

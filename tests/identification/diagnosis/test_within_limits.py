@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import lsq_linear
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.within_limits import predicted, within_limits
+from identification.diagnosis.fit.within_limits import cross_validation_residual, within_limits
 from identification.diagnosis.rows.equations import equations, held_voltage
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
@@ -116,12 +116,12 @@ def test_each_part_is_predicted_from_the_others() -> None:
     joint = nominal_fit(recordings()[:2])
     bounded = within_limits(here(joint), "N m", joint)
     owner = np.concatenate([e.owner for e in bounded.stack.equations])
-    left = predicted(bounded, owner)
+    left = cross_validation_residual(bounded, owner)
     # As good as on the rows fitted, up to what a fit of half of them costs; never better in all.
     assert float(left @ left) > bounded.cost
     assert float(left @ left) < 1.2 * bounded.cost
     # In a part that is all there is nothing is fitted: all of its torque is left.
-    alone = predicted(bounded, np.zeros(len(owner)))
+    alone = cross_validation_residual(bounded, np.zeros(len(owner)))
     torque = bounded.stack.part("torque")
     assert float(np.mean(alone[torque] ** 2)) > 100.0
 

@@ -13,8 +13,8 @@ import pytest
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.rows.equations import least_noise
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.score.significance import LEVEL, beyond_noise, excess
-from identification.diagnosis.selection.search import _Case, _tested
+from identification.diagnosis.score.significance import LEVEL, beyond_noise, size_p_value
+from identification.diagnosis.selection.search import _Case, _missing_test
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.estimate.equation_error.bandwidth import common_bandwidth
@@ -71,11 +71,11 @@ def test_a_recording_is_judged_by_its_own_noise(joint: Joint) -> None:
     rows = joint.residual[joint.stack.part("torque")] * np.where(torque.owner == first, 3.0, 1.0)
     louder = with_torque(joint, rows)
     assert "torque" in beyond_noise(louder)
-    assert excess(louder) < LEVEL
+    assert size_p_value(louder) < LEVEL
     known = replace(torque, own={first: 9.0})
     told = replace(louder, equations=(known, *louder.equations[1:]))
     assert "torque" not in beyond_noise(told)
-    assert excess(told) > 0.5
+    assert size_p_value(told) > 0.5
 
 
 def test_the_noise_of_each_recording_is_estimated() -> None:
@@ -103,7 +103,9 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     rows = rows + pattern * math.sqrt(0.5 * power / float(np.mean(pattern**2)))
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
     case = _Case(torque.views, "N m", TERM, ())
-    assert (_tested(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL) is missing
+    assert (
+        _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL
+    ) is missing
 
 
 def test_the_transmissions_noise_has_the_rounding_of_both_encoders(joint: Joint) -> None:

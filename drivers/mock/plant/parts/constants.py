@@ -165,7 +165,7 @@ class GasGenerator:
         characteristic_velocity_m_s: Characteristic velocity C_r of the gas.
         energy_J_kg: R_g T_g of the gas, (0.658 C_r)^2 at a specific-heat ratio of 1.25.
         free_volume_m3: Volume of the chamber without the grain, at ignition.
-        back_pressure_Pa: Pressure behind the valve.
+        back_pressure_Pa: Pressure downstream of the valve.
         transmitter: The pressure transmitter.
         equation: 7 is exact and conserves mass; 8 neglects the density of the gas against that of
             the propellant.

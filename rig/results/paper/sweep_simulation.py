@@ -1,5 +1,5 @@
-"""Fig. 4: the valve opens at constant speed, and the motor's current falls with chamber pressure
-and impacted area.
+"""Simulation of Fig. 4: the valve opens at constant speed, and current, chamber pressure and
+impacted area are computed.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as the bench's instruments see it; arrays of shape (n,), from the
-    start of the motion.
+    """One opening of the valve as the sensors of the bench measure it; arrays of shape (n,), from
+    the start of the motion.
 
     Attributes:
         speed_deg_s: Commanded speed.
