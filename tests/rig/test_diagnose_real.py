@@ -104,7 +104,7 @@ def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reac
     """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware
     asks for 5.4 V up.
     """
-    said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint stands" in w]
+    said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint rests" in w]
     assert [w.split(":")[0] for w in said] == [
         f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)
     ]

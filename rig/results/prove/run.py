@@ -87,7 +87,7 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
         raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
     if found != settings:
         raise InputError(
-            f"{file}: this folder holds a proof with other settings, {found}; give --out another "
+            f"{file}: this folder contains a proof with other settings, {found}; give --out another "
             f"one"
         )
     return seals

@@ -50,7 +50,7 @@ def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
     (line,) = rests_under_torque(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")
     assert "to 9.0" in line
-    assert "under 1.5e+02 N m" in line
+    assert "under a logged torque of 1.5e+02 N m" in line
 
 
 def test_what_friction_holds_is_not_told(recordings: tuple[Recording, ...]) -> None:
