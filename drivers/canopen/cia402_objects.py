@@ -36,11 +36,11 @@ MODE_DISPLAY: Final = (0x6061, 0)
 MODES: Final = (0x6502, 0)
 ERROR_CODE: Final = (0x603F, 0)
 NEEDED: Final[Mapping[ObjectAddress, str]] = {
-    cia402.CONTROLWORD: "it takes the power off",
-    cia402.STATUSWORD: "it tells whether the power is off",
+    cia402.CONTROLWORD: "it switches the power off",
+    cia402.STATUSWORD: "it shows whether the power is off",
     MODE: "it selects the mode of operation",
-    MODE_DISPLAY: "it tells whether that mode is in force",
-    POSITION: "it is what the limits are checked against",
+    MODE_DISPLAY: "it shows whether that mode is active",
+    POSITION: "the limits are checked against it",
 }
 """Objects without which no drive can be used, and what for; the mode adds its own."""
 

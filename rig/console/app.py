@@ -210,7 +210,7 @@ class Console:
         reading = asyncio.create_task(_read_views(socket, page))
         try:
             with suppress(WebSocketDisconnect):
-                await socket.send_json({"hello": {"page": page.key, "name": page.name}})
+                await _send(socket, {"hello": {"page": page.key, "name": page.name}})
                 await self._push(socket, page, reading)
         finally:
             reading.cancel()
@@ -221,7 +221,7 @@ class Console:
         """Send state and charts every few ticks. A page that takes nothing holds up only itself."""
         view = View(self._hub, page)
         while not reading.done():
-            await socket.send_json({"state": view.state()})
+            await _send(socket, {"state": view.state()})
             charts = view.charts()
             if charts is not None:
                 await socket.send_bytes(charts)
@@ -246,3 +246,8 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
 
 def _refused(status: int, words: str) -> Response:
     return JSONResponse({"words": words}, status_code=status)
+
+
+async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
+    """Send a JSON message in ASCII, which also bears text that is no valid Unicode."""
+    await socket.send_text(json.dumps(message))

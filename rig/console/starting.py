@@ -211,7 +211,7 @@ class Starter:
                 continue
             self._children.remove((child, log))
             if status not in (0, 1, 3):
-                text = log.read_text(errors="replace")[-_SHOWN:]
+                text = log.read_text(encoding="utf-8", errors="replace")[-_SHOWN:]
                 words.append(f"a run ended with status {status}:\n{text}")
             log.unlink(missing_ok=True)
         return words

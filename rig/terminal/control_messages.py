@@ -146,7 +146,12 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
 def socket_folders() -> list[Path]:
     """Return the folders that control sockets of this user can be in, the one for new sockets
     first: in ``XDG_RUNTIME_DIR`` where that is set, and in ``/tmp``.
+
+    Raises:
+        OSError: The system has no Unix sockets.
     """
+    if not (hasattr(os, "geteuid") and hasattr(socket, "AF_UNIX")):
+        raise OSError("this system has no Unix sockets")
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     session = [Path(runtime) / "loadrig"] if os.path.isabs(runtime) else []
     return [*(f for f in session if f.parent.is_dir()), Path(f"/tmp/loadrig-{os.geteuid()}")]

@@ -95,9 +95,9 @@ def test_rungs_that_bear_a_load_need_one() -> None:
     plain = Dataset((sine(rate=200.0),))
     rungs = climb(plain, bandwidth_Hz=100.0, rng=np.random.default_rng(0), replicates=2)
     assert [r.friction for r in rungs] == ["coulomb_viscous", "stribeck"]
-    with pytest.raises(RecordingError, match="declare its `gravity`"):
+    with pytest.raises(RecordingError, match="declare the pendulum under `gravity`"):
         identify(replace(plain, model=Model(friction="load_dependent")), bandwidth_Hz=100.0)
     with pytest.raises(RecordingError, match="remove loaded recordings"):
         climb(Dataset((sine(), sine(weight=30.6))), bandwidth_Hz=None, rng=np.random.default_rng(0))
-    with pytest.raises(RecordingError, match="knows the stribeck friction only"):
+    with pytest.raises(RecordingError, match="supports stribeck friction only"):
         identify_paper(dataset(), bandwidth_Hz=100.0, rng=np.random.default_rng(0))

@@ -42,7 +42,7 @@ def test_weights_and_nobody_to_ask_on_a_real_bench_are_refused(
     tmp_path: Path, yes: bool, terminal: bool
 ) -> None:
     bench = load_bench(variant(tmp_path, REAL))
-    reason = "--yes would answer" if yes else "no terminal to ask at"
+    reason = "--yes would answer" if yes else "no terminal for the prompts"
     with pytest.raises(InputError, match=rf"{reason}.* stages heavy have weights.*without --yes"):
         require_attendance(planned(tmp_path, HEAVY), bench, yes, terminal)
 

@@ -119,7 +119,8 @@ def test_the_second_program_on_a_bench_is_refused(
         for words in seconds(bench, short_sequence, tmp_path / "out"):
             assert status(words) == 4
             said = capsys.readouterr()
-            assert said.err.startswith(
+            refused = [line for line in said.err.splitlines() if line.startswith("in use: ")]
+            assert refused[0].startswith(
                 f"in use: bench practical{'_serial' * (kind == 'serial')} (port {bench.port}) is "
             )
             assert f"is in use by `rig jog` (process {first.process.pid}, user " in said.err

@@ -354,7 +354,7 @@ def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits:
     line = next(n for n, line in enumerate(text.splitlines(), 1) if "bitrate" in line)
     with pytest.raises(
         InputError,
-        match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500",
+        match=rf":{line}:\d+: bus.bitrate: .* 133% of the bus, limit 80%; .*cycle_Hz to 500",
     ):
         load_bench(path)
 

@@ -86,6 +86,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
         (told.voltage, "voltage", scales.sign * scales.voltage_unit_V),
         (told.supply, "supply_voltage", scales.supply_unit_V),
         (told.temperature, "temperature", scales.temperature_unit_C),
+        (told.torque, "torque_6077h", 1.0),
     )
     meaning |= {at: (name, unit, 0.0) for at, name, unit in optional if at is not None}
     for direction, layouts in (
