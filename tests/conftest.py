@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import gc
 import os
+import tempfile
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -87,3 +88,18 @@ def _listening(process: psutil.Process) -> set[int]:
 def _is_resource_tracker(child: psutil.Process) -> bool:
     # multiprocessing keeps one of these for the life of the interpreter.
     return any("resource_tracker" in word for word in child.cmdline())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _runtime_folder() -> Iterator[None]:
+    """Keep the control sockets of this process's runs apart from those of other tests' runs, which
+    a console would show too.
+    """
+    before = os.environ.get("XDG_RUNTIME_DIR")
+    with tempfile.TemporaryDirectory(prefix="loadrig-") as folder:
+        os.environ["XDG_RUNTIME_DIR"] = folder
+        yield
+    if before is None:
+        del os.environ["XDG_RUNTIME_DIR"]
+    else:
+        os.environ["XDG_RUNTIME_DIR"] = before

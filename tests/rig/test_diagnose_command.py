@@ -382,4 +382,6 @@ def test_a_joint_that_never_moves_on_is_bad_input(
         "    channels: {time: time, angle: angle, torque: torque}\n"
     )
     assert status(["diagnose", str(tmp_path / "held.yaml"), "--out", str(tmp_path / "out")]) == 2
-    assert "no sample of the recordings with role fit is in steady motion" in capsys.readouterr().err
+    assert (
+        "no sample of the recordings with role fit is in steady motion" in capsys.readouterr().err
+    )
