@@ -87,8 +87,8 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
         raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
     if found != settings:
         raise InputError(
-            f"{file}: this folder contains a proof with other settings, {found}; give --out another "
-            f"one"
+            f"{file}: this folder contains a proof with other settings, {found}; give --out "
+            f"another one"
         )
     return seals
 
