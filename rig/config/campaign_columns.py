@@ -13,7 +13,7 @@ from rig.config.configuration import Schema
 
 def _not_zero(value: float) -> float:
     if value == 0:
-        raise ValueError("a scale of zero makes the channel zero")
+        raise ValueError("the scale is 0, which makes all samples 0")
     return value
 
 

@@ -213,7 +213,7 @@ def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
         (
             "pressure_exponent: 0.53\n    chamber",
             "pressure_exponent: 1.0\n    chamber",
-            "no pressure is steady",
+            "no pressure is stable",
         ),
         (
             "valve: {hole_diameter_m: 0.025",
