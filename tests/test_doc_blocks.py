@@ -115,6 +115,8 @@ def test_every_command_and_option_stands_in_the_reference() -> None:
         command = cli.cli.get_command(click.Context(cli.cli), name)
         assert command is not None
         for parameter in command.params:
+            if getattr(parameter, "hidden", False):
+                continue
             spelt = (
                 parameter.opts
                 if isinstance(parameter, click.Option)

@@ -47,7 +47,9 @@ def _section(name: str, command: click.Command) -> Iterator[str]:
         + "\n```"
     )
     rows = [
-        _option(option, context) for option in command.params if isinstance(option, click.Option)
+        _option(option, context)
+        for option in command.params
+        if isinstance(option, click.Option) and not option.hidden
     ]
     if rows:
         yield table(("option", "value", "default", "meaning"), [row for row in rows if row])

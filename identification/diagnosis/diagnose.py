@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
+from identification.diagnosis.fit.at_values import nominal_at
 from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.start import bandwidth_of, fit_from_estimate, views_and_fit
@@ -53,6 +55,8 @@ FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which the valve moves otherwise than the motor, so that its friction depends on the
 joint encoder's angle.
 """
+Estimate = Callable[[Dataset], Mapping[str, float | None]]
+"""Nominal parameters of a dataset by another estimator; None for one that is not determined."""
 ANGULAR = (
     "cogging",
     "torque_ripple",
@@ -70,6 +74,7 @@ def diagnose(
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
     inspect: Callable[[Joint], None] | None = None,
+    estimate: Estimate | None = None,
 ) -> Diagnosis:
     """Test whether effects are missing from the nominal model, identify and locate them.
 
@@ -79,6 +84,9 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share done.
         inspect: Called with the nominal model's fit before the search.
+        estimate: Returns the nominal parameters of the recordings, None for one that they do not
+            determine; used if nothing is missing, as the nominal model is then complete. None
+            keeps the values fitted to the equations.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
@@ -87,7 +95,7 @@ def diagnose(
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
     fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
-    unit = torque_unit(fitted[0])
+    unit, prepared = torque_unit(fitted[0]), [prepare(fitted[0], bandwidth)]
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
@@ -99,6 +107,10 @@ def diagnose(
     report("locating", 0.95)
     verdict, where, drawn = verdict_of(found, rng, searched)
     effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    shift = _shifts(found, found.final if effects else found.baseline, units_of(prepared))
+    if verdict is Verdict.NOTHING_MISSING and estimate is not None:
+        report("identifying the nominal parameters", 0.97)
+        found, shift = _with_estimate(found, here, unit, estimate(dataset), shift)
     scored = found.final if effects else found.baseline
     fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
@@ -112,7 +124,7 @@ def diagnose(
         fit=main,
         fits=fits,
         parameters=dict(scored.nominal.values),
-        parameter_shift=_shifts(found, scored, units_of([prepare(fitted[0], bandwidth)])),
+        parameter_shift=shift,
         p_value=found.p_value,
         location=where,
         curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
@@ -123,6 +135,25 @@ def diagnose(
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
+
+
+def _with_estimate(
+    found: Search,
+    here: Sequence[View],
+    unit: str,
+    values: Mapping[str, float | None],
+    shift: Mapping[str, Shift],
+) -> tuple[Search, dict[str, Shift]]:
+    """Return a search that found nothing with the nominal model at estimated values, and these
+    values before and after the correction.
+    """
+    given = {n: v for n, v in values.items() if v is not None}
+    nominal = nominal_at(here, unit, found.baseline, given)
+    same = {
+        n: replace(s, before=values[n], after=values[n]) if n in values else s
+        for n, s in shift.items()
+    }
+    return replace(found, baseline=nominal, final=nominal), same
 
 
 def observable_effects(

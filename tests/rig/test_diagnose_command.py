@@ -65,6 +65,7 @@ def found(
             rng: np.random.Generator,
             progress: object,
             inspect: object,
+            estimate: object,
         ) -> Diagnosis:
             assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
             calls.append((bandwidth_Hz, float(rng.random())))
@@ -134,10 +135,15 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
 
 
 def test_what_is_printed_has_values_rivals_errors_and_shifts(
-    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+    campaign: Path,
+    tmp_path: Path,
+    found: Arrange,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 0)
     found(PLAIN)
-    assert status(["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out")]) == 0
+    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "0.42 deg (0.39 to 0.45)" in printed
     assert "0 to 0.418 deg" in printed
@@ -283,7 +289,10 @@ def test_refined_values_take_the_place_of_the_search_s(
 
 
 def test_static_friction_that_nothing_pins_is_not_exported(
-    campaign: Path, tmp_path: Path, found: Arrange
+    campaign: Path,
+    tmp_path: Path,
+    found: Arrange,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     shift = {
         **PLAIN.parameter_shift,
@@ -291,12 +300,12 @@ def test_static_friction_that_nothing_pins_is_not_exported(
         "Ms": Shift(12.1, 12.0, "N m"),
     }
     wild = {**PLAIN.parameters, "mu_c": 0.052, "mu_s": 1.1, "Mc": 6.8, "Ms": 12.0}
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 0)
     found(dataclasses.replace(PLAIN, parameters=wild, parameter_shift=shift))
     file = tmp_path / "found.json"
     arguments = [
         "diagnose",
         str(campaign),
-        "--no-refine",
         "--out",
         str(tmp_path / "out"),
         "--json",
@@ -308,13 +317,13 @@ def test_static_friction_that_nothing_pins_is_not_exported(
     assert any(w.startswith("mu_s is not determined") for w in record["warnings"])
 
 
-@pytest.mark.parametrize(("option", "refined"), [([], False), (["--refine"], True)])
-def test_many_samples_are_refined_only_where_asked(
+@pytest.mark.parametrize(("most", "refined"), [(10, False), (10_000, True)])
+def test_many_samples_are_not_refined_and_said_so(
     campaign: Path,
     tmp_path: Path,
     found: Arrange,
     monkeypatch: pytest.MonkeyPatch,
-    option: list[str],
+    most: int,
     refined: bool,
 ) -> None:
     asked: list[Dataset] = []
@@ -327,25 +336,26 @@ def test_many_samples_are_refined_only_where_asked(
 
     found(PLAIN)
     monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
-    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 10)
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", most)
     file = tmp_path / "found.json"
-    assert (
-        status(
-            [
-                "diagnose",
-                str(campaign),
-                *option,
-                "--out",
-                str(tmp_path / "out"),
-                "--json",
-                str(file),
-            ]
-        )
-        == 0
-    )
+    arguments = ["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]
+    assert status(arguments) == 0
     assert bool(asked) == refined
     warnings = json.loads(file.read_text())["warnings"]
-    assert any("--refine does it" in w for w in warnings) != refined
+    assert any("less precise than those of rig identify" in w for w in warnings) != refined
+
+
+@pytest.mark.parametrize("option", ["--refine", "--no-refine"])
+def test_former_options_are_accepted_with_a_note(
+    campaign: Path,
+    tmp_path: Path,
+    found: Arrange,
+    option: str,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    found(dataclasses.replace(PLAIN, warnings=()))
+    assert status(["diagnose", str(campaign), option, "--out", str(tmp_path / "out")]) == 0
+    assert "note: --refine and --no-refine have no effect" in capsys.readouterr().err
 
 
 def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(

@@ -21,7 +21,7 @@ COMMANDS = """\
 look a.csv
 identify c.yaml --json id.json
 simulate c.yaml --result id.json
-diagnose c.yaml --no-refine
+diagnose c.yaml
 export c.yaml --format mat
 run figure10 --dry-run
 check practical

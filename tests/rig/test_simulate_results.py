@@ -162,7 +162,6 @@ def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) 
     arguments = [
         "diagnose",
         str(campaign),
-        "--no-refine",
         "--out",
         str(tmp_path / "out"),
         "--json",

@@ -17,11 +17,8 @@ from rig.cli import options as shared
 @click.option(
     "--refine/--no-refine",
     default=None,
-    help="Refit the nominal parameters by prediction errors, with what was found taken out. "
-    "Without it a corrected "
-    "model may lack the rise of friction toward rest. If left out: where there are 60 000 samples "
-    "at most, as it takes "
-    "the search's time again there, and minutes with eight recordings of 30 s.",
+    hidden=True,
+    help="Without effect; refining is chosen by the number of samples.",
 )
 @click.option(
     "--gas",
@@ -67,8 +64,12 @@ def command(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
+    if refine is not None:
+        click.echo(
+            "note: --refine and --no-refine have no effect any more; leave them out", err=True
+        )
     if observable:
-        _no_search(gas, refine)
+        _no_search(gas)
         return _print_observable(source, seed, bandwidth, json_file)
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import is_folder, source_name
@@ -87,7 +88,9 @@ def command(
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = diagnose_source(source, seed, bandwidth, bar, refine, gas, partial=partial)
+        outcome = diagnose_source(
+            source, seed, bandwidth, bar, refine=True, gas=gas, partial=partial
+        )
         bar("writing the report", 1.0)
         record = outcome.record()
         write_record(record, folder / RESULT_FILE, json_file)
@@ -103,16 +106,14 @@ def command(
     click.echo(f"report: {folder / PAGE_FILE}")
 
 
-def _no_search(gas: bool, refine: bool | None) -> None:
+def _no_search(gas: bool) -> None:
     """Refuse options of a search.
 
     Raises:
         click.UsageError: One of them was given.
     """
-    if gas or refine is not None:
-        raise click.UsageError(
-            "--observable cannot be combined with --gas or --refine; leave them out"
-        )
+    if gas:
+        raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")
 
 
 def _print_observable(

@@ -138,7 +138,7 @@ def _identify(folder: Path, progress: Progress) -> dict[str, Any]:
 def _diagnose(folder: Path, progress: Progress) -> dict[str, Any]:
     """Diagnose a run as ``rig diagnose`` does; returns the record."""
     inside = folder / DIAGNOSIS_FOLDER
-    outcome = diagnose_source(folder, 0, None, progress, None)
+    outcome = diagnose_source(folder, 0, progress=progress, refine=True)
     record = outcome.record()
     write_record(record, inside / DIAGNOSIS_FILE, None)
     beside = exports(folder, outcome, record)

@@ -16,7 +16,8 @@ from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.gas.burns import has_gas_channels
 from identification.diagnosis.gas.diagnose import diagnose_gas
-from identification.diagnosis.result import Diagnosis
+from identification.diagnosis.result import Diagnosis, Verdict
+from identification.estimate.long import identify_any_length
 from identification.estimate.uncertainty.known_constants import uncertain_constants
 from identification.recording import Dataset, RecordingError
 from rig.common.errors import InputError
@@ -59,7 +60,7 @@ def diagnose_source(
     seed: int,
     bandwidth_Hz: float | None = None,
     progress: Callable[[str, float], None] | None = None,
-    refine: bool | None = False,
+    refine: bool = False,
     gas: bool = False,
     inspect: Callable[[Joint], None] | None = None,
     partial: bool = False,
@@ -72,9 +73,10 @@ def diagnose_source(
         bandwidth_Hz: Bandwidth of every error; None to choose it from the recordings. Pressure
         keeps its own bandwidth.
         progress: Called with the current step and the completed share.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects
-            subtracted, if the recordings allow it; None to refit up to :data:`REFINED_SAMPLES`
-            samples. Gas generator parameters are always refitted.
+        refine: Whether nominal parameters are those of ``rig identify`` if nothing is missing, and
+            refitted by prediction errors, with the effects subtracted, if something is; that of
+            more than :data:`REFINED_SAMPLES` samples takes too long. A gas generator's are always
+            refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
         a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
@@ -94,17 +96,19 @@ def diagnose_source(
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):
             dataset = burning(dataset)
-            found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
+            found = diagnose_gas(dataset, rng=rng, progress=progress)
         else:
+            nominal = _Nominal(seed, progress)
             found = diagnose(
-                dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, inspect=inspect
+                dataset,
+                bandwidth_Hz=bandwidth_Hz,
+                rng=rng,
+                progress=progress,
+                inspect=inspect,
+                estimate=nominal if refine else None,
             )
-        if refine is None:
-            found, refine = _refined_or_told(dataset, found)
-        if refine:
-            if progress is not None:
-                progress("refining", 0.95)
-            found = _refined_if_possible(dataset, found, seed)
+            if refine:
+                found = _refined(dataset, found, nominal, seed, progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
@@ -188,18 +192,48 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     )
 
 
-def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, bool]:
-    """Return whether refining takes no longer than the search; if it does, say how to request
-    it.
+class _Nominal:
+    """The nominal parameters as ``rig identify`` gives them, and its warnings."""
+
+    def __init__(self, seed: int, progress: Callable[[str, float], None] | None) -> None:
+        self._seed, self._progress = seed, progress
+        self.warnings: tuple[str, ...] = ()
+
+    def __call__(self, dataset: Dataset) -> dict[str, float | None]:
+        """Return the values, None for those that are not determined."""
+        rng = np.random.default_rng(self._seed)
+        try:
+            result = identify_any_length(dataset, rng=rng, progress=self._progress)
+        except RecordingError as error:
+            self.warnings = (f"not identified: {error}",)
+            return {}
+        self.warnings = tuple(f"identification: {w}" for w in result.warnings)
+        return {**result.values()}
+
+
+def _refined(
+    dataset: Dataset,
+    found: Diagnosis,
+    nominal: _Nominal,
+    seed: int,
+    progress: Callable[[str, float], None] | None,
+) -> Diagnosis:
+    """Return a diagnosis with nominal parameters by prediction errors, the effects subtracted,
+    where that takes no longer than the search; and with the warnings of the estimator.
     """
+    if found.verdict is Verdict.NOTHING_MISSING:
+        return dataclasses.replace(found, warnings=(*found.warnings, *nominal.warnings))
     samples = sum(len(r.time) for r in dataset.part("fit"))
-    if samples <= REFINED_SAMPLES:
-        return found, True
-    note = (
-        f"not refined: {samples} samples are fitted, and refining them takes minutes; --refine "
-        f"does it"
-    )
-    return dataclasses.replace(found, warnings=(*found.warnings, note)), False
+    if samples > REFINED_SAMPLES:
+        note = (
+            f"with {samples} samples (more than {REFINED_SAMPLES}) the nominal parameters are "
+            f"those of the equations below {found.fit.bandwidth_Hz:.3g} Hz: static friction and "
+            "its speed are less precise than those of rig identify"
+        )
+        return dataclasses.replace(found, warnings=(*found.warnings, note))
+    if progress is not None:
+        progress("refining", 0.95)
+    return _refined_if_possible(dataset, found, seed)
 
 
 def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:

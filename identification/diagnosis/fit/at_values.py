@@ -1,0 +1,44 @@
+"""The nominal model at given values of its parameters, without a fit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.stack import stack_of
+from identification.diagnosis.rows.equations import Equation, equations
+from identification.diagnosis.rows.view import View
+from identification.recording import Array
+
+
+def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[str, float]) -> Joint:
+    """Return the nominal model at given values.
+
+    Args:
+        views: The fitted recordings.
+        unit: Unit of the torque.
+        like: A fit of the nominal model to the same recordings, whose noise and blocks are used.
+        values: Name to value; the other nominal parameters keep their fitted values.
+    """
+    known = {n: v for n, v in values.items() if n in like.nominal.values}
+    nominal = replace(like.nominal, values={**like.nominal.values, **known})
+    stack = stack_of(equations(views, nominal, unit, like.stack.equations), nominal, like.stack)
+    residual = np.concatenate([_remaining(e, nominal.free) / e.sigma for e in stack.equations])
+    return Joint(nominal, (), stack.equations, residual, stack)
+
+
+def _remaining(equation: Equation, given: Sequence[str]) -> Array:
+    """Return an equation's residual with the parameters that have no given value at their best
+    values: those of other equations than torque, which are not nominal parameters or, in the
+    breakaway equation, levels of its own; and the rotor's share of the inertia.
+    """
+    held = given if equation.name == "torque" else ()
+    other = equation.tangent[:, [name not in held for name in equation.names]]
+    if not other.shape[1]:
+        return equation.residual
+    return np.asarray(
+        equation.residual - other @ np.linalg.lstsq(other, equation.residual, rcond=None)[0]
+    )
