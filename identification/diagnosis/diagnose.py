@@ -14,17 +14,15 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.at_values import nominal_at
 from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.start import bandwidth_of, fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
-    Effect,
     Fit,
     Location,
+    Map,
     ResidualTrace,
     Shift,
     Verdict,
@@ -33,9 +31,9 @@ from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.locate import curve
 from identification.diagnosis.score.observable import Observable, observable
-from identification.diagnosis.score.significance import LEVEL
 from identification.diagnosis.score.single_recordings import crowded_recordings, rests_under_torque
 from identification.diagnosis.selection.held_out import (
+    DROPPED,
     dropped_effects,
     validated_effects,
     validation_rms,
@@ -45,7 +43,13 @@ from identification.diagnosis.selection.search import Progress, Search, search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
-from identification.diagnosis.verdict.judgement import effects_of, insufficient_effects, verdict_of
+from identification.diagnosis.verdict.judgement import (
+    effects_of,
+    insufficient_effects,
+    unexplained_equations,
+    verdict_of,
+)
+from identification.diagnosis.verdict.statement import statement, warnings_of
 from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
@@ -55,6 +59,9 @@ FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which the valve moves otherwise than the motor, so that its friction depends on the
 joint encoder's angle.
 """
+FURTHER_SEARCHES = 2
+"""Number of searches without the effects that validation dropped."""
+Maps = tuple[Map, ...]
 Estimate = Callable[[Dataset], Mapping[str, float | None]]
 """Nominal parameters of a dataset by another estimator; None for one that is not determined."""
 ANGULAR = (
@@ -84,42 +91,34 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share done.
         inspect: Called with the nominal model's fit before the search.
-        estimate: Returns the nominal parameters of the recordings, None for one that they do not
-            determine; used if nothing is missing, as the nominal model is then complete. None
-            keeps the values fitted to the equations.
+        estimate: Its nominal parameters are reported if nothing is missing; None for the rows'.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
     """
-    clock, rng = perf_counter(), rng or np.random.default_rng(0)
-    report: Progress = progress or (lambda _stage, _share: None)
-    report("nominal model", 0.0)
+    clock, rng, report = perf_counter(), rng or np.random.default_rng(0), _begin(progress)
     fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
-    unit, prepared = torque_unit(fitted[0]), [prepare(fitted[0], bandwidth)]
+    unit = torque_unit(fitted[0])
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
         inspect(first)
-    here, searched, gives = _search_sides(dataset, (here, first), terms, bandwidth, rng, report)
-    aside = _validation_views(dataset, bandwidth, gives)
-    report("validating effects on unused recordings", 0.92)
-    found = with_indistinct_effects(validated_effects(searched, here, aside, unit), terms)
-    report("locating", 0.95)
-    verdict, where, drawn = verdict_of(found, rng, searched)
+    here, aside, found, (verdict, where, drawn) = _searches(
+        dataset, (here, first), terms, bandwidth, rng, report
+    )
     effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
-    shift = _shifts(found, found.final if effects else found.baseline, units_of(prepared))
+    scored = found.final if effects else found.baseline
+    shift = _shifts(found, scored, units_of([prepare(fitted[0], bandwidth)]))
     if verdict is Verdict.NOTHING_MISSING and estimate is not None:
         report("identifying the nominal parameters", 0.97)
         found, shift = _with_estimate(found, here, unit, estimate(dataset), shift)
-    scored = found.final if effects else found.baseline
-    fits = _fits(found.baseline, scored, aside, unit, bandwidth)
-    main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
+        scored = found.baseline
+    main, fits = _fits(found.baseline, scored, aside, unit, bandwidth, drawn)
     unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
-    partly = insufficient_effects(found, verdict, rng)
-    places = (*_local_findings(verdict, traces, (*here, *aside)), *partly)
+    findings = _findings(found, verdict, traces, (*here, *aside), rng)
     return Diagnosis(
         verdict=verdict,
-        statement=_statement(verdict, effects, main, where, found.p_value, unseen),
+        statement=statement(verdict, effects, main, where, found.p_value, unseen),
         effects=effects,
         fit=main,
         fits=fits,
@@ -131,10 +130,52 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*_warnings(dataset, here, unseen), *why, *dropped_effects(found), *places),
+        warnings=(*warnings_of(dataset, here, unseen), *why, *findings),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
+
+
+def _searches(
+    dataset: Dataset,
+    start: tuple[tuple[View, ...], Joint],
+    terms: Sequence[Term],
+    bandwidth: float,
+    rng: np.random.Generator,
+    report: Progress,
+) -> tuple[tuple[View, ...], tuple[View, ...], Search, tuple[Verdict, Location | None, Maps]]:
+    """Search, validate and judge; if effects were dropped and the verdict is outside the
+    catalogue, search again without them, since they may have stood in for others.
+
+    The first result counts if no further search ends with another verdict. The arguments are those
+    of :func:`_search_sides`.
+
+    Returns:
+        Views of the fitted recordings and of those set aside, the search, and the verdict with the
+        location and the maps of the mismatch.
+    """
+    unit = torque_unit(dataset.part("fit")[0])
+    results = []
+    for _ in range(1 + FURTHER_SEARCHES):
+        here, searched, gives = _search_sides(dataset, start, terms, bandwidth, rng, report)
+        aside = _validation_views(dataset, bandwidth, gives)
+        report("validating effects on unused recordings", 0.92)
+        found = with_indistinct_effects(validated_effects(searched, here, aside, unit), terms)
+        report("locating", 0.95)
+        results.append((here, aside, found, verdict_of(found, rng, searched)))
+        without = {s.name for s in found.steps if s.action == DROPPED}
+        if results[-1][-1][0] is not Verdict.OUTSIDE_CATALOGUE or not without:
+            break
+        terms = [t for t in terms if t.name not in without]
+    last = results[-1]
+    return last if last[-1][0] in (Verdict.NAMED, Verdict.AMBIGUOUS) else results[0]
+
+
+def _begin(progress: Progress | None) -> Progress:
+    """Return the function that reports progress, after its first report."""
+    report: Progress = progress or (lambda _stage, _share: None)
+    report("nominal model", 0.0)
+    return report
 
 
 def _with_estimate(
@@ -173,14 +214,24 @@ def observable_effects(
     return observable(nominal, _effects_to_search(dataset, here)[0])
 
 
-def _local_findings(
-    verdict: Verdict, traces: Sequence[ResidualTrace], every: Sequence[View]
+def _findings(
+    found: Search,
+    verdict: Verdict,
+    traces: Sequence[ResidualTrace],
+    every: Sequence[View],
+    rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Return texts on rests under a torque that no other rest withstood, and on recordings that
-    contain most of the mismatch.
+    """Return texts on dropped effects, on rests under a torque that no other rest withstood, on
+    recordings that contain most of the mismatch, and on what the effects do not explain.
     """
     crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
-    return (*rests_under_torque(every, torque_unit(every[0].recording)), *crowds)
+    return (
+        *dropped_effects(found),
+        *rests_under_torque(every, torque_unit(every[0].recording)),
+        *crowds,
+        *insufficient_effects(found, verdict, rng),
+        *unexplained_equations(found, verdict),
+    )
 
 
 def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recording, ...], float]:
@@ -265,8 +316,9 @@ def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, 
 
 
 def _fits(
-    baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float
-) -> tuple[Fit, ...]:
+    baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float, drawn: Maps
+) -> tuple[Fit, tuple[Fit, ...]]:
+    """Return the errors of the equation that is drawn first, and of all equations."""
     held_before, held_after = (
         validation_rms(baseline, aside, unit),
         validation_rms(final, aside, unit),
@@ -290,7 +342,7 @@ def _fits(
                 validate_final_rms=held_after.get(equation.name),
             )
         )
-    return tuple(out)
+    return next((f for f in out if drawn and f.equation == drawn[0].equation), out[0]), tuple(out)
 
 
 def _traces(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
@@ -313,74 +365,3 @@ def _traces(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
                     )
                 )
     return tuple(out)
-
-
-def _statement(
-    verdict: Verdict,
-    effects: Sequence[Effect],
-    main: Fit,
-    where: Location | None,
-    p_value: float,
-    unseen: Sequence[str],
-) -> str:
-    error = (
-        f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
-        f"{main.noise_floor_rms:.3g}"
-    )
-    if verdict is Verdict.NOTHING_MISSING:
-        evidence = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
-        said = f"nothing is missing that these recordings could show ({evidence}); {error}"
-        return f"{said}; {_unobservable_sentence(unseen)}" if unseen else said
-    held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
-    before, after = (
-        (main.validate_baseline_rms, main.validate_final_rms)
-        if held
-        else (main.baseline_rms, main.final_rms)
-    )
-    recordings = "unseen recordings" if held else "the recordings it was fitted to"
-    change = (
-        f"{main.equation.capitalize()} error on {recordings} {before:.3g} -> {after:.3g} "
-        f"{main.unit}; "
-        f"noise floor {main.noise_floor_rms:.3g}."
-    )
-    if verdict is Verdict.OUTSIDE_CATALOGUE:
-        place = f", most of it over {where.coordinate}" if where else ""
-        return (
-            f"the {main.equation} equation has a mismatch that no effect of the catalogue "
-            f"explains{place}; {error}"
-        )
-    words = "; and ".join(e.statement for e in effects)
-    if verdict is Verdict.AMBIGUOUS:
-        groups = [
-            " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
-        ]
-        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
-    return f"{words}. {change}"
-
-
-def _unobservable_sentence(names: Sequence[str]) -> str:
-    return (
-        f"these recordings cannot show {', '.join(title(n) for n in names)}, which the nominal "
-        f"parameters can explain completely"
-    )
-
-
-def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
-    warnings = []
-    if unseen:
-        warnings.append(
-            f"{_unobservable_sentence(unseen)}; an experiment that shows it: "
-            f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
-        )
-    if not dataset.part("validate"):
-        warnings.append(
-            "no recording is set aside (role: validate), so all errors are those of the "
-            "fitted recordings"
-        )
-    for view in here:
-        if not np.any(view.moving):
-            warnings.append(
-                f"{view.recording.name}: no sample is in steady motion, so this recording does not "
-                "contribute to the torque equation"
-            )
-    return tuple(warnings)

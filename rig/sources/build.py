@@ -28,6 +28,7 @@ from rig.sources.readers import open_table
 from rig.sources.repair import (
     MIN_SAMPLES,
     MISSING_SHARE,
+    UNEVEN,
     Mask,
     Timing,
     UnusableError,
@@ -35,9 +36,12 @@ from rig.sources.repair import (
     fill_missing,
 )
 from rig.sources.session import Read
+from rig.sources.stamps import even_stamps
 
 Rows = NDArray[np.intp]
 
+ANGLES = ("motor_angle", "angle")
+"""Channels in which uneven samples are seen, the finer first."""
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 """Channels that are often logged at a lower rate; any number of their missing samples is
 interpolated.
@@ -300,8 +304,11 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
+    """Return a recording whose channels have the same times, on even times if only its stamps are
+    uneven.
+    """
     if stamps is None:
-        return recording
+        return _on_even_stamps(recording)
     channels, words = aligned(
         recording.channels, stamps, recording.averaged, recording.bench.gear_ratio
     )
@@ -310,6 +317,22 @@ def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
         if words
         else recording
     )
+
+
+def _on_even_stamps(recording: Recording) -> Recording:
+    angle = next((recording.channels[n] for n in ANGLES if n in recording.channels), None)
+    found = None if angle is None else even_stamps(recording.time, angle)
+    if found is None:
+        return recording
+    grid, jitter = found
+    period = float(np.median(np.diff(grid)))
+    note = (
+        f"time stamps jitter by {jitter:.2g} s rms ({100.0 * jitter / period:.0f} % of the period) "
+        "around evenly taken samples: the even times are used"
+    )
+    channels = {**recording.channels, "time": grid}
+    others = tuple(n for n in recording.notes if not n.startswith(UNEVEN))
+    return replace(recording, channels=channels, notes=(*others, note))
 
 
 def _is_constant(values: Array) -> bool:

@@ -26,6 +26,8 @@ MIN_SAMPLES = 50
 """Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
 """Spread of the sample period (5 to 95 %), relative to the median, above which there is a note."""
+UNEVEN = "uneven sampling kept as recorded"
+"""Begin of that note."""
 SLOW_PERIOD_S = 0.5
 """Median sample period, s, above which a note asks whether the time is in seconds."""
 
@@ -137,10 +139,7 @@ def _describe(steps: Array) -> list[str]:
     low, median, high = (float(q) for q in np.percentile(steps, [5, 50, 95]))
     notes = []
     if high - low > UNEVEN_SHARE * median:
-        notes.append(
-            f"uneven sampling kept as recorded: median period {median:.4g} s, 5 to 95 % {low:.4g} "
-            f"to {high:.4g} s"
-        )
+        notes.append(f"{UNEVEN}: median period {median:.4g} s, 5 to 95 % {low:.4g} to {high:.4g} s")
     if median >= SLOW_PERIOD_S:
         notes.append(
             f"median period {median:.4g} s: if `time` is in ms or us, set its scale to 0.001 or "

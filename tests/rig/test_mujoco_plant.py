@@ -104,6 +104,20 @@ def test_friction_is_what_the_constants_say(plain: tuple[World, Signals]) -> Non
     assert np.abs(np.mean(left[moving])) < 0.005 * c.Mc
 
 
+def test_current_and_angle_have_the_same_stamps(plain: tuple[World, Signals]) -> None:
+    """A current that is late by one step of the loop is a time skew that nobody injected."""
+    world, signals = plain
+    step, moment = 1.0 / 4000.0, torque(world, signals)
+    w = (signals.angle[2:] - signals.angle[:-2]) / (2.0 * step)
+    acceleration = np.diff(signals.angle, 2) / step**2
+    change = (moment[2:] - moment[:-2]) / 2.0
+    c, moving = world.constants, np.abs(w) > 0.3
+    falls = np.sign(w) * np.exp(-((w / c.omega_sf) ** 2))
+    columns = np.column_stack((acceleration, w, np.sign(w), falls, change))
+    found = np.linalg.lstsq(columns[moving], moment[1:-1][moving], rcond=None)[0]
+    assert -found[4] == pytest.approx(0.0, abs=0.05), "steps that the current is late"
+
+
 def test_voltage_and_current_keep_to_ohms_law(plain: tuple[World, Signals]) -> None:
     world, signals = plain
     m = world.motor

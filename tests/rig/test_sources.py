@@ -216,7 +216,11 @@ def test_nothing_but_gaps(tmp_path: Path) -> None:
 
 def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
     def jitter(columns: Columns) -> None:
+        """Sample unevenly."""
+        even = columns["t"].copy()
         columns["t"] += np.random.default_rng(3).uniform(-2e-4, 2e-4, N)
+        for name in columns.keys() - {"t"}:
+            columns[name] = np.interp(columns["t"], even, columns[name])
 
     (recording,) = load(tmp_path, jitter)
     (note,) = recording.notes

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ import pytest
 from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
+from rig.results.prove.worlds.files import truth_of_world
 from rig.results.prove.worlds.logger import columns
 from rig.results.prove.worlds.motion import MOTIONS, Reach, command
 from rig.results.prove.worlds.seal import log_of, seal_worlds
@@ -189,6 +191,13 @@ def test_each_way_of_logging_a_current_is_as_late_as_it_says() -> None:
     filtered = logged(world_with({}, current="filtered", filter_Hz=100.0))["current"]
     assert lag_s(averaged, exact) == pytest.approx(0.5 / 500.0, rel=0.02)
     assert lag_s(filtered, exact) == pytest.approx(1.0 / (2.0 * np.pi * 100.0), rel=0.15)
+
+
+@pytest.mark.parametrize("way", ["sampled", "filtered"])
+def test_a_lateness_of_the_logger_s_filter_is_no_wrong_name(way: Any) -> None:
+    world = draw_world("nothing", (), (3, 1))
+    truth = truth_of_world(replace(world, log=replace(world.log, current=way)), (), {})
+    assert truth["not_scored"] == (["time_skew", "current_loop_lag"] if way == "filtered" else [])
 
 
 def test_effects_of_sensing_change_their_channel_alone() -> None:

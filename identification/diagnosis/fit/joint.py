@@ -39,9 +39,7 @@ CLOSING_STEPS, CLOSING_EXCESS = 3, 0.02
 the predicted torque mismatch from which a closing step is tried.
 """
 CLOSING_SHARES = (1.0, 0.5)
-"""Shares of a closing step that are tried. A whole step of static friction may fit the breakaways
-worse.
-"""
+"""Shares of a closing step that are tried: a whole one may fit the breakaways worse."""
 LEAST_CLOSING_GAIN = 0.1
 """Least share of that excess that a closing step must remove."""
 DAMPING = 0.3
@@ -136,6 +134,9 @@ def fit(
         nominal, effects = start_fit(nominal_after_effects(nominal, best.effects), effects)
     assert best is not None
     best = _closing_steps(views, unit, best, step)
+    if before is None:
+        # The blocks of the first round suit the errors of the start values, which last longer.
+        best = replace(best, stack=stack_of(best.equations, best.nominal))
     # The stack's own residual still contains the effects of known size, which have no column.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=with_effect_basis(left, effect_derivatives(left, best.effects)))

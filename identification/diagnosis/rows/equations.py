@@ -217,20 +217,13 @@ def _own_noise(equation: Equation, rest: Array) -> dict[int, float]:
 
 
 def held_voltage(equation: Equation) -> float:
-    """Return the uncertainty of the voltage's rows, V. A drive holds its voltage for one sample,
-    before or after the time stamp; logs do not state which, unless the channel is declared as
-    averaged.
+    """Return the noise of the voltage's rows, V, that comes from voltages between the samples: a
+    voltage that changes during a sample is not known better than to this change, unless the
+    channel is declared as averaged. A constant lateness of it is a parameter (:func:`_change`).
     """
     if equation.name != "voltage":
         return 0.0
-
-    def change(view: View) -> Array:
-        assert view.voltage is not None
-        if "voltage" in view.recording.averaged:
-            return np.zeros(len(view.time))
-        return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
-
-    return float(np.sqrt(np.mean(equation.rows(change) ** 2) / 12.0))
+    return float(np.sqrt(np.mean(equation.rows(_change) ** 2) / 12.0))
 
 
 def least_noise(equation: Equation) -> float:
@@ -360,12 +353,29 @@ def _voltage(views: Sequence[View]) -> Equation | None:
             - emf
         )
 
+    held = any("voltage" not in v.recording.averaged for v in known)
+
     def tangent(view: View) -> Array:
         assert view.current is not None
-        return np.stack([view.current, view.motor_speed])
+        columns = [view.current, view.motor_speed, *([_change(view)] if held else [])]
+        return np.stack(columns)
 
     kept = [v.low_pass.untouched(np.isnan(v.voltage)) for v in known if v.voltage is not None]
-    return _build("voltage", "V", known, kept, measured, tangent, ("R", "Ke"))
+    names = ("R", "Ke", *(("hold",) if held else ()))
+    return _build("voltage", "V", known, kept, measured, tangent, names)
+
+
+def _change(view: View) -> Array:
+    """Return the voltage's change over one sample, V; zero for means over the sample.
+
+    A drive holds its voltage from one cycle to the next, before or after the time stamp. Logs state
+    neither which nor how long a cycle is, unless the channel is declared as averaged; the time is
+    therefore a parameter of the voltage equation.
+    """
+    assert view.voltage is not None
+    if "voltage" in view.recording.averaged:
+        return np.zeros(len(view.time))
+    return central_difference(np.where(np.isnan(view.voltage), 0.0, view.voltage), 1.0)
 
 
 def _has_voltage(view: View) -> bool:

@@ -16,9 +16,10 @@ from identification.diagnosis.rows.families import families
 from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
-NOISE = 1.0
+NOISE = 1.1
 """Ratio of the mean-square mismatch to the noise's, up to which an equation is not tested: a
-pattern within the noise is not a mismatch.
+pattern within the noise is not a mismatch. Some hundred independent rows give the noise's mean
+square to about a tenth.
 """
 EXCESS = 1.5
 """Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the

@@ -17,6 +17,7 @@ from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
+from identification.recording import Array
 
 REJECTED = 1.645
 """Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
@@ -30,6 +31,8 @@ USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
 suit.
 """
+USUAL_CURRENT_A, USUAL_VOLTAGE_V = 13.0, 40.0
+"""Greatest current and voltage there."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +109,14 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
     torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
     speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
     angle = _travels(views)
+    current = _greatest([v.current for v in views], USUAL_CURRENT_A)
+    voltage = _greatest([v.voltage for v in views], USUAL_VOLTAGE_V)
     return {
+        "A": current,
+        "A/s": current,
+        "V": voltage,
+        "ohm": voltage / current,
+        "K/W": 1.0 / (voltage * current),
         "N m": torque,
         "N m/s": torque,
         "N m/rad": torque / angle,
@@ -114,6 +124,12 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
         "N m s^2/rad^2": torque / speed**2,
         "kg m^2": torque * angle / speed**2,
     }
+
+
+def _greatest(channels: Sequence[Array | None], usual: float) -> float:
+    """Return the greatest absolute value over the usual one; 1 if it was not recorded."""
+    known = [float(np.nanmax(np.abs(c))) for c in channels if c is not None]
+    return max(known, default=usual) / usual or 1.0
 
 
 def _travels(views: Sequence[View]) -> float:

@@ -119,7 +119,12 @@ def validated_effects(
             tried = _fit_with_rival(case, joint, rival)
             if tried is None:
                 continue
-            worth = _error_reduction(case, tried, joint, tried.effects[-1])
+            # An effect in one recording alone cannot be tested on others.
+            worth = (
+                _error_reduction(case, tried, joint, tried.effects[-1])
+                if tried.effects[-1].term.place is None
+                else math.inf
+            )
             if worth >= REJECTED:
                 steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case))
                 joint, rounds[rival.name] = tried, Round(rival.name, ())
@@ -154,6 +159,9 @@ class _Case(NamedTuple):
 
 
 def _step(action: str, name: str, gain: float, worth: float, case: _Case) -> Step:
+    if math.isinf(worth):
+        note = "is in one recording alone, so that no other can test it"
+        return Step(action, name, None, gain, note)
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     change = "less" if worth >= 0.0 else "larger"
     note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"

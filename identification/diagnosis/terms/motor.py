@@ -27,9 +27,19 @@ from identification.diagnosis.terms.term import (
     polar,
     rows,
 )
+from identification.diagnosis.terms.voltage_drop import (
+    BRUSH_SHARES,
+    DEAD_SHARES,
+    ROUNDED_SHARES,
+    STEP_SHARES,
+    about_zero,
+    at_zero,
+    drop,
+    has_current,
+)
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.recording import Array
-from identification.signals import central_difference, resample
+from identification.signals import central_difference
 
 COPPER_PER_K = 0.00393
 """Temperature coefficient of a copper winding's resistance."""
@@ -45,17 +55,6 @@ KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 TANH_OR_RATIONAL = (0.0, 1.0)
 """Laws of saturation: a hyperbolic tangent (0), or a rational function (1)."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
-STEP_A = (0.01, 0.3)
-"""Limits of the current over which a dead-time step is smeared, A.
-
-Near zero a noisy sample does not determine the sign, and the winding has no current within the
-step.
-"""
-ROUNDED_A = (0.3, 10.0)
-"""Limits of the current over which a brush drop is reached, A; a smaller one looks like a dead
-time.
-"""
-DEAD_CURRENTS, BRUSH_CURRENTS = (0.05, 0.2), (0.5, 1.0, 2.0)
 KEPT = 64
 """Cache size of temperature rises by recording and time constant, which a fit changes less often
 than the nominal values.
@@ -211,44 +210,6 @@ def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     return rows(volts**2 * view.current / supply**2)
 
 
-def _mean_over_sample(
-    view: View,
-    zero_A: float,
-    antiderivative: Callable[[Array], Array],
-    function: Callable[[Array], Array],
-) -> Array:
-    """Return the mean of a function of the current over each sample's period, for a current that is
-    linear in time.
-
-    Near a reversal the current changes by more than its knee within one period. ``zero_A`` is the
-    reading without current. The function is applied to the logged samples and its result resampled
-    like the voltage, since interpolation of the current would widen the step.
-    """
-    recording = view.recording
-    current = recording.channels["current"] - zero_A
-    ends = 0.5 * (current[1:] + current[:-1])
-    before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
-    change = after - before
-    small = np.abs(change) < 1e-9
-    mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
-    offset = -0.5 * recording.period if "current" in recording.averaged else 0.0
-    return resample(recording.time, np.where(small, function(current), mean), view.time, offset)
-
-
-def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    knee, zero_A = shape
-
-    def log_cosh(current: Array) -> Array:
-        size = np.abs(current) / knee
-        return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
-
-    return rows(
-        _mean_over_sample(
-            view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))
-        )
-    )
-
-
 def _drift(view: View, shape: Shape) -> Array:
     """Return the time since the current sensor was zeroed, before the recording, s."""
     return np.asarray(view.time - view.time[0] + shape[0])
@@ -262,34 +223,14 @@ def _current_offset_voltage(view: View, _nominal: Nominal, _shape: Shape) -> Arr
     return rows(np.full(len(view.time), -(view.recording.bench.resistance or 0.0)))
 
 
-def _has_current(view: View) -> bool:
-    return view.current is not None and view.recording.bench.torque_constant is not None
-
-
 def _with_current(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape]]:
-    return lambda context: everywhere(context, _has_current, shapes)
+    return lambda context: everywhere(context, has_current, shapes)
 
 
 def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape]]:
     return lambda context: everywhere(
-        context, lambda v: _has_current(v) and v.voltage is not None, shapes
+        context, lambda v: has_current(v) and v.voltage is not None, shapes
     )
-
-
-def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial parameters: the current over which a drop is reached, and the reading without
-    current.
-    """
-    return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(
-        context
-    )
-
-
-def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return nominal values and nonlinear parameters whose drop depends on the sign of the true
-    current, as the sensor's offset may exceed the step.
-    """
-    return nominal, (shape[0], nominal.zero_A)
 
 
 def _wave(name: str) -> Reader:
@@ -319,7 +260,7 @@ TERMS = (
         "torque_saturation",
         in_motion(_saturation),
         lambda _coefficients, shape, _context: {"knee_A": shape[0], "rational": shape[1]},
-        lambda context: _knees(context) if any(_has_current(v) for v in context.views) else (),
+        lambda context: _knees(context) if any(has_current(v) for v in context.views) else (),
         refine={0: 0.0},
         forms={1: TANH_OR_RATIONAL},
         positive=(0,),
@@ -337,23 +278,23 @@ TERMS = (
     ),
     Term(
         "inverter_dead_time",
-        {"voltage": _brushes},
+        {"voltage": drop},
         one("voltage_V"),
-        _about_zero(DEAD_CURRENTS),
+        about_zero(DEAD_SHARES),
         refine={0: 0.0},
-        limits={0: STEP_A},
+        limits={0: STEP_SHARES},
         positive=(0,),
-        begin=_at_zero,
+        begin=at_zero,
     ),
     Term(
         "brush_drop",
-        {"voltage": _brushes},
-        lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0]},
-        _about_zero(BRUSH_CURRENTS),
+        {"voltage": drop},
+        lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0] * shape[2]},
+        about_zero(BRUSH_SHARES),
         refine={0: 0.0},
-        limits={0: ROUNDED_A},
+        limits={0: ROUNDED_SHARES},
         positive=(0,),
-        begin=_at_zero,
+        begin=at_zero,
     ),
     Term(
         "winding_heating",

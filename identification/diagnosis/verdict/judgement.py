@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -158,10 +159,41 @@ def insufficient_effects(
     )
 
 
+def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
+    """Return texts on equations in which more than noise is left and no identified effect acts."""
+    if verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS):
+        return ()
+    acting = _equations_of_effects(found)
+    equations = {e.name: e for e in found.final.equations}
+    return tuple(
+        f"the {e.equation} equation has a further mismatch that no effect explains: "
+        f"{math.sqrt(e.after) * equations[e.equation].sigma:.3g} {equations[e.equation].unit} rms; "
+        f"noise floor {equations[e.equation].sigma:.3g}"
+        for e in _excess(found)
+        if e.equation not in ("breakaway", *acting) and e.after > EXCESS
+    )
+
+
+def _equations_of_effects(found: Search) -> set[str]:
+    """Return the equations in which the accepted effects act."""
+    return {name for effect in found.final.effects for name in effect.term.columns}
+
+
+def _judged_equation(found: Search) -> _Excess:
+    """Return the equation with the greatest mismatch beyond the noise.
+
+    An equation other than the torque's in which no accepted effect acts is not it: its mismatch
+    has a cause of its own, which is reported beside the identified effects.
+    """
+    judges = [e for e in _excess(found) if e.equation != "breakaway"]
+    acting = _equations_of_effects(found) | {"torque"}
+    judges = [e for e in judges if e.equation in acting] or judges
+    return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
+
+
 def _insufficient(found: Search, share: float = ADEQUATE_SHARE) -> bool:
     """Whether the effects explain less than a share of the mismatch beyond the noise."""
-    judges = [e for e in _excess(found) if e.equation != "breakaway"]
-    worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
+    worst = _judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
         worst.after > NEAR_FLOOR * level(equation)

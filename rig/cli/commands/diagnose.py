@@ -5,10 +5,14 @@ improve.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from rig.cli import options as shared
+
+if TYPE_CHECKING:
+    from rig.results.diagnose.exports import Exports
 
 
 @click.command("diagnose")
@@ -88,9 +92,7 @@ def command(
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = diagnose_source(
-            source, seed, bandwidth, bar, refine=True, gas=gas, partial=partial
-        )
+        outcome = diagnose_source(source, seed, bandwidth, bar, True, gas, partial=partial)
         bar("writing the report", 1.0)
         record = outcome.record()
         write_record(record, folder / RESULT_FILE, json_file)
@@ -99,11 +101,23 @@ def command(
         document = diagnose_document(source_name(source), outcome, beside, facts_of(source))
         write_page(document, folder / PAGE_FILE)
     click.echo(text(document))
+    _print_files(folder, beside, folder / PAGE_FILE)
+
+
+def _print_files(folder: Path, beside: Exports, page: Path) -> None:
+    """Print which files were written, and notes on those that were not."""
     for note in beside.notes:
         click.echo(f"note: {note}")
     for file in beside.files:
         click.echo(f"{folder / file.name}: {file.use}")
-    click.echo(f"report: {folder / PAGE_FILE}")
+    click.echo(f"report: {page}")
+
+
+def _note_former_options(refine: bool | None) -> None:
+    if refine is not None:
+        click.echo(
+            "note: --refine and --no-refine have no effect any more; leave them out", err=True
+        )
 
 
 def _no_search(gas: bool) -> None:

@@ -107,14 +107,12 @@ def diagnose_source(
                 inspect=inspect,
                 estimate=nominal if refine else None,
             )
-            if refine:
-                found = _refined(dataset, found, nominal, seed, progress)
+            found = _refined(dataset, found, nominal, seed, progress) if refine else found
     except RecordingError as error:
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
-    seconds = time.perf_counter() - started
-    found = settled(found)
-    told = (*found.warnings, *partial_warnings(dataset), *exact)
-    found = dataclasses.replace(found, seconds=seconds, warnings=told)
+    seconds, found = time.perf_counter() - started, settled(found)
+    warnings = (*found.warnings, *partial_warnings(dataset), *exact)
+    found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     provenance = Provenance.of(seed, dataset.recordings, seconds, described_by, dataset.tables)
     return Outcome(dataset, found, provenance)
 

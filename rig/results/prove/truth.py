@@ -31,8 +31,8 @@ class Truth(Schema):
         parameters: Nominal constants, by the names of `rig identify`; those not given are not
             scored.
         not_scored: Names whose values are not scored, for example because this simulator has
-            another formula: a nominal constant, or `effect.parameter`. An effect's name alone
-            excuses it altogether: naming it is no error, missing it neither.
+            another formula: a nominal constant, or `effect.parameter`. An effect's name alone,
+            injected or not, excuses it altogether: naming it is no error, missing it neither.
         axes: The rig's place in the world, axis to value: rates, encoders, excitation, loads.
             Results are listed by them.
         strength: Channel to the rms change by the effects, over the channel's noise.
@@ -73,6 +73,11 @@ class Truth(Schema):
             return "outside"
         kinds: tuple[Kind, ...] = ("nothing", "one", "two")
         return kinds[min(len(self.scored), 2)]
+
+    @property
+    def excused(self) -> tuple[str, ...]:
+        """Return the effects that are not scored at all."""
+        return tuple(n for n in self.not_scored if n in ENTRIES or n in self.effects)
 
     def record(self, rig: int | str) -> dict[str, Any]:
         """Return the truth as rows of the proof take it."""
@@ -120,5 +125,6 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
             yield (("outside", k), "is an effect of the catalogue; take it off this list")
     for k, name in enumerate(truth.not_scored):
         effect, _, key = name.partition(".")
-        if effect not in truth.effects and (key or effect not in truth.parameters):
+        listed = effect in truth.effects or (not key and effect in {*truth.parameters, *ENTRIES})
+        if not listed:
             yield (("not_scored", k), "neither an effect, effect.parameter, nor a constant here")

@@ -166,7 +166,7 @@ def _row(proof: FromProof, rig: SealedRig, oracle: Oracle, floors: Floors) -> di
     refused = diagnosis["verdict"] == REFUSED
     held = oracle(rig.campaign, names) if truth.kind in ("one", "two") and not refused else None
     floor = floors(rig.reference) if is_file(rig.reference) and not refused else truth.floor
-    excused = [name for name in truth.effects if name not in truth.scored]
+    excused = list(truth.excused)
     diagnosis["effects"] = [e for e in diagnosis["effects"] if e["name"] not in excused]
     if excused and not diagnosis["effects"] and diagnosis["verdict"] in ("named", "ambiguous"):
         diagnosis["verdict"] = "nothing_missing"

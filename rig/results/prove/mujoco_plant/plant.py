@@ -4,6 +4,10 @@ MuJoCo's friction is a constraint that its solver keeps softly. With the impedan
 constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less than
 2e-6 of its speed scale, and breaks away within 0.5 % of the level that is set; the level itself is
 one step late.
+
+A step of MuJoCo accelerates the joint with the current at the step's end, and its angle with the
+speed at the step's end. The angle before a step therefore belongs to the stamp one step earlier;
+current, voltage and angle are consistent with these stamps.
 """
 
 from __future__ import annotations
@@ -176,12 +180,16 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
         voltage=out[VOLTAGE, first:],
         terminal=out[TERMINAL, first:],
         supply=out[SUPPLY, first:],
-        motor_angle=out[SHAFT, first:],
-        angle=out[ANGLE, first:],
+        motor_angle=_a_step_later(out[SHAFT])[first:],
+        angle=_a_step_later(out[ANGLE])[first:],
         command=command[first:],
         start_s=session_s + planned.lead_s,
     )
     return signals, float(states[0]) if heated else 0.0
+
+
+def _a_step_later(angle: Array) -> Array:
+    return np.concatenate((angle[:1], angle[:-1]))
 
 
 def _stage(world: World, session_s: float) -> Array:

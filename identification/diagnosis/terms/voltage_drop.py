@@ -1,0 +1,101 @@
+"""Voltage that is lost with the sign of the current: inverter dead time, brush drop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.terms.term import Context, Shape, everywhere, rows
+from identification.recording import Array
+from identification.signals import resample
+
+STEP_SHARES = (0.001, 0.03)
+"""Limits of the current over which a dead-time step is smeared, share of the greatest current.
+
+Near zero a noisy sample does not determine the sign, and the winding has no current within the
+step.
+"""
+ROUNDED_SHARES = (0.03, 1.0)
+"""Limits of the current over which a brush drop is reached, share of the greatest current; a
+smaller one looks like a dead time.
+"""
+DEAD_SHARES, BRUSH_SHARES = (0.005, 0.02), (0.05, 0.1, 0.2)
+GREATEST_QUANTILE = 0.99
+"""Quantile of the currents that counts as the greatest; a few spikes are not it."""
+
+
+def has_current(view: View) -> bool:
+    """Whether a recording has current, and its bench the torque constant."""
+    return view.current is not None and view.recording.bench.torque_constant is not None
+
+
+def about_zero(shares: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
+    """Return trial parameters: the current over which a drop is reached, share of the greatest
+    current; the reading without current, A; the greatest current, A.
+    """
+
+    def trials(context: Context) -> Sequence[Shape]:
+        currents = [np.abs(v.current) for v in context.views if v.current is not None]
+        if not currents:
+            return ()
+        greatest_A = float(np.nanquantile(np.concatenate(currents), GREATEST_QUANTILE))
+        shapes = [(share, context.nominal.zero_A, greatest_A) for share in shares]
+        return everywhere(context, lambda v: has_current(v) and v.voltage is not None, shapes)
+
+    return trials
+
+
+def at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Return nominal values and nonlinear parameters whose drop depends on the sign of the true
+    current, as the sensor's offset may exceed the step.
+    """
+    return nominal, (shape[0], nominal.zero_A, *shape[2:])
+
+
+def _mean_over_sample(
+    view: View,
+    zero_A: float,
+    antiderivative: Callable[[Array], Array],
+    function: Callable[[Array], Array],
+) -> Array:
+    """Return the mean of a function of the current over each sample's period, for a current that is
+    linear in time.
+
+    Near a reversal the current changes by more than its knee within one period. ``zero_A`` is the
+    reading without current. The function is applied to the logged samples and its result resampled
+    like the voltage, since interpolation of the current would widen the step.
+    """
+    recording = view.recording
+    current = recording.channels["current"] - zero_A
+    ends = 0.5 * (current[1:] + current[:-1])
+    before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
+    change = after - before
+    small = np.abs(change) < 1e-9
+    mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
+    offset = -0.5 * recording.period if "current" in recording.averaged else 0.0
+    return resample(recording.time, np.where(small, function(current), mean), view.time, offset)
+
+
+def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    """Return the regressor of a drop with the sign of the current, 1: tanh(I / I_b), shape (1, n).
+
+    Args:
+        view: The recording.
+        shape: I_b over the greatest current; the reading without current, A; the greatest
+            current, A.
+    """
+    share, zero_A, greatest_A = shape
+    knee = share * greatest_A
+
+    def log_cosh(current: Array) -> Array:
+        size = np.abs(current) / knee
+        return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
+
+    return rows(
+        _mean_over_sample(
+            view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))
+        )
+    )

@@ -1,0 +1,99 @@
+"""The sentence that states a verdict, and warnings on the recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.catalogue.entry import title
+from identification.diagnosis.result import Effect, Fit, Location, Verdict
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.score.significance import LEVEL
+from identification.recording import Dataset
+
+
+def statement(
+    verdict: Verdict,
+    effects: Sequence[Effect],
+    main: Fit,
+    where: Location | None,
+    p_value: float,
+    unseen: Sequence[str],
+) -> str:
+    """Return the sentence that states a verdict.
+
+    Args:
+        verdict: The verdict.
+        effects: Identified effects.
+        main: Errors of the equation in which the mismatch is judged.
+        where: Where most of the mismatch is, if known.
+        p_value: That of the test whether anything is missing.
+        unseen: Effects that the recordings cannot show.
+    """
+    error = (
+        f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
+        f"{main.noise_floor_rms:.3g}"
+    )
+    if verdict is Verdict.NOTHING_MISSING:
+        evidence = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
+        said = f"nothing is missing that these recordings could show ({evidence}); {error}"
+        return f"{said}; {unobservable_sentence(unseen)}" if unseen else said
+    held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
+    before, after = (
+        (main.validate_baseline_rms, main.validate_final_rms)
+        if held
+        else (main.baseline_rms, main.final_rms)
+    )
+    recordings = "unseen recordings" if held else "the recordings it was fitted to"
+    change = (
+        f"{main.equation.capitalize()} error on {recordings} {before:.3g} -> {after:.3g} "
+        f"{main.unit}; "
+        f"noise floor {main.noise_floor_rms:.3g}."
+    )
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        place = f", most of it over {where.coordinate}" if where else ""
+        return (
+            f"the {main.equation} equation has a mismatch that no effect of the catalogue "
+            f"explains{place}; {error}"
+        )
+    words = "; and ".join(e.statement for e in effects)
+    if verdict is Verdict.AMBIGUOUS:
+        groups = [
+            " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
+        ]
+        words = f"{words}. These recordings cannot distinguish {' and '.join(groups)}"
+    return f"{words}. {change}"
+
+
+def unobservable_sentence(names: Sequence[str]) -> str:
+    """Return the sentence that names effects that the recordings cannot show."""
+    return (
+        f"these recordings cannot show {', '.join(title(n) for n in names)}, which the nominal "
+        f"parameters can explain completely"
+    )
+
+
+def warnings_of(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
+    """Return warnings on what the recordings cannot show, on missing recordings of role validate,
+    and on recordings without steady motion.
+    """
+    warnings = []
+    if unseen:
+        warnings.append(
+            f"{unobservable_sentence(unseen)}; an experiment that shows it: "
+            f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
+        )
+    if not dataset.part("validate"):
+        warnings.append(
+            "no recording is set aside (role: validate), so all errors are those of the "
+            "fitted recordings"
+        )
+    for view in here:
+        if not np.any(view.moving):
+            warnings.append(
+                f"{view.recording.name}: no sample is in steady motion, so this recording does not "
+                "contribute to the torque equation"
+            )
+    return tuple(warnings)

@@ -1,0 +1,81 @@
+"""Time stamps that jitter although the samples were taken evenly, as a host's stamps do.
+
+A stamp that is wrong by d makes an angle wrong by speed times d. Whether the stamps or the samples
+are uneven is seen in the angle: with the right times each sample lies nearer to the curve through
+its neighbours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.recording import Array
+
+Rows = NDArray[np.intp]
+LEAST_JITTER = 0.005
+"""Deviation of the stamps from a grid, rms, in periods, below which they count as even."""
+MOST_OFF = 0.5
+"""Greatest deviation of one stamp from the grid, in periods."""
+SMOOTHER = 0.8
+"""Ratio of the angle's roughness on the grid to that at the stamps, below which the grid is right.
+
+Quantisation and noise are the same on both; the more they hide of the jitter, the less it matters.
+"""
+NEIGHBOURS = (-2, -1, 1, 2)
+
+
+def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
+    """Return the times of evenly taken samples and the rms jitter of their stamps, s; None if the
+    stamps are even, no grid fits them, or the samples themselves are uneven.
+
+    Args:
+        time: Time stamps, s, shape (n,), increasing.
+        angle: Angle or position, shape (n,).
+    """
+    found = _grid(time)
+    if found is None:
+        return None
+    grid, index = found
+    jitter = float(np.std(time - grid))
+    rows = _with_neighbours(index)
+    if jitter < LEAST_JITTER * float(np.median(np.diff(grid))) or not rows.size:
+        return None
+    on_grid, at_stamps = (_roughness(t, angle, rows) for t in (grid, time))
+    return (grid, jitter) if on_grid < SMOOTHER * at_stamps else None
+
+
+def _grid(time: Array) -> tuple[Array, Rows] | None:
+    """Return the times on the line through the stamps and the number of each sample; None if a
+    stamp is further than :data:`MOST_OFF` from it.
+    """
+    steps = np.diff(time)
+    lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
+    # Jitter may look like a lost sample, so that lost samples are assumed only where they must be.
+    for counts in (np.ones(len(steps)), lost):
+        index = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
+        period, origin = (float(v) for v in np.polyfit(index, time, 1))
+        grid: Array = np.asarray(origin + period * index, dtype=np.float64)
+        if float(np.max(np.abs(time - grid))) <= MOST_OFF * period:
+            return grid, index
+    return None
+
+
+def _with_neighbours(index: Rows) -> Rows:
+    """Return the rows whose two neighbours on either side are one period apart."""
+    consecutive = np.diff(index) == 1
+    runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
+    return np.flatnonzero(runs) + 2
+
+
+def _roughness(time: Array, angle: Array, rows: Rows) -> float:
+    """Return the rms distance of samples from the cubic through their neighbours."""
+    apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
+    predicted = np.zeros(len(rows))
+    for j, k in enumerate(NEIGHBOURS):
+        weight = np.ones(len(rows))
+        for m, other in enumerate(apart):
+            if m != j:
+                weight *= other / (other - apart[j])
+        predicted += weight * angle[rows + k]
+    return float(np.sqrt(np.mean((angle[rows] - predicted) ** 2)))

@@ -1,0 +1,87 @@
+"""Stamps that jitter around evenly taken samples give way to even times; uneven samples do not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.recording import Array
+from rig.sources import load_source
+from rig.sources.stamps import even_stamps
+
+PERIOD, COUNT = 0.005, 4000
+CAMPAIGN = """\
+campaign: 1
+bench: {torque_constant: 0.03, gear_ratio: 100}
+defaults: {channels: {time: t, motor_angle: q, current: i}}
+recordings:
+  - {file: a.csv, stage: unloaded}
+"""
+
+
+def angle_at(time: Array) -> Array:
+    return np.asarray(
+        30.0 * np.sin(2.0 * np.pi * 0.7 * time) + 3.0 * np.sin(2.0 * np.pi * 3 * time)
+    )
+
+
+def grid() -> Array:
+    return 12.5 + PERIOD * np.arange(COUNT)
+
+
+def jittering(share: float, seed: int = 3) -> Array:
+    rng = np.random.default_rng(seed)
+    late = np.clip(share * rng.standard_normal(COUNT), -0.45, 0.45)
+    return np.asarray(grid() + PERIOD * late)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.25])
+@pytest.mark.parametrize("quantum", [0.0, 2.0 * np.pi / 4096])
+def test_evenly_taken_samples_get_even_times(share: float, quantum: float) -> None:
+    angle = angle_at(grid())
+    angle = np.round(angle / quantum) * quantum if quantum else angle
+    found = even_stamps(jittering(share), angle)
+    assert found is not None
+    times, jitter = found
+    assert np.max(np.abs(times - grid())) < 0.03 * PERIOD
+    assert jitter == pytest.approx(share * PERIOD, rel=0.1)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.1, 0.25])
+def test_uneven_samples_keep_their_stamps(share: float) -> None:
+    assert even_stamps(jittering(share), angle_at(jittering(share))) is None
+
+
+def test_even_stamps_stay() -> None:
+    assert even_stamps(grid(), angle_at(grid())) is None
+
+
+def test_noise_that_hides_the_jitter_keeps_the_stamps() -> None:
+    noise = 5.0 * np.random.default_rng(1).standard_normal(COUNT)
+    assert even_stamps(jittering(0.05), angle_at(grid()) + noise) is None
+
+
+def test_lost_samples_are_allowed_for() -> None:
+    kept = np.random.default_rng(5).uniform(size=COUNT) > 0.02
+    found = even_stamps(jittering(0.05)[kept], angle_at(grid())[kept])
+    assert found is not None
+    assert np.max(np.abs(found[0] - grid()[kept])) < 0.03 * PERIOD
+
+
+@pytest.mark.parametrize("drift", [0.3, 3.0])
+def test_a_rate_that_changes_is_no_grid(drift: float) -> None:
+    time = grid() + drift * PERIOD * np.sin(np.linspace(0.0, 6.0, COUNT))
+    assert even_stamps(time, angle_at(time)) is None
+
+
+def test_a_campaign_says_that_it_did_so(tmp_path: Path) -> None:
+    rows = np.column_stack([jittering(0.1), angle_at(grid()), np.cos(grid())])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", header="t,q,i", comments="", fmt="%.9g")
+    (tmp_path / "c.yaml").write_text(CAMPAIGN)
+    (recording,) = load_source(tmp_path / "c.yaml").recordings
+    assert np.ptp(np.diff(recording.time)) < 1e-9
+    notes = [n for n in recording.notes if "jitter" in n or "uneven" in n]
+    assert len(notes) == 1
+    assert notes[0].startswith("time stamps jitter by 0.0005 s rms (10 % of the period)")
