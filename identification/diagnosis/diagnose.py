@@ -28,6 +28,7 @@ from identification.diagnosis.result import (
     Verdict,
 )
 from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.locate import curve
 from identification.diagnosis.score.observable import Observable, observable
@@ -59,8 +60,6 @@ FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which the valve moves otherwise than the motor, so that its friction depends on the
 joint encoder's angle.
 """
-FURTHER_SEARCHES = 2
-"""Number of searches without the effects that validation dropped."""
 Maps = tuple[Map, ...]
 Estimate = Callable[[Dataset], Mapping[str, float | None]]
 """Nominal parameters of a dataset by another estimator; None for one that is not determined."""
@@ -156,7 +155,7 @@ def _searches(
     """
     unit = torque_unit(dataset.part("fit")[0])
     results = []
-    for _ in range(1 + FURTHER_SEARCHES):
+    for _ in range(1 + RULES.further_searches):
         here, searched, gives = _search_sides(dataset, start, terms, bandwidth, rng, report)
         aside = _validation_views(dataset, bandwidth, gives)
         report("validating effects on unused recordings", 0.92)

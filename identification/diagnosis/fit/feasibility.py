@@ -13,14 +13,9 @@ import numpy as np
 
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.rules import RULES
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
-
-INFEASIBLE_RATIO = 1.5
-"""Ratio of the attained to the predicted mean-square torque mismatch, from which a fit is
-infeasible. In simulated trials it was 1.00 to 1.03 with the right effects, and 490 000 where
-friction had to increase with speed.
-"""
 
 
 def predicted_and_attained(
@@ -70,6 +65,6 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
 
 def is_infeasible(predicted: float, attained: float) -> bool:
     """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch by
-    :data:`INFEASIBLE_RATIO`, and the noise by as much.
+    `infeasible`, and the noise by as much.
     """
-    return attained > INFEASIBLE_RATIO * max(predicted, 1.0)
+    return attained > RULES.infeasible * max(predicted, 1.0)

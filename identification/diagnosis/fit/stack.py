@@ -19,12 +19,11 @@ from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.lateness import delayed_view
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
-COLLINEAR_BELOW = 1e-3
-"""Share of a regressor's norm after projection, below which it counts as collinear."""
 FEW_REGRESSORS = 4
 """Number of regressors up to which the variance is computed from the residual after the fit."""
 ROUNDING = 1e-9
@@ -32,8 +31,6 @@ ROUNDING = 1e-9
 NOMINAL_IN = ("torque", "breakaway")
 """Equations in which regressors may depend on the nominal values."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
-LEAST_ACTIVE = 3.0
-"""Least number of blocks in which a regressor must be active (inverse participation ratio)."""
 
 
 @dataclass(frozen=True)
@@ -259,15 +256,15 @@ class Stack:
         before = _lengths(full)
         rest = self.projected(full)
         after = _lengths(rest)
-        if np.any(before == 0.0) or np.any(after < COLLINEAR_BELOW * before):
+        if np.any(before == 0.0) or np.any(after < RULES.collinear_below * before):
             return None
         q, r = np.linalg.qr(rest)
         diagonal = np.abs(np.diag(r))
-        if np.any(diagonal < COLLINEAR_BELOW * before):
+        if np.any(diagonal < RULES.collinear_below * before):
             return None
         sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
         energy = np.einsum("bkk->b", weights) / q.shape[1]
-        if 1.0 / float(energy @ energy) < LEAST_ACTIVE:
+        if 1.0 / float(energy @ energy) < RULES.least_active:
             return None
         score = q.T @ self.residual
         coefficients = np.linalg.solve(r, score)
@@ -299,7 +296,9 @@ class Stack:
         if effect_basis.shape[1]:
             rest = rest - effect_basis @ np.linalg.lstsq(effect_basis, rest, rcond=1e-10)[0]
         values, vectors = np.linalg.eigh(rest.T @ rest)
-        keep = values > COLLINEAR_BELOW * float(np.max(np.sum(columns**2, axis=0), initial=0.0))
+        keep = values > RULES.collinear_below * float(
+            np.max(np.sum(columns**2, axis=0), initial=0.0)
+        )
         if not np.any(keep):
             return None
         q = rest @ (vectors[:, keep] / np.sqrt(values[keep]))

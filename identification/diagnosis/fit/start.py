@@ -13,6 +13,7 @@ from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.rules import RULES
 from identification.estimate.default import free_names, solve_stages
 from identification.estimate.equation_error.bandwidth import common_bandwidth
 from identification.model.ladder import LADDER, bears_load
@@ -39,10 +40,6 @@ RUNG_WITHOUT_LOAD: Mapping[str, str] = {
     "stribeck_load_dependent": "stribeck",
 }
 """Rung with load-dependent friction to the rung without it, used if no load is declared."""
-NEAR_FLOOR = 1.5
-"""Ratio of the mean-square mismatch to the noise's, below which the mismatch counts as
-explained.
-"""
 
 
 def bandwidth_of(recordings: Sequence[Recording]) -> float:
@@ -86,7 +83,7 @@ def with_assumed_fall(
         start: Nominal values from which it started.
         fixed: Names of nominal parameters that are not estimated.
     """
-    if _mean_square(first) < NEAR_FLOOR:
+    if _mean_square(first) < RULES.near_floor:
         return first
     raised = [start.raised(omega, fixed) for omega in _trial_stribeck_speeds(here)]
     other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_mean_square)

@@ -33,8 +33,8 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.score.locate import RECORDING_RATIO, Axis, curve, map_over, ranges
-from identification.diagnosis.score.significance import LEVEL
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.locate import Axis, curve, map_over, ranges
 from identification.diagnosis.selection.comparison import probability
 from identification.diagnosis.verdict.wording import finding
 from identification.numerics.spread import CONFIDENCE
@@ -130,7 +130,7 @@ def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
 
 
 def _verdict(found: GasSearch) -> Verdict:
-    if found.p_value > LEVEL:
+    if found.p_value > RULES.level:
         return Verdict.NOTHING_MISSING
     if not found.taken or _explained(found) < ADEQUATE:
         return Verdict.OUTSIDE_CATALOGUE
@@ -143,7 +143,7 @@ def _explained(found: GasSearch) -> float:
     """Return the share of the mismatch beyond the noise that the effects explain; 1 if nothing else
     is left.
     """
-    if found.p_after > LEVEL:
+    if found.p_after > RULES.level:
         return 1.0
     before, after = (float(np.mean(f.residual**2)) for f in (found.baseline, found.final))
     return min(1.0, max(0.0, (before - max(after, 1.0)) / max(before - 1.0, 1e-12)))
@@ -245,7 +245,7 @@ def _location(found: GasSearch, best: Map) -> Location:
     edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
     powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
     names = tuple(
-        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > RECORDING_RATIO
+        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > RULES.recording
     )
     return Location(best.coordinate, best.unit, ranges(best), best.share, names)
 

@@ -18,9 +18,9 @@ from identification.diagnosis.gas.fit import Fitted, Model, fit, nominal_model
 from identification.diagnosis.gas.rows import candidates, families, padded_rows, stack_of, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
-from identification.diagnosis.score.significance import EXCESS, LEVEL, OUTLIER, sign_flip_p_value
-from identification.diagnosis.selection.comparison import SIMPLER_IF
-from identification.diagnosis.selection.removal import FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.significance import sign_flip_p_value
+from identification.diagnosis.selection.removal import LEAST_FURTHER
 from identification.recording import Array
 
 MOST_EFFECTS = 2
@@ -111,7 +111,7 @@ def search(
     p_value = seen.p_value
     taken: list[Selected] = []
     steps = [seen.step]
-    while seen.p_value <= LEVEL and len(taken) < MOST_EFFECTS:
+    while seen.p_value <= RULES.level and len(taken) < MOST_EFFECTS:
         progress("fitting effects", (len(taken) + 0.5) / (MOST_EFFECTS + 1))
         tried = _fits_with_one_more(burns, sigma, here, seen.stack)
         fitted = [f for f in tried if plausible(f.model.effects[-1])]
@@ -122,7 +122,7 @@ def search(
         if stop is not None or winner is None:
             break
         after = _test(burns, stack_of(burns, winner, sigma, first), winner, rng)
-        prefer = preference if after.p_value <= LEVEL else _likelihood_preference
+        prefer = preference if after.p_value <= RULES.level else _likelihood_preference
         rivals = tuple(
             Rivalry(
                 f.model.effects[-1].term.name,
@@ -176,9 +176,9 @@ def _stop(
         name = best.model.effects[-1].term.name
         return Step("stop", name, p_value, here.cost - best.cost, words)
     gain = here.cost - winner.cost
-    share = gain / max(here.cost - EXCESS * len(here.residual), gain)
+    share = gain / max(here.cost - RULES.excess * len(here.residual), gain)
     beside = gain / max(baseline.cost - here.cost, gain)
-    needed = FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL
+    needed = RULES.further_share if beside >= LEAST_FURTHER else RULES.nearly_all
     if here.model.effects and share < needed:
         words = (
             f"explains {100.0 * share:.0f} % of the remaining mismatch, and {100.0 * beside:.2g} % "
@@ -228,7 +228,7 @@ def _simplest_fit(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
     same = [
         f
         for f in fitted
-        if preference(best, f, stack) < SIMPLER_IF
+        if preference(best, f, stack) < RULES.simpler
         and _likelihood_preference(best, f, stack) < REJECTED
     ]
     return min((best, *same), key=lambda f: (len(f.model.effects[-1].parameters), f.cost))
@@ -308,11 +308,11 @@ def reversed_sign(effect: GasEffect) -> bool:
 
 
 def _excess(fitted: Fitted) -> float:
-    """Return the p-value of the hypothesis that the mismatch has at most :data:`EXCESS` times the
+    """Return the p-value of the hypothesis that the mismatch has at most `excess` times the
     noise power.
     """
-    rows: Array = np.minimum(np.abs(fitted.residual), OUTLIER)
-    return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
+    rows: Array = np.minimum(np.abs(fitted.residual), RULES.outlier)
+    return float(stats.chi2.sf(float(rows @ rows) / RULES.excess, len(rows)))
 
 
 def _deviation_p_value(fitted: Fitted) -> float:
@@ -342,7 +342,7 @@ def _with_needed_effects(
         rest = tuple(e for e in final.model.effects if e.term.name != name)
         without = fit(burns, sigma, replace(final.model, effects=rest))
         worth = preference(final, without, stack)
-        if worth < stats.norm.isf(LEVEL):
+        if worth < stats.norm.isf(RULES.level):
             steps.append(
                 Step(
                     "remove",

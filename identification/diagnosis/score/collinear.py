@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import COLLINEAR_BELOW
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Context, Term
 
 
@@ -41,6 +41,6 @@ def collinear_effects(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]
         before, after = (
             np.linalg.norm(rows[judging], axis=0) for rows in (whole, stack.projected(whole))
         )
-        if np.all(before > 0.0) and np.all(after < COLLINEAR_BELOW * before):
+        if np.all(before > 0.0) and np.all(after < RULES.collinear_below * before):
             found.append(term.name)
     return tuple(found)

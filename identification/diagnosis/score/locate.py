@@ -13,6 +13,7 @@ from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import COORDINATES, Coordinate, edges
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
 from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
@@ -20,14 +21,6 @@ from identification.recording import Array
 BINS = 16
 LEAST_ROWS = 5
 DRAWS = 499
-OWN_COORDINATE_RATIO = 0.8
-"""Ratio of the share of an effect's own coordinate to the best share, from which the own coordinate
-is reported.
-"""
-RECORDING_RATIO = 2.0
-"""Ratio of a recording's mean-square mismatch to the noise's, from which the mismatch counts as
-present in it.
-"""
 
 
 @dataclass(frozen=True)
@@ -89,7 +82,7 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
         v.recording.name
         for v in equation.views
         if len(power[v.index])
-        and float(np.mean(power[v.index] ** 2)) > RECORDING_RATIO * equation.sigma**2
+        and float(np.mean(power[v.index] ** 2)) > RULES.recording * equation.sigma**2
     )
     if found is None:
         return Location("recording", "1", (), 0.0, names)
@@ -104,7 +97,7 @@ def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
     best = drawn[0] if drawn else None
     return (
         own
-        if own is not None and best is not None and own.share >= OWN_COORDINATE_RATIO * best.share
+        if own is not None and best is not None and own.share >= RULES.own_coordinate * best.share
         else best
     )
 

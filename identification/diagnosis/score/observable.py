@@ -15,17 +15,10 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import COLLINEAR_BELOW, Stack
-from identification.diagnosis.score.significance import LEAST_SHARE, LEVEL
+from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
-
-ALIKE = 0.9
-"""Share of an effect's regressor that another effect explains, from which the two count as
-indistinguishable.
-"""
-MOST_OF_ITS_SHAPES = 0.5
-"""Share of an effect's trial parameters for which this must hold."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +32,7 @@ class Observable:
         sizes: Parameter to its value at the least observable size. This is the median over trial
             parameters or, if these determine the size, the smallest observable trial; empty if none
             is observable.
-        alike: Effects that explain at least :data:`ALIKE` of its regressor, to the share explained,
+        alike: Effects that explain at least `alike` of its regressor, to the share explained,
             greatest first.
     """
 
@@ -80,7 +73,7 @@ def observable(joint: Joint, terms: Sequence[Term]) -> tuple[Observable, ...]:
     context = Context(joint.equations[0].views, joint.nominal)
     trials = [t for term in terms for t in _trials(joint.stack, context, term)]
     explained = _explained(trials)
-    needed = LEVEL / max(len(trials), 1)
+    needed = RULES.level / max(len(trials), 1)
     out = []
     for term in terms:
         own = [k for k, t in enumerate(trials) if t.term is term]
@@ -101,7 +94,7 @@ def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
         whole = stack.whitened(columns)
         rest = stack.projected(whole)
         before, after = (np.sum(c**2, axis=0) for c in (whole, rest))
-        if not np.all(before > 0.0) or not np.all(after > COLLINEAR_BELOW**2 * before):
+        if not np.all(before > 0.0) or not np.all(after > RULES.collinear_below**2 * before):
             continue
         span, _ = np.linalg.qr(rest)
         rows = sum(len(c) for c in columns.values())
@@ -127,8 +120,8 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
     for name in {t.term.name for t in trials} - {trials[own[0]].term.name}:
         others = [k for k, t in enumerate(trials) if t.term.name == name]
         best = np.max(explained[np.ix_(own, others)], axis=1)
-        if np.mean(best >= ALIKE) >= MOST_OF_ITS_SHAPES:
-            found[name] = float(np.median(best[best >= ALIKE]))
+        if np.mean(best >= RULES.alike) >= RULES.alike_shapes:
+            found[name] = float(np.median(best[best >= RULES.alike]))
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
@@ -142,7 +135,7 @@ def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[
     shaped: list[tuple[float, Mapping[str, float]]] = []
     for trial in own:
         width, size = trial.span.shape[1], trial.term.size
-        needed = max(float(stats.chi2.isf(level, width)), LEAST_SHARE * trial.rows)
+        needed = max(float(stats.chi2.isf(level, width)), RULES.least_share * trial.rows)
         coefficients = np.zeros(width)
         coefficients[0] = math.sqrt(needed / trial.gain) if size is None else size
         read = trial.term.read(coefficients, trial.shape, context)

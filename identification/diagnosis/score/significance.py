@@ -13,33 +13,10 @@ from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate, Stack, log_surprise
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.families import families
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
-NOISE = 1.1
-"""Ratio of the mean-square mismatch to the noise's, up to which an equation is not tested: a
-pattern within the noise is not a mismatch. Some hundred independent rows give the noise's mean
-square to about a tenth.
-"""
-EXCESS = 1.5
-"""Ratio of the mean-square mismatch to the noise's, up to which an underestimated noise may be the
-cause.
-"""
-LEVEL = 0.01
-"""Significance level of the tests whether anything is missing, or anything more."""
-LEAST_SHARE = 0.01
-"""Power of a contribution, over the noise power in its equations, below which it is negligible."""
-OUTLIER = 6.0
-"""Magnitude of a row, over the noise, from which it is an outlier."""
-OUTLIER_BLOCKS = 0.01
-"""Share of blocks in which an outlier may occur by chance; simulated benches without injected
-effects have none.
-"""
-EXCESS_OF_ONE = 2.0
-"""Ratio of the mean-square torque mismatch in one recording to the noise's, up to which it counts
-as noise. This test is needed since an effect in a few half cycles of one recording has too few
-blocks for sign flips.
-"""
 DRAWS = 999
 SINGULAR = 1e-6
 """Determinant of a variance over its squared trace, below which the pseudo-inverse is used."""
@@ -67,7 +44,7 @@ def sign_flip_p_value(
     candidates: Sequence[Candidate],
     blocks: int,
     rng: np.random.Generator,
-    least: float = LEAST_SHARE,
+    least: float = RULES.least_share,
 ) -> float:
     """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
     blocks.
@@ -152,13 +129,13 @@ def _over_two(score: Array, variance: Array) -> Array:
 
 def beyond_noise(joint: Joint) -> set[str]:
     """Return the names of the equations whose mismatch is beyond the noise: over all recordings, or
-    by :data:`EXCESS_OF_ONE` in one of them.
+    by `excess_of_one` in one of them.
     """
     return {
         e.name
         for e in joint.equations
-        if float(np.mean(over_own_noise(joint, e) ** 2)) > NOISE
-        or greatest_mean_square(joint, e) > EXCESS_OF_ONE
+        if float(np.mean(over_own_noise(joint, e) ** 2)) > RULES.tested_from
+        or greatest_mean_square(joint, e) > RULES.excess_of_one
     }
 
 
@@ -188,13 +165,13 @@ def level(equation: Equation) -> float:
 
 
 def size_p_value(joint: Joint, only: str = "") -> float:
-    """Return the p-value of the hypothesis that the mean-square mismatch is at most :data:`EXCESS`
+    """Return the p-value of the hypothesis that the mean-square mismatch is at most `excess`
     times the noise's.
 
     It covers all equations, or only the equation named ``only``.
 
     It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
-    detected by its size. Rows are clipped at :data:`OUTLIER` times the noise, so that a few
+    detected by its size. Rows are clipped at `outlier` times the noise, so that a few
     outliers do not count as a mismatch; a row counts as half an observation, as neighbours share
     the filter. If outliers recur in many blocks, as after every reversal with presliding, the
     number of these blocks is tested.
@@ -204,12 +181,13 @@ def size_p_value(joint: Joint, only: str = "") -> float:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
         rows = over_own_noise(joint, equation)
-        powers = np.minimum(np.abs(rows), OUTLIER) ** 2
-        chances.append(_beyond(powers, EXCESS))
+        powers = np.minimum(np.abs(rows), RULES.outlier) ** 2
+        chances.append(_beyond(powers, RULES.excess))
         chances.append(_recurring(rows, joint.stack.block[joint.stack.part(equation.name)]))
         if equation.name == "torque":
             chances += [
-                _beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views
+                _beyond(powers[equation.owner == v.index], RULES.excess_of_one)
+                for v in equation.views
             ]
     return min([1.0, *(len(chances) * chance for chance in chances)])
 
@@ -224,11 +202,11 @@ def _beyond(powers: Array, limit: float) -> float:
 
 def _recurring(residual: Array, block: np.ndarray) -> float:
     """Return the probability of at least so many blocks with an outlier, if one in a hundred blocks
-    has any (:data:`OUTLIER_BLOCKS`).
+    has any (`outlier_blocks`).
 
-    The result is 1 if the whole mismatch has at most :data:`EXCESS` times the noise power.
+    The result is 1 if the whole mismatch has at most `excess` times the noise power.
     """
-    if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
+    if not len(residual) or float(np.mean(residual**2)) <= RULES.excess:
         return 1.0
-    found = len(np.unique(block[np.abs(residual) > OUTLIER]))
-    return float(stats.binom.sf(found - 1, len(np.unique(block)), OUTLIER_BLOCKS))
+    found = len(np.unique(block[np.abs(residual) > RULES.outlier]))
+    return float(stats.binom.sf(found - 1, len(np.unique(block)), RULES.outlier_blocks))

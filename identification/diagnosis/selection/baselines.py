@@ -23,7 +23,8 @@ import numpy as np
 from scipy import linalg
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.stack import COLLINEAR_BELOW, Stack
+from identification.diagnosis.fit.stack import Stack
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
@@ -131,7 +132,7 @@ def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
             out[equation.name] = full - basis @ (basis.T @ full)
             before = before + np.sum(full**2, axis=0)
             after = after + np.sum(out[equation.name] ** 2, axis=0)
-    return out if np.all(np.sqrt(after) > COLLINEAR_BELOW * np.sqrt(before)) else {}
+    return out if np.all(np.sqrt(after) > RULES.collinear_below * np.sqrt(before)) else {}
 
 
 def _folds(stack: Stack) -> np.ndarray:
@@ -162,7 +163,7 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
         named.setdefault(given.groups[best].name)
         power -= gains[best]
         lever = (
-            np.linalg.pinv(gram[taken, taken], rcond=COLLINEAR_BELOW**2, hermitian=True)
+            np.linalg.pinv(gram[taken, taken], rcond=RULES.collinear_below**2, hermitian=True)
             @ gram[taken]
         )
         moment = moment - lever.T @ moment[taken]
@@ -182,8 +183,8 @@ def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
         mine = np.flatnonzero(widths == width)
         places = np.array([groups[int(k)].columns.start for k in mine])[:, None] + np.arange(width)
         own, its = gram[places[:, :, None], places[:, None, :]], moment[places]
-        known = np.all(np.einsum("gkk->gk", own) >= COLLINEAR_BELOW**2, axis=1)
-        known[known] = np.linalg.cond(own[known]) <= COLLINEAR_BELOW**-2
+        known = np.all(np.einsum("gkk->gk", own) >= RULES.collinear_below**2, axis=1)
+        known[known] = np.linalg.cond(own[known]) <= RULES.collinear_below**-2
         mine, own, its = mine[known], own[known], its[known]
         coefficients = np.linalg.solve(own, its[:, :, None])[:, :, 0]
         signs = [

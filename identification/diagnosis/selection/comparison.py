@@ -15,18 +15,11 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.joint import Added, Joint
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 from identification.recording import Array
 
-REJECTED = 1.645
-"""Standard errors by which a rival must be worse to be rejected (5 %, one-sided)."""
-SIMPLER_IF = 1.0
-"""Standard errors of preference below which the effect with fewer parameters is taken."""
-SAME_FIT = 0.01
-"""Square of the difference of two fits over the square of their mismatch, below which they count as
-equal.
-"""
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
 suit.
@@ -139,10 +132,10 @@ def _travels(views: Sequence[View]) -> float:
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     """Return the fit with the fewest parameters among those that are less than
-    :data:`SIMPLER_IF` standard errors worse than the best; ``joints`` are sorted, best first.
+    `simpler` standard errors worse than the best; ``joints`` are sorted, best first.
     """
     near = [
-        k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF
+        k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < RULES.simpler
     ]
     return min(near, key=lambda k: (sizes[k], k))
 
@@ -159,5 +152,5 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
     difference = its.residual - best.residual
     return (
         parameter_count(rival) > parameter_count(chosen)
-        and float(difference @ difference) < SAME_FIT * best.cost
+        and float(difference @ difference) < RULES.same_fit * best.cost
     )

@@ -22,6 +22,7 @@ from identification.diagnosis.result import Step
 from identification.diagnosis.rows.marks import QUICK_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Contender, Round, preference
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import (
@@ -39,15 +40,8 @@ INNER = 0.6
 """Central share of a crossing that is used; near its ends torque is already transmitted."""
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
-LEAST_CROSSINGS = 10
 INERTIA, RISE = 0, 2
 """Regressors of the rotor's inertia and of the torque that rises during a crossing."""
-LOOP_SHARE = 0.06
-"""Ratio of the loop's closing torque to the torque of the motion, from which it is a loop and not a
-gap.
-"""
-GAP_SCATTER = 0.02
-"""Standard deviation of that ratio for a gap, from simulated trials."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +52,7 @@ class Crossing:
         inertia: Inertia of the rotor at the joint, kg m^2.
         torque: Torque that closes the loop, N m; about zero for a gap.
         share: Ratio of this torque to the torque of the motion.
-        error: Standard error of the share: scatter over crossings and :data:`GAP_SCATTER` combined.
+        error: Standard error of the share: scatter over crossings and `gap_scatter` combined.
     """
 
     inertia: float
@@ -87,7 +81,7 @@ def crossing_torque(
         parts += [columns[a:b] for a, b in way]
         torques += [(view.raw_torque - view.known)[a:b] for a, b in way]
         moving.append(np.abs(view.transmitted[~view.still]))
-    if len(parts) < LEAST_CROSSINGS:
+    if len(parts) < RULES.least_crossings:
         return None
     columns, torque = np.concatenate(parts), np.concatenate(torques)
     bread = np.linalg.pinv(columns.T @ columns, hermitian=True)
@@ -96,7 +90,7 @@ def crossing_torque(
     spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[RISE, RISE]))
     usual = float(np.median(np.concatenate(moving)))
     inertia, rise = float(found[INERTIA]), float(found[RISE])
-    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, GAP_SCATTER))
+    return Crossing(inertia, rise, rise / usual, math.hypot(spread / usual, RULES.gap_scatter))
 
 
 def _columns(
@@ -203,7 +197,7 @@ def _preference(
     prefers_loop = (
         _loop_preference(views, loop.torque)
         if seen is None
-        else (seen.share - LOOP_SHARE) / seen.error
+        else (seen.share - RULES.loop_share) / seen.error
     )
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _weight_exceeds_friction(views, joint.nominal):
@@ -236,7 +230,7 @@ def _loop_preference(views: Sequence[View], torque: float) -> float:
             np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])
         )
     )
-    return min(0.0, (torque / usual - LOOP_SHARE) / GAP_SCATTER)
+    return min(0.0, (torque / usual - RULES.loop_share) / RULES.gap_scatter)
 
 
 def _weight_exceeds_friction(views: Sequence[View], nominal: Nominal) -> bool:

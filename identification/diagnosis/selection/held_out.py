@@ -27,7 +27,8 @@ from identification.diagnosis.fit.within_limits import (
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, implausible
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection.comparison import Contender, Round, implausible
 from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.recording import Array
@@ -35,12 +36,6 @@ from identification.recording import Array
 DROPPED = "drop"
 """Action of a step that drops an effect because it does not reduce the error on unused
 recordings.
-"""
-PARTS = 4
-"""Number of parts of the blocks of time, used if one recording alone determines a parameter."""
-SOLE_SHARE = 0.99
-"""Share of a column's squares in one part of the rows, above which that part alone determines the
-parameter.
 """
 
 
@@ -111,7 +106,7 @@ def validated_effects(
             for without in [_fit_without(case, joint, effect)]
         ]
         worth, name, without = min(trials, key=lambda t: t[0], default=(math.inf, "", baseline))
-        if worth >= REJECTED:
+        if worth >= RULES.rejected:
             break
         steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
         joint, taken = without, rounds.pop(name, None)
@@ -125,7 +120,7 @@ def validated_effects(
                 if tried.effects[-1].term.place is None
                 else math.inf
             )
-            if worth >= REJECTED:
+            if worth >= RULES.rejected:
                 steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case))
                 joint, rounds[rival.name] = tried, Round(rival.name, ())
                 break
@@ -141,7 +136,7 @@ def dropped_effects(found: Search) -> tuple[str, ...]:
     kept = {e.term.name for e in found.final.effects}
     return tuple(
         f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}; "
-        f"it must be less by at least {REJECTED:.2f} standard errors"
+        f"it must be less by at least {RULES.rejected:.2f} standard errors"
         for s in found.steps
         if s.action == DROPPED and s.name not in kept
     )
@@ -173,7 +168,7 @@ def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None
     added = rival.joint.effects[-1]
     if (
         rival.beyond
-        or rival.preference >= REJECTED
+        or rival.preference >= RULES.rejected
         or any(e.term.name == rival.name for e in joint.effects)
     ):
         return None
@@ -214,7 +209,7 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
         return fitted(names)
     unseen = _studentised_reduction(stack, [left[0][1], before], names)
     rows = np.concatenate([before[stack.part(name)] for name in names])
-    if (len(rows) and float(np.mean(rows**2)) > 1.0) or unseen < -REJECTED:
+    if (len(rows) and float(np.mean(rows**2)) > 1.0) or unseen < -RULES.rejected:
         return unseen
     # The mismatch of these recordings is within the noise, so no effect can reduce it.
     return fitted(names)
@@ -250,7 +245,7 @@ def folds(joint: Joint) -> Array:
     owner = np.concatenate([e.owner for e in stack.equations])
     if len(np.unique(owner)) > 1 and not np.any(_sole_parts(squares, owner)):
         return owner
-    parts = stack.block % PARTS
+    parts = stack.block % RULES.parts
     return np.where(np.isin(parts, np.unique(parts)[_sole_parts(squares, parts)]), -1, parts)
 
 
@@ -259,4 +254,4 @@ def _sole_parts(squares: Array, parts: Array) -> Array:
     parameter's derivative are in one part.
     """
     energy = np.array([np.sum(squares[parts == part], axis=0) for part in np.unique(parts)])
-    return np.asarray(np.any(energy > SOLE_SHARE * np.sum(energy, axis=0), axis=1))
+    return np.asarray(np.any(energy > RULES.sole_share * np.sum(energy, axis=0), axis=1))

@@ -11,18 +11,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.removal import (
-    FURTHER_SHARE,
     judging_equations,
     left_beyond_noise,
     would_be_removed,
 )
 from identification.diagnosis.terms.term import Term
-
-FINALISTS = 4
-"""Greatest number of effects that are fitted jointly before one of them is selected."""
-RIVAL_SHARE = 0.3
-"""Least score of a finalist, over the best score."""
 
 
 def finalist_groups(
@@ -56,7 +51,7 @@ def finalist_groups(
         and not would_be_removed(baseline, joint, terms[c.name], c)
     ]
     telling = [
-        c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])
+        c for c in shown if c.gain >= RULES.further_share * left_beyond_noise(joint, terms[c.name])
     ]
     first = _finalists(telling)
     yield first
@@ -65,4 +60,4 @@ def finalist_groups(
 
 
 def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
-    return [c for c in ranked if c.score > RIVAL_SHARE * ranked[0].score][:FINALISTS]
+    return [c for c in ranked if c.score > RULES.rival_share * ranked[0].score][: RULES.finalists]

@@ -15,7 +15,7 @@ from identification.diagnosis.fit.start import feasible_or_first
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.score.significance import EXCESS
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,
     Round,
@@ -27,27 +27,12 @@ from identification.diagnosis.selection.comparison import (
 )
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 
-FURTHER_SHARE = 0.4
-"""Share of the mismatch beyond the noise that one more effect must explain; a smaller share may be
-due to the shape error of the first effect's regressor.
-"""
-UNCERTAIN = 10.0
-"""Least gain of one more effect, over the squares explained already in its equations, in multiples
-of the other regressors' shape error; a smaller gain may be due to that error.
-"""
-NEARLY_ALL = 0.8
-"""Share of the mismatch beyond the noise from which an effect is accepted even with less gain than
-:data:`UNCERTAIN`; with less than the shape error itself no effect is accepted.
-"""
-LEAST_FURTHER = UNCERTAIN * ROUGH
+LEAST_FURTHER = RULES.shape_errors * ROUGH
 SIGNIFICANT = float(stats.norm.isf(0.01))
 """Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
-remains. Its gain must then also be :data:`UNCERTAIN` times the error of the others, unless they are
+remains. Its gain must then also be `shape_errors` times the error of the others, unless they are
 exact, because errors of regressors lie below both limits.
 """
-
-GREATEST_GAIN_RATIO = 3.0
-"""Greatest ratio of the gain in a joint fit to the gain predicted by an effect's regressors."""
 
 
 def with_needed_effects(
@@ -114,7 +99,7 @@ def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candi
         return False
     explained = _squares(baseline, parts) - _squares(joint, parts)
     return (
-        GREATEST_GAIN_RATIO * candidate.gain < _least_gain(joint, term) * explained
+        RULES.gain_ratio * candidate.gain < _least_gain(joint, term) * explained
         or candidate.preference < SIGNIFICANT
     )
 
@@ -124,7 +109,7 @@ def _least_gain(beside: Joint, term: Term) -> float:
     nothing else is left.
     """
     error = _regressor_error(beside, term)
-    return UNCERTAIN * error if error > EXACT else error
+    return RULES.shape_errors * error if error > EXACT else error
 
 
 def _regressor_error(beside: Joint, term: Term) -> float:
@@ -146,7 +131,7 @@ def needed_share(others: float, error: float = ROUGH) -> float:
     """
     if others < error:
         return math.inf
-    return NEARLY_ALL if others < UNCERTAIN * error else FURTHER_SHARE
+    return RULES.nearly_all if others < RULES.shape_errors * error else RULES.further_share
 
 
 def with_best_rivals(
@@ -228,6 +213,7 @@ def _squares(joint: Joint, parts: Sequence[slice]) -> float:
 def _beyond_noise(joint: Joint, parts: Sequence[slice]) -> float:
     """Return the sum of whitened squares beyond the noise."""
     beyond = [
-        max(_squares(joint, [rows]) - EXCESS * (rows.stop - rows.start), 0.0) for rows in parts
+        max(_squares(joint, [rows]) - RULES.excess * (rows.stop - rows.start), 0.0)
+        for rows in parts
     ]
     return 1.0 + float(sum(beyond))

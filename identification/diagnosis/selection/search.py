@@ -17,10 +17,9 @@ from identification.diagnosis.fit.start import feasible_or_first, with_assumed_f
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import (
     DRAWS,
-    LEAST_SHARE,
-    LEVEL,
     beyond_noise,
     generic_candidates,
     sign_flip_p_value,
@@ -28,7 +27,6 @@ from identification.diagnosis.score.significance import (
     trial_candidates,
 )
 from identification.diagnosis.selection.comparison import (
-    REJECTED,
     Contender,
     Round,
     contains,
@@ -47,7 +45,6 @@ from identification.diagnosis.selection.removal import (
 )
 from identification.diagnosis.terms.term import Context, Shape, Term
 
-MOST_EFFECTS = 3
 Progress = Callable[[str, float], None]
 
 
@@ -141,15 +138,15 @@ def search(
     while True:
         named = {e.term.name for e in joint.effects}
         left = [t for t in terms if t.name not in named]
-        progress(f"screening {len(left)} effects", len(rounds) / (MOST_EFFECTS + 1))
+        progress(f"screening {len(left)} effects", len(rounds) / (RULES.most_effects + 1))
         test = _missing_test(joint, case, left, rng)
         p_values.append(test.p_value)
         steps.append(
             Step("test", test.loudest, test.p_value, 0.0, "the most significant candidate")
         )
-        if test.p_value > LEVEL or len(rounds) == MOST_EFFECTS:
+        if test.p_value > RULES.level or len(rounds) == RULES.most_effects:
             break
-        tell = partial(_tell, progress, (len(rounds) + 0.5) / (MOST_EFFECTS + 1))
+        tell = partial(_tell, progress, (len(rounds) + 0.5) / (RULES.most_effects + 1))
         taken = _next_effect(case, (baseline, joint), test, rng, tell, steps)
         if taken is None:
             break
@@ -302,7 +299,7 @@ def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> J
     significantly better.
     """
     usual, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
-    sure = [f for f in others if preference(f, usual) >= REJECTED]
+    sure = [f for f in others if preference(f, usual) >= RULES.rejected]
     return min(sure, key=lambda f: f.cost, default=usual)
 
 
@@ -340,7 +337,7 @@ def _missing(
 ) -> bool:
     """Whether anything is missing in one equation, by the same test as for the whole model."""
     judged = len(joint.equations)
-    if 2.0 * judged * size_p_value(joint, name) <= LEVEL:
+    if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
         return True
     # The name of a generic family starts with its equation's.
     own = [
@@ -352,7 +349,7 @@ def _missing(
             else c.name.startswith(name)
         )
     ]
-    return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, rng) <= LEVEL
+    return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, rng) <= RULES.level
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
@@ -361,7 +358,7 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
         if candidate.name not in best or candidate.score > best[candidate.name].score:
             best[candidate.name] = candidate
     return sorted(
-        (c for c in best.values() if c.score > 0.0 and c.share > LEAST_SHARE),
+        (c for c in best.values() if c.score > 0.0 and c.share > RULES.least_share),
         key=lambda c: -c.score,
     )
 

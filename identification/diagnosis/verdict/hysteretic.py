@@ -8,16 +8,12 @@ which then explains most of it. The remaining mismatch starts anew at each rever
 from __future__ import annotations
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import NEAR_FLOOR
 from identification.diagnosis.rows.families import families
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import level
 
 SINCE_REVERSAL = ("travel since reversal", "time since reversal")
 """Coordinates of hysteresis; in a single sine they are equivalent."""
-MOST_OF = 1.0 / 3.0
-"""Share of the mismatch beyond the noise that a coordinate must explain for the mismatch to count
-as dependent on it.
-"""
 
 
 def is_hysteretic(joint: Joint) -> bool:
@@ -29,11 +25,13 @@ def is_hysteretic(joint: Joint) -> bool:
     """
     rows = joint.residual[joint.stack.part("torque")]
     torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= NEAR_FLOOR * level(torque) * len(rows):
+    if float(rows @ rows) <= RULES.near_floor * level(torque) * len(rows):
         return False
     gains = {}
     for name, columns in families(torque):
         scored = joint.stack.independent(name, "torque", columns)
         gains[name] = 0.0 if scored is None else scored.gain
     most = max(gains, key=lambda name: gains[name], default="")
-    return most in SINCE_REVERSAL and gains[most] >= MOST_OF * (float(rows @ rows) - len(rows))
+    return most in SINCE_REVERSAL and gains[most] >= RULES.hysteretic_share * (
+        float(rows @ rows) - len(rows)
+    )

@@ -12,21 +12,13 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import NEAR_FLOOR
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
-from identification.diagnosis.score.significance import (
-    EXCESS,
-    EXCESS_OF_ONE,
-    LEVEL,
-    NOISE,
-    greatest_mean_square,
-    level,
-    over_own_noise,
-)
-from identification.diagnosis.selection.comparison import REJECTED, Contender, Round, probability
+from identification.diagnosis.score.significance import greatest_mean_square, level, over_own_noise
+from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.hysteretic import is_hysteretic
 from identification.diagnosis.verdict.one_direction import direction_dependent
@@ -35,36 +27,11 @@ from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
 from identification.recording import Bench
 
-ADEQUATE_SHARE = 0.70
-"""Share of the mismatch's power beyond the noise that the effects must explain together; with less
-the verdict is outside the catalogue.
-"""
-ADEQUATE_AFTER_REMOVAL = 0.5
-"""The same share where some effects were dropped because they do not reduce the error on unused
-recordings.
-"""
-NEARLY_COMPLETE = 0.95
-"""Share of the mismatch's power beyond the noise, below which the remaining mismatch is tested for
-hysteresis.
-
-In simulated trials, right effects that left more than 1.5 times the noise explained at least 95.9
-%; springs that were identified instead of hysteresis explained 76 to 89 %.
-"""
-GREATEST_CONFIDENCE = 0.99
-"""Greatest confidence in any effect."""
-INCOMPLETE_CONFIDENCE = 0.8
-"""Greatest confidence in an effect if the test finds that more is missing: in 13 of 16 such
-simulated trials the first effect was right.
-"""
-FAINT_CONFIDENCE = 0.9
-"""Greatest confidence in an effect whose mismatch is faint."""
-FAINT_RATIO = 1.0 + (EXCESS - 1.0) / (1.0 - FAINT_CONFIDENCE)
+FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
 """Ratio of the mean-square mismatch to the noise's, up to which a mismatch is faint: an
 unidentified effect may cause the part that counts as noise
-(:data:`identification.diagnosis.selection.removal.EXCESS`).
+(`excess`).
 """
-IMPLAUSIBLE_CONFIDENCE = 0.05
-"""Confidence in a rival that fits as well, but with a parameter outside its plausible range."""
 
 
 @dataclass(frozen=True)
@@ -112,19 +79,19 @@ def verdict_of(
     before, after = (main.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, main, before, after, rng)
     where = location(main, drawn[0], before) if drawn else None
-    if found.p_value > LEVEL:
+    if found.p_value > RULES.level:
         return Verdict.NOTHING_MISSING, None, drawn
     # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
     # breakaway equation judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
-    least = NOISE if found.final.effects else EXCESS
+    least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, judges, least):
         return Verdict.NOTHING_MISSING, None, drawn
     fewer = len(found.final.effects) < len(searched.final.effects)
     if (
         not found.final.effects
         or _insufficient(searched)
-        or (fewer and _insufficient(found, ADEQUATE_AFTER_REMOVAL))
+        or (fewer and _insufficient(found, RULES.adequate_after_removal))
         or direction_dependent(found.final)
         or infeasible(searched.final)
         or _hysteretic_remainder(searched)
@@ -155,7 +122,7 @@ def insufficient_effects(
     words = "; and ".join(e.statement for e in effects_of(found, rng))
     return (
         f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "
-        f"least {100.0 * ADEQUATE_SHARE:.0f} % are needed), if {words}",
+        f"least {100.0 * RULES.adequate:.0f} % are needed), if {words}",
     )
 
 
@@ -170,7 +137,7 @@ def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
         f"{math.sqrt(e.after) * equations[e.equation].sigma:.3g} {equations[e.equation].unit} rms; "
         f"noise floor {equations[e.equation].sigma:.3g}"
         for e in _excess(found)
-        if e.equation not in ("breakaway", *acting) and e.after > EXCESS
+        if e.equation not in ("breakaway", *acting) and e.after > RULES.excess
     )
 
 
@@ -191,13 +158,13 @@ def _judged_equation(found: Search) -> _Excess:
     return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
 
 
-def _insufficient(found: Search, share: float = ADEQUATE_SHARE) -> bool:
+def _insufficient(found: Search, share: float = RULES.adequate) -> bool:
     """Whether the effects explain less than a share of the mismatch beyond the noise."""
     worst = _judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
-        worst.after > NEAR_FLOOR * level(equation)
-        or greatest_mean_square(found.final, equation) > EXCESS_OF_ONE
+        worst.after > RULES.near_floor * level(equation)
+        or greatest_mean_square(found.final, equation) > RULES.excess_of_one
     )
     return worst.explained < share and left
 
@@ -213,7 +180,7 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
     equations = {e.name: e for e in joint.equations}
     return any(
         float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
-        or greatest_mean_square(joint, equations[e.equation]) > EXCESS_OF_ONE
+        or greatest_mean_square(joint, equations[e.equation]) > RULES.excess_of_one
         for e in judges
     )
 
@@ -223,7 +190,7 @@ def _hysteretic_remainder(found: Search) -> bool:
     remaining mismatch is hysteretic.
     """
     torque = next(e for e in _excess(found) if e.equation == "torque")
-    return torque.explained < NEARLY_COMPLETE and is_hysteretic(found.final)
+    return torque.explained < RULES.nearly_complete and is_hysteretic(found.final)
 
 
 def _rows(found: Search, equation: str) -> int:
@@ -235,7 +202,7 @@ def _main_equation(found: Search) -> Equation:
     """Return the equation in which the final model reduces the mismatch most; the torque equation
     if there is no reduction.
     """
-    if found.p_value > LEVEL:
+    if found.p_value > RULES.level:
         return found.baseline.equations[0]
     stack = found.baseline.stack
 
@@ -262,7 +229,7 @@ def _beyond_noise(joint: Joint, equation: Equation) -> float:
 
 def _open_rivals(taken: Round) -> tuple[str, ...]:
     """Return the rivals that the data do not reject."""
-    return tuple(r.name for r in taken.rivals if r.preference < REJECTED)
+    return tuple(r.name for r in taken.rivals if r.preference < RULES.rejected)
 
 
 def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
@@ -319,12 +286,14 @@ def _effect(
             where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,)
         )
     open_names = _open_rivals(taken)
-    quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
+    quality = max(
+        excess[own.name].explained, 1.0 if excess[own.name].after < RULES.near_floor else 0.0
+    )
     confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
     rivals = tuple(
         Rival(
             r.name,
-            min(1.0 - probability(r.preference), IMPLAUSIBLE_CONFIDENCE if r.beyond else 0.5),
+            min(1.0 - probability(r.preference), RULES.implausible_confidence if r.beyond else 0.5),
             _why_not(r),
         )
         for r in taken.rivals
@@ -358,21 +327,21 @@ def confidence_of(taken: Round, quality: float, p_after: float, before: float) -
         before: Mean-square mismatch of that equation over the noise's, without any effect.
     """
     over = [
-        max(probability(r.preference), 1.0 - IMPLAUSIBLE_CONFIDENCE if r.beyond else 0.0)
+        max(probability(r.preference), 1.0 - RULES.implausible_confidence if r.beyond else 0.0)
         for r in taken.rivals
     ]
     most = (
-        INCOMPLETE_CONFIDENCE
-        if p_after <= LEVEL
-        else FAINT_CONFIDENCE
+        RULES.incomplete_confidence
+        if p_after <= RULES.level
+        else RULES.faint_confidence
         if before < FAINT_RATIO
-        else GREATEST_CONFIDENCE
+        else RULES.greatest_confidence
     )
-    return min(most, min([GREATEST_CONFIDENCE, *over]) * (0.5 + 0.5 * quality))
+    return min(most, min([RULES.greatest_confidence, *over]) * (0.5 + 0.5 * quality))
 
 
 def _why_not(rival: Contender) -> str:
     """Return why a rival was rejected; empty if it was not."""
-    if rival.preference >= REJECTED:
+    if rival.preference >= RULES.rejected:
         return f"its error is larger by {rival.preference:.1f} standard errors"
     return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""

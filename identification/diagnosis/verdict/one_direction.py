@@ -12,9 +12,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.significance import level
-from identification.diagnosis.selection.removal import NEARLY_ALL
 
 
 def direction_dependent(joint: Joint) -> tuple[str, ...]:
@@ -26,9 +25,9 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
     torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= NEAR_FLOOR * level(torque) * len(rows):
+    if float(rows @ rows) <= RULES.near_floor * level(torque) * len(rows):
         return ()
-    return tuple(name for name, gain in _gains(joint) if gain >= NEARLY_ALL * beyond)
+    return tuple(name for name, gain in _gains(joint) if gain >= RULES.nearly_all * beyond)
 
 
 def _gains(joint: Joint) -> Iterator[tuple[str, float]]:

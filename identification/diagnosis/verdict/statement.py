@@ -10,7 +10,7 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Effect, Fit, Location, Verdict
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.score.significance import LEVEL
+from identification.diagnosis.rules import RULES
 from identification.recording import Dataset
 
 
@@ -37,7 +37,9 @@ def statement(
         f"{main.noise_floor_rms:.3g}"
     )
     if verdict is Verdict.NOTHING_MISSING:
-        evidence = f"p = {p_value:.2g}" if p_value > LEVEL else "the mismatch is within the noise"
+        evidence = (
+            f"p = {p_value:.2g}" if p_value > RULES.level else "the mismatch is within the noise"
+        )
         said = f"nothing is missing that these recordings could show ({evidence}); {error}"
         return f"{said}; {unobservable_sentence(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None

@@ -12,7 +12,8 @@ from typing import Any
 
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.diagnose import observable_effects
-from identification.diagnosis.score.observable import ALIKE, Observable
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.observable import Observable
 from identification.model.units import parameter_unit
 from identification.prepare import torque_unit
 from identification.recording import Dataset, RecordingError
@@ -120,7 +121,7 @@ def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
         "effect",
         "least size shown",
         "beyond the constants",
-        f"explained to {100.0 * ALIKE:.0f} % by",
+        f"explained to {100.0 * RULES.alike:.0f} % by",
     )
     return Table(header, rows, (1, 2))
 

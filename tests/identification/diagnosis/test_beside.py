@@ -11,7 +11,8 @@ import pytest
 
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.noise import with_lower_noise
-from identification.diagnosis.selection.removal import FURTHER_SHARE, UNCERTAIN, needed_share
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection.removal import needed_share
 from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint
@@ -79,8 +80,8 @@ def test_beside_what_is_the_physics_itself_less_makes_a_name() -> None:
         assert math.isfinite(needed_share(little, error))
         assert math.isinf(needed_share(0.5 * error, error))
         assert (
-            FURTHER_SHARE
-            == needed_share(2.0 * UNCERTAIN * error, error)
+            RULES.further_share
+            == needed_share(2.0 * RULES.shape_errors * error, error)
             < needed_share(2.0 * error, error)
         )
 

@@ -11,10 +11,10 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
-from identification.diagnosis.selection.crossing import LOOP_SHARE, crossing_torque, gap_or_loop
+from identification.diagnosis.selection.crossing import crossing_torque, gap_or_loop
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict.judgement import REJECTED
 from identification.recording import Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit
@@ -45,7 +45,7 @@ def valve_side(name: str) -> tuple[View, ...]:
 def test_a_gap_is_crossed_without_torque() -> None:
     seen = crossing_torque(valve_side("backlash"), nominal("backlash"), 2.0 * HALF_RAD, ROTOR_KG_M2)
     assert seen is not None
-    assert seen.share < 0.5 * LOOP_SHARE
+    assert seen.share < 0.5 * RULES.loop_share
 
 
 def test_a_loop_closes_with_its_torque() -> None:
@@ -86,7 +86,7 @@ def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_
     _, rounds = gap_or_loop(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
     (rival,) = rounds[0].rivals
     assert rival.name == "coupling_hysteresis"
-    assert (rival.preference > REJECTED) == told
+    assert (rival.preference > RULES.rejected) == told
     assert told or rival.preference == 0.0
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.start import NEAR_FLOOR
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.verdict.one_direction import direction_dependent
 
@@ -33,11 +33,11 @@ def power(joint: Joint) -> float:
 
 def test_a_patch_of_one_way_is_no_patch_of_both() -> None:
     joint = patched("x_one_way_patch", 0.06)
-    assert power(joint) > NEAR_FLOOR
+    assert power(joint) > RULES.near_floor
     assert direction_dependent(joint) == ("position_dependent_friction",)
 
 
 def test_a_patch_of_another_width_is_wrong_both_ways() -> None:
     joint = patched("position_dependent_friction", 0.1)
-    assert power(joint) > NEAR_FLOOR
+    assert power(joint) > RULES.near_floor
     assert direction_dependent(joint) == ()

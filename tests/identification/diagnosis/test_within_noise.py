@@ -13,7 +13,8 @@ import pytest
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.rows.equations import least_noise
 from identification.diagnosis.rows.view import View
-from identification.diagnosis.score.significance import LEVEL, beyond_noise, size_p_value
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.significance import beyond_noise, size_p_value
 from identification.diagnosis.selection.search import _Case, _missing_test
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
@@ -71,7 +72,7 @@ def test_a_recording_is_judged_by_its_own_noise(joint: Joint) -> None:
     rows = joint.residual[joint.stack.part("torque")] * np.where(torque.owner == first, 3.0, 1.0)
     louder = with_torque(joint, rows)
     assert "torque" in beyond_noise(louder)
-    assert size_p_value(louder) < LEVEL
+    assert size_p_value(louder) < RULES.level
     known = replace(torque, own={first: 9.0})
     told = replace(louder, equations=(known, *louder.equations[1:]))
     assert "torque" not in beyond_noise(told)
@@ -104,7 +105,7 @@ def test_a_sure_pattern_is_missing_physics_only_beyond_the_noise(
     found = with_torque(joint, rows * math.sqrt(power / float(np.mean(rows**2))))
     case = _Case(torque.views, "N m", TERM, ())
     assert (
-        _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= LEVEL
+        _missing_test(found, case, [term], np.random.default_rng(0)).p_value <= RULES.level
     ) is missing
 
 
