@@ -11,6 +11,9 @@ LEAST_EIGENVALUE_RATIO = 1e-8
 which the normal equations are used.
 """
 
+LEAST_LENGTH = 1e-140
+"""Least norm of a column whose square is not too close to the smallest number."""
+
 
 def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     """Return the least-squares coefficients of columns, shape (n, k), for a target, shape (n,).
@@ -22,14 +25,15 @@ def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     """
     inner = columns.T @ columns
     length = np.sqrt(np.diag(inner))
-    if not len(length) or np.any(length == 0.0):
+    if not len(length) or np.any(length < LEAST_LENGTH):
         return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])
-    values, vectors = np.linalg.eigh(inner / np.outer(length, length))
+    values, vectors = np.linalg.eigh(inner / length / length[:, None])
     if not values[0] > LEAST_EIGENVALUE_RATIO * values[-1]:
         return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])
-    inverse = (vectors / values) @ vectors.T / np.outer(length, length)
-    found = inverse @ (columns.T @ target)
-    return np.asarray(found + inverse @ (columns.T @ (target - columns @ found)))
+    # Columns are scaled one by one: the product of two small lengths may underflow.
+    inverse = (vectors / values) @ vectors.T
+    found = inverse @ (columns.T @ target / length) / length
+    return np.asarray(found + inverse @ (columns.T @ (target - columns @ found) / length) / length)
 
 
 def equilibrated(normal: Array) -> tuple[Array, Array]:

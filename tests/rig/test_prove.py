@@ -6,11 +6,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from identification.diagnosis.oracle import HeldOut
 from rig.cli.entry import status
 from rig.common.errors import InputError
 from rig.common.provenance import sha256
@@ -195,7 +197,7 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
                 "baseline_rms": 1.0,
                 "oracle_rms": 0.6,
                 "noise_rms": 0.1,
-                "beside": BESIDE,
+                "remaining_strength": BESIDE,
             },
             0.5,
         ),
@@ -205,7 +207,7 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
                 "baseline_rms": 1.0,
                 "oracle_rms": 0.996,
                 "noise_rms": 0.1,
-                "beside": BESIDE,
+                "remaining_strength": BESIDE,
             },
             None,
         ),
@@ -215,7 +217,7 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
                 "baseline_rms": 1.0,
                 "oracle_rms": 0.6,
                 "noise_rms": 0.1,
-                "beside": BESIDE,
+                "remaining_strength": BESIDE,
             },
             None,
         ),
@@ -234,13 +236,7 @@ def test_the_gain_is_held_against_the_true_structures(
 
 def test_a_pair_counts_as_one_that_shows_where_each_of_both_does() -> None:
     def row(beside: dict[str, float] | None) -> dict[str, Any]:
-        gain = {
-            "equation": "torque",
-            "baseline_rms": 9.0,
-            "oracle_rms": 1.0,
-            "noise_rms": 1.0,
-            "beside": beside,
-        }
+        gain = asdict(HeldOut("torque", 9.0, 1.0, 1.0, beside or {}))
         said = judged(diagnosed(effect("cogging")))
         hidden = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
         return row_of(
@@ -368,7 +364,7 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
         "baseline_rms": 1.0,
         "oracle_rms": 0.2,
         "noise_rms": 0.1,
-        "beside": BESIDE,
+        "remaining_strength": BESIDE,
     }
     said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
     return judged(said, gain)

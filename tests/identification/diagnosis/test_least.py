@@ -30,3 +30,14 @@ def test_a_column_of_nothing_gets_nothing() -> None:
 
 def test_no_column_gets_no_coefficient() -> None:
     assert least_squares(np.zeros((400, 0)), ROWS).shape == (0,)
+
+
+@pytest.mark.parametrize("scale", [1e-170, 1e-120, 1e120])
+def test_columns_of_any_size_are_solved_without_overflow(scale: float) -> None:
+    """An effect at a hopeless trial shape has next to no column; below 1e-140 it counts as none."""
+    rng = np.random.default_rng(2)
+    columns = rng.standard_normal((50, 2)) * (1.0, scale)
+    found = least_squares(columns, columns @ (2.0, 3.0 / scale))
+    assert np.all(np.isfinite(found))
+    if scale != 1e-170:
+        assert found * (1.0, scale) == pytest.approx([2.0, 3.0], rel=1e-9)

@@ -94,7 +94,9 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _beside(row: Row) -> float:
     """Return the remaining strength of the fainter of two effects, with the other one known."""
-    return 0.0 if row["oracle"] is None else float(min(row["oracle"]["beside"].values()))
+    return (
+        0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
+    )
 
 
 def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
