@@ -7,12 +7,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units console
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds makes units console proofs
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
+	@echo "make proofs    the tests that measure accuracy on whole benches and recordings, which make test leaves out"
 	@echo "make structure files and floors per folder, import arrows, sizes, and the bounds they break"
 	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
 	@echo "make reference write the reference pages (docs/reference) from the code"
@@ -91,7 +92,10 @@ structure:
 	$(PYTHON) tools/structure.py
 
 test: lint
-	$(BIN)/pytest -n auto --dist worksteal
+	$(BIN)/pytest -n auto --dist worksteal -m "not proof"
+
+proofs: $(VENV)/.dev
+	$(BIN)/pytest -n auto --dist worksteal -m proof
 
 plan-study: $(VENV)/.runtime
 	$(BIN)/python benchmarks/plan_study.py --benches 20

@@ -58,6 +58,7 @@ def test_drawn_noise_has_both_parts() -> None:
     )
 
 
+@pytest.mark.proof
 def test_correlated_noise_is_measured_and_the_refinement_stays(clean: Recording) -> None:
     noise = NOISE.drawn(np.random.default_rng(1), (1, len(clean.time)), PERIOD_S, 1.0)[0]
     found = identify(Dataset((with_torque(clean, noise),)), bandwidth_Hz=40.0)

@@ -119,6 +119,7 @@ def test_fixed_values_are_held_through_the_refinement(
         assert found == pytest.approx(TRUTH[name], rel=limit), name
 
 
+@pytest.mark.proof
 def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breakaways(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
@@ -155,6 +156,7 @@ def test_hidden_ripple_leaves_the_values_of_the_equation_error(
     assert result.values() == {name: plain[name] for name in result.values()}
 
 
+@pytest.mark.proof
 def test_strong_hidden_ripple_does_not_break_the_search(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,6 +224,7 @@ def test_a_recording_without_breakaways_leaves_the_others_their_refinement(
         assert both.values()[name] == pytest.approx(value, rel=0.01)
 
 
+@pytest.mark.proof
 def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Recording]) -> None:
     recording = beginning(practical_pair[0], FEWER_S)
     clean, rippled = (motion(r) for r in (recording, with_ripple(recording, 0.3, 40.0)))

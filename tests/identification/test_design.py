@@ -324,6 +324,7 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
     ]
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("few")
 def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
     monkeypatch: pytest.MonkeyPatch,
@@ -394,6 +395,7 @@ def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(
     assert any(p.excitation.tones[0][1] == 0.7 for p in pools[0])
 
 
+@pytest.mark.proof
 @pytest.mark.usefixtures("few")
 def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it(
     monkeypatch: pytest.MonkeyPatch,
@@ -525,6 +527,7 @@ def test_moment_of_a_bench_without_lever() -> None:
     assert PlannedModel(NOMINAL, Bench(), Sensors(1e-3, 1e-5, 0.1), 1.0).moment(0.0) == 0.0
 
 
+@pytest.mark.proof
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
     (there, steepness), whole = (

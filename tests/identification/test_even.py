@@ -89,6 +89,7 @@ def test_what_is_uneven_throughout_is_refused() -> None:
     assert evened(lost(recording(1e-3 * np.arange(5000)), 0.3, 2)) is None
 
 
+@pytest.mark.proof
 def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
     practical_pair: tuple[Recording, Recording],
 ) -> None:

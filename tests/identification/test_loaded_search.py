@@ -73,7 +73,7 @@ def searched(seed: int) -> tuple[float, float, float]:
     )
 
 
-@pytest.mark.parametrize("seed", [1, STUCK])
+@pytest.mark.parametrize("seed", [1, pytest.param(STUCK, marks=pytest.mark.proof)])
 def test_wide_steps_lead_to_the_true_values(seed: int) -> None:
     coulomb, static, stribeck = searched(seed)
     assert abs(coulomb) < 0.001
@@ -81,6 +81,7 @@ def test_wide_steps_lead_to_the_true_values(seed: int) -> None:
     assert abs(stribeck) < 0.01
 
 
+@pytest.mark.proof
 def test_small_steps_alone_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
     """With that noise; without this the test above would prove nothing."""
     monkeypatch.setattr(searches, "_MISSED", math.inf)

@@ -127,6 +127,7 @@ def likeliest(point: Point) -> dict[str, float]:
     return unpack(point.parameters(found.x), [n for n in NAMES if n != "J"])
 
 
+@pytest.mark.proof
 def test_where_static_friction_is_high_the_likelihood_errs_as_foretold() -> None:
     errors, foretold = [], []
     for seed in range(2):

@@ -85,6 +85,7 @@ def test_a_motor_stronger_than_declared_is_reported_as_moved(
     assert not loops[TRANSMITTED, False].constants
 
 
+@pytest.mark.proof
 def test_a_stated_deviation_holds_a_constant(
     loops: dict[tuple[str, bool], SimulatedRung],
 ) -> None:
@@ -113,6 +114,7 @@ def test_the_rung_that_made_the_data_predicts_another_mass_best(
     assert all(r.crossed > 0.0 for r in loops.values())
 
 
+@pytest.mark.proof
 def test_a_load_that_depends_on_direction_is_recovered() -> None:
     truth = {**TRUTH, "mu_gd": 2.0, "mu_gc": 0.08, "mu_gs": 0.14}
     recordings = tuple(
@@ -125,6 +127,7 @@ def test_a_load_that_depends_on_direction_is_recovered() -> None:
     assert found[DIRECTIONAL, True].crossed < 0.9 * found[TRANSMITTED, True].crossed
 
 
+@pytest.mark.proof
 def test_a_voltage_without_its_loop_is_predicted_from_reversal_to_reversal() -> None:
     recordings = fitted(closed=False)
     prepared = prepare(recordings[0], BANDWIDTH_HZ)

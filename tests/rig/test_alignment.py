@@ -110,6 +110,7 @@ def logged(weight: float, seed: int) -> tuple[dict[str, Array], Array]:
     }, stamps
 
 
+@pytest.mark.proof
 def test_the_inertia_is_biased_before_and_not_after() -> None:
     channels, stamps = logged(0.0, 1)
     bench = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)

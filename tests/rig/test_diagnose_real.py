@@ -98,6 +98,7 @@ def test_a_swing_whose_phase_each_recording_has_to_itself_is_judged_on_those_fit
     assert any(w.startswith("asymmetric Coulomb explains part") for w in found["warnings"])
 
 
+@pytest.mark.proof
 def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> (
     None
 ):
@@ -111,6 +112,7 @@ def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reac
     assert all("to 6.00 s the joint rests at 4" in w for w in said)
 
 
+@pytest.mark.proof
 def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_path: Path) -> None:
     """They say 5 to 10 ms; the voltage was computed from the late angle, so that only its command
     is early.

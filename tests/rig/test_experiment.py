@@ -49,6 +49,7 @@ def sequence(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.proof
 def test_the_proposal_runs(
     sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

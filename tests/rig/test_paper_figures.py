@@ -75,6 +75,7 @@ def test_fig_3_is_what_the_paper_says_of_it() -> None:
     assert "29.65 deg" in made.found[0]
 
 
+@pytest.mark.proof
 def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

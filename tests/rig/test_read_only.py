@@ -36,6 +36,11 @@ import click
     sys.argv[1:] = ["figure"]
     cli.main()"""
 
+KERNEL = """\
+import numpy
+    from identification.diagnosis.terms.wave import sine_cosine
+    print(sine_cosine(1.0, numpy.zeros(1)).sum())"""
+
 
 @pytest.fixture
 def program(tmp_path: Path) -> Iterator[Path]:
@@ -74,6 +79,7 @@ def start(program: Path, *arguments: str, body: str = RUN) -> subprocess.Complet
     )
 
 
+@pytest.mark.proof
 def test_a_run_is_simulated_and_its_kernels_are_kept_among_the_temporary_files(
     program: Path,
 ) -> None:
@@ -87,6 +93,15 @@ def test_a_run_is_simulated_and_its_kernels_are_kept_among_the_temporary_files(
         assert read_record(place / out).state == "done"
     kept = list((place / "temporary").glob("loadrig-kernels-*/*.nbc"))
     assert kept
+    assert not list(program.rglob("*.nb[ci]"))
+
+
+def test_a_kernel_is_kept_among_the_temporary_files(program: Path) -> None:
+    for _ in range(2):
+        ended = start(program, body=KERNEL)
+        assert (ended.returncode, ended.stdout, ended.stderr) == (0, "1.0\n", "")
+    kept = list((program.parent / "temporary").glob("loadrig-kernels-*/*.nbc"))
+    assert len(kept) == 1
     assert not list(program.rglob("*.nb[ci]"))
 
 

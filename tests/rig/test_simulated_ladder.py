@@ -83,6 +83,7 @@ def test_the_fits_to_the_simulated_angle_are_printed_and_recorded(
     assert "Friction models fitted to the simulated angle" in (out / "report.html").read_text()
 
 
+@pytest.mark.proof
 @pytest.mark.recordings
 @pytest.mark.parametrize(
     ("name", "declared_mrad", "free_mrad"),
