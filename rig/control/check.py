@@ -173,7 +173,8 @@ def _limits(found: dict[str, Any]) -> str:
         ],
         right=[1, 2],
     )
-    return "\n".join([rows, *note])
+    written = "a run writes the limits of the bench file before it enables the drive"
+    return "\n".join([rows, *note, written])
 
 
 def _angular(name: str) -> bool:

@@ -14,6 +14,12 @@ from rig.common.errors import InputError
 if TYPE_CHECKING:
     from rig.sources.look import Look
 
+NEEDED = {
+    "the angle": {"angle", "motor_angle", "velocity"},
+    "the current, torque or voltage": {"current", "torque", "voltage"},
+}
+"""Channels of which an identification needs one each."""
+
 
 @click.command("look")
 @click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
@@ -67,6 +73,14 @@ def command(
         write_json(json_file, look_record(looks))
     if campaign is not None:
         _write_campaign(campaign, path, looks, read)
+    elif len(looks) == 1 and looks[0].format != "recording":
+        click.echo(f"\nnext: rig look {path} --campaign campaign.yaml{_missing(looks[0])}")
+
+
+def _missing(look: Look) -> str:
+    """Return what to state in that campaign file, as no column was recognised as it."""
+    lacking = [name for name, any_of in NEEDED.items() if not any_of & look.guesses.keys()]
+    return f", and state the column of {' and '.join(lacking)} in it" if lacking else ""
 
 
 def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
