@@ -42,9 +42,11 @@ def current_loop_lag(s: Any, m: Any, time_s: float) -> Array:
     return np.asarray(lagged(s["drive"], s["time"], time_s) - s["drive"])
 
 
-def winding_heating(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
-    """Decrease of Km with the winding's temperature."""
-    return np.asarray(-0.001 * winding_rise(s, m, rise_K_per_W, time_s) * s["drive"])
+def winding_heating(
+    s: Any, m: Any, rise_K_per_W: float, time_s: float, magnet: float = 1.0
+) -> Array:
+    """Decrease of Km with the magnets' temperature, that of the winding if ``magnet`` is 1."""
+    return np.asarray(-0.001 * magnet * winding_rise(s, m, rise_K_per_W, time_s) * s["drive"])
 
 
 def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
@@ -89,12 +91,13 @@ def brush_drop_voltage(s: Any, m: Any, voltage_V: float, current_A: float) -> Ar
     return np.asarray(voltage_V * mean_step(s["current"], current_A))
 
 
-def winding_heating_voltage(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
-    """Increase of R and decrease of Ke with the winding's temperature."""
+def winding_heating_voltage(
+    s: Any, m: Any, rise_K_per_W: float, time_s: float, magnet: float = 1.0
+) -> Array:
+    """Increase of R with the winding's temperature, and decrease of Ke if ``magnet`` is 1."""
     rise = winding_rise(s, m, rise_K_per_W, time_s)
-    return np.asarray(
-        rise * (0.00393 * m["R"] * s["current"] - 0.001 * m["Ke"] * m["i"] * s["velocity"])
-    )
+    weaker = 0.001 * magnet * m["Ke"] * m["i"] * s["velocity"]
+    return np.asarray(rise * (0.00393 * m["R"] * s["current"] - weaker))
 
 
 def supply_sag_voltage(s: Any, m: Any, resistance_ohm: float) -> Array:

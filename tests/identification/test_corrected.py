@@ -79,8 +79,8 @@ LINEAR = {
         (1.0,),
     ),
     "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
-    "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5, 0.0), (0.8,)),
-    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6, 0.0), (0.8,)),
+    "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.05, 0.0, 10.0), (0.8,)),
+    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6, 0.0, 1.0), (0.8,)),
     "supply_sag": ({"resistance_ohm": 0.2}, (), (0.2,)),
 }
 """Effect to its parameters, and to the shape and coefficients that the search would find for

@@ -141,8 +141,8 @@ MOTOR: tuple[Entry, ...] = (
         name="winding_heating",
         group="motor",
         equation=(
-            "R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT), T d(dT)/dt = r "
-            "R(dT) I^2 - dT"
+            "R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT) (if magnet = 1), T "
+            "d(dT)/dt = r R(dT) I^2 - dT"
         ),
         assumption="the implied assumption that the motor's constants R and Km are constant (eq. "
         "1)",
@@ -151,6 +151,7 @@ MOTOR: tuple[Entry, ...] = (
         parameters=(
             Quantity("rise_K_per_W", "K/W", 0.0, 20.0),
             Quantity("time_s", "s", 1.0, 5000.0),
+            Quantity("magnet", "", 0.0, 1.0),
         ),
         look_alikes=("viscous_thermal_drift", "coulomb_drift", "current_drift", "supply_sag"),
         experiment=(
@@ -162,8 +163,8 @@ MOTOR: tuple[Entry, ...] = (
         ),
         sentence=(
             "the winding heats by {rise_K_per_W:K/W} of loss with a time constant of {time_s:s}, "
-            "its resistance "
-            "rises and its torque per ampere falls"
+            "its resistance rises and, if the magnets heat with it ({magnet:}; 1: they do, 0: they "
+            "do not), its torque per ampere falls"
         ),
     ),
     Entry(

@@ -46,7 +46,8 @@ def validation_residual(
     the fitted recordings; None if hardly a sample is in steady motion.
 
     No parameter of the torque's model is fitted to these rows. In other equations their own
-    constants are fitted, such as the zero of an encoder, which are not reported.
+    constants are fitted, such as the zero of an encoder, which are not reported; and so are unknown
+    states at the start of a recording.
     """
     rows = equations(aside, joint.nominal, unit)
     sigma = {e.name: e.sigma for e in joint.equations}
@@ -60,11 +61,39 @@ def validation_residual(
         columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
         if columns:
             left -= stack.whitened(columns) @ np.array(effect.coefficients)
+    left = _with_own_constants(stack, left[:, None])[:, 0]
+    return stack, _without_start_states(stack, joint, left)
+
+
+def _with_own_constants(stack: Stack, rows: Array) -> Array:
+    """Return whitened rows, shape (n, k), without what the constants of equations other than the
+    torque's can explain.
+    """
+    out = rows.copy()
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
         if equation.name != "torque":
             part = stack.part(equation.name)
-            left[part] -= basis @ (basis.T @ left[part])
-    return stack, left
+            out[part] -= basis @ (basis.T @ out[part])
+    return out
+
+
+def _without_start_states(stack: Stack, joint: Joint, left: Array) -> Array:
+    """Return rows without what unknown states of the effects at the start of each recording, such
+    as the winding's temperature, can explain.
+    """
+    owner = np.concatenate([e.owner for e in stack.equations])
+    for effect in joint.effects:
+        if not effect.term.start:
+            continue
+        begun = replace(effect.term, name=f"start of {effect.term.name}", columns=effect.term.start)
+        columns = stack.columns(begun, effect.shape)
+        if not columns:
+            continue
+        whole = stack.whitened(columns)
+        own = np.concatenate([whole * (owner == k)[:, None] for k in np.unique(owner)], axis=1)
+        own = _with_own_constants(stack, own[:, np.any(own, axis=0)])
+        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+    return left
 
 
 def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
@@ -209,7 +238,11 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
         return fitted(names)
     unseen = _studentised_reduction(stack, [left[0][1], before], names)
     rows = np.concatenate([before[stack.part(name)] for name in names])
-    if (len(rows) and float(np.mean(rows**2)) > 1.0) or unseen < -RULES.rejected:
+    change = np.concatenate([(left[0][1] - before)[stack.part(name)] for name in names])
+    if len(change) and float(np.mean(change**2)) < RULES.least_share:
+        # What these recordings have to themselves can explain the effect.
+        return fitted(names)
+    if (len(rows) and float(np.mean(rows**2)) > RULES.tested_from) or unseen < -RULES.rejected:
         return unseen
     # The mismatch of these recordings is within the noise, so no effect can reduce it.
     return fitted(names)

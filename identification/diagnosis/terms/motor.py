@@ -54,6 +54,8 @@ KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Trial knees of a saturating torque constant, over the greatest current."""
 TANH_OR_RATIONAL = (0.0, 1.0)
 """Laws of saturation: a hyperbolic tangent (0), or a rational function (1)."""
+WITH_MAGNETS = (1.0, 0.0)
+"""Whether the magnets heat with the winding (1), or only the winding does (0)."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
 KEPT = 64
 """Cache size of temperature rises by recording and time constant, which a fit changes less often
@@ -182,22 +184,38 @@ def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
     return out
 
 
-def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
+def _warmth(view: View, magnet: float) -> Array:
+    """Return the voltage of a winding, and with ``magnet`` 1 of magnets too, 1 K warmer, V."""
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
     warmer = COPPER_PER_K * resistance * view.current
     # Torque and back-EMF have the same flux and fall with it.
-    weaker = MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
-    return _by_recording(view, shape, (warmer - weaker) * _rises(view, shape[0]))
+    weaker = (
+        magnet * MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
+    )
+    return np.asarray(warmer - weaker)
+
+
+def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return _by_recording(view, shape, _warmth(view, shape[2]) * _rises(view, shape[0]))
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _by_recording(view, shape, _rises(view, shape[0]) * (MAGNET_PER_K * nominal.drive(view)))
+    weaker = shape[2] * MAGNET_PER_K * nominal.drive(view)
+    return _by_recording(view, shape, _rises(view, shape[0]) * weaker)
+
+
+def _warm_start_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(_warmth(view, shape[2]) * _rises(view, shape[0])[1])
+
+
+def _warm_start_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+    return rows(shape[2] * MAGNET_PER_K * nominal.drive(view) * _rises(view, shape[0])[1])
 
 
 def _warm_ups(context: Context) -> Sequence[Shape]:
     count = float(1 + max(v.index for v in context.views))
-    return _with_voltage([(t, count) for t in THERMAL_TIMES_S])(context)
+    return _with_voltage([(t, count, WITH_MAGNETS[0]) for t in THERMAL_TIMES_S])(context)
 
 
 def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -299,11 +317,17 @@ TERMS = (
     Term(
         "winding_heating",
         {"voltage": _heating_voltage, "torque": _heating_torque},
-        lambda c, shape, _context: {"rise_K_per_W": float(c[0]), "time_s": shape[0]},
+        lambda c, shape, _context: {
+            "rise_K_per_W": float(c[0]),
+            "time_s": shape[0],
+            "magnet": shape[2],
+        },
         _warm_ups,
         refine={0: 0.0},
+        forms={2: WITH_MAGNETS},
         positive=(0,),
         follows=True,
+        start={"voltage": _warm_start_voltage, "torque": _warm_start_torque},
     ),
     Term(
         "supply_sag",

@@ -66,6 +66,9 @@ class Term:
         limits: Index of a nonlinear parameter to its least and greatest physical value.
         place: Index of the nonlinear parameter that is the only recording with the effect, if there
             is one.
+        start: Equation to the regressor of an unknown state at the start of a recording, whose
+            coefficient each recording has to itself; fitted where a recording set aside is
+            predicted.
         begin: Function from nominal values and trial parameters to the start values of a joint fit.
         shape_error: Squares that the regressor's error leaves to others, over the squares that it
             explains; :data:`EXACT` if the regressor is exact, known from clock, angle, motion or
@@ -90,6 +93,7 @@ class Term:
     varies: tuple[str, ...] = ()
     limits: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     place: int | None = None
+    start: Mapping[str, Columns] = field(default_factory=dict)
     begin: Callable[[Nominal, Shape], tuple[Nominal, Shape]] = lambda nominal, shape: (
         nominal,
         shape,

@@ -32,3 +32,14 @@ def test_torque_that_saturates_by_either_law(rational: float) -> None:
     parameters = found.effects[0].parameters
     assert parameters["knee_A"].value == pytest.approx(KNEE_A, rel=0.05)
     assert parameters["rational"].value == rational
+
+
+@pytest.mark.parametrize("magnet", [0.0, 1.0])
+def test_a_winding_that_heats_alone_is_told_from_one_with_its_magnets(magnet: float) -> None:
+    """And neither is dropped as the winding of an unseen recording began warm."""
+    hidden = {"winding_heating": {"rise_K_per_W": 0.4, "time_s": 60.0, "magnet": magnet}}
+    found = diagnose(Dataset(campaign(hidden, 7, 20.0), Model()))
+    (effect,) = found.effects
+    assert effect.name == "winding_heating"
+    assert effect.parameters["magnet"].value == magnet
+    assert effect.parameters["rise_K_per_W"].value == pytest.approx(0.4, rel=0.15)

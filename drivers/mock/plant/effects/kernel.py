@@ -127,7 +127,7 @@ def integrate(
     effective, bristles = x[TORQUE_CURRENT], x[BRISTLES]
     transmitted, play = x[TRANSMITTED], x[PLAY]
     external = friction_work = charge = 0.0
-    warm = 1.0 + MAGNET_PER_K * x[HEAT]
+    warm = 1.0 + MAGNET_PER_K * x[HEAT] * e[table.HEATING_MAGNET]
     dead = dead_time_voltage(x[SUPPLY], e[at + NOMINAL_SUPPLY], e)
     lag_s = e[table.LAG_TIME]
     lag = 1.0 - math.exp(-h / lag_s) if lag_s > 0.0 else 1.0

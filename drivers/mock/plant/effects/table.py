@@ -25,6 +25,7 @@ from typing import NamedTuple
     BRUSH_CURRENT,
     HEATING_RISE,
     HEATING_TIME,
+    HEATING_MAGNET,
     SAG_RESISTANCE,
     GAP,
     STIFFNESS,
@@ -77,7 +78,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(66)
+) = range(67)
 
 
 class Parameter(NamedTuple):
@@ -120,6 +121,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "winding_heating": {
         "rise_K_per_W": Parameter(HEATING_RISE, 0.0, 50.0),
         "time_s": Parameter(HEATING_TIME, 1.0, 1e5),
+        "magnet": Parameter(HEATING_MAGNET, 0.0, 1.0, 1.0),
     },
     "supply_sag": {"resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0)},
     "backlash": {"gap_rad": Parameter(GAP, 0.0, 0.1)},
