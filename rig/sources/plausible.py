@@ -5,6 +5,7 @@ All functions are pure functions of arrays that return the texts of errors and n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from typing import cast
 
@@ -35,6 +36,8 @@ neighbouring counts; the order of such rows does not matter.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
+RELATED = 0.9
+"""Least correlation of two angles of the same motion."""
 RATIO_TOLERANCE = 0.05
 """Relative deviation of the measured from the declared gear ratio above which there is a note."""
 
@@ -131,7 +134,9 @@ def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[s
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
-    if energy == 0.0:
+    alike = float(motor @ joint) / math.sqrt(max(energy * float(motor @ motor), 1e-300))
+    if energy == 0.0 or abs(alike) < RELATED:
+        # A joint at rest shows the flicker of two encoders, which tells nothing of their signs.
         return None
     ratio = float(motor @ joint) / energy
     if ratio < 0:

@@ -331,6 +331,19 @@ def test_motor_angle_against_angle(tmp_path: Path) -> None:
     assert "`motor_angle` runs against `angle`" in problems(tmp_path, geared(-1), item)[0]
 
 
+def test_a_joint_at_rest_tells_nothing_of_signs(tmp_path: Path) -> None:
+    item = "{file: a.csv, channels: {motor_angle: {column: w, scale: 1}}}"
+
+    def flickering(columns: Columns) -> None:
+        """Let two encoders flicker between three counts, by chance against each other."""
+        rng = np.random.default_rng(4)
+        joint, other = rng.integers(-1, 2, (2, N))
+        columns["a"] = 1e-4 * joint
+        columns["w"] = 1e-4 * np.where(rng.uniform(size=N) < 0.3, -joint, other)
+
+    assert "motor_angle" in load(tmp_path, flickering, item)[0].channels
+
+
 def test_globs_names_and_roles(tmp_path: Path) -> None:
     for folder in ("one", "two"):
         (tmp_path / folder).mkdir()
