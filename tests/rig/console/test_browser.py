@@ -128,6 +128,7 @@ def ended(where: Place, count: int) -> dict[str, Any]:
 def test_a_run_from_the_start_to_a_stop(opened: Callable[..., Page], where: Place) -> None:
     page, before = opened(), len(where.records())
     expect(page.locator("#bench")).to_contain_text("no run")
+    expect(page.locator("#start-bench")).to_have_value("practical")
     require_accessible(page)
     start(page, where.sequence("short", SHORT_S))
     expect(page.locator("#bench")).to_have_text("SIMULATED bench practical")
@@ -183,7 +184,9 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     page.keyboard.press("Space")
     expect(page.locator("#ending")).to_contain_text("STOP by the console")
     assert ended(where, before + 1)["de_energised"]
-    where.run(where.sequence("paused", SHORT_S), "--yes", "--realtime")
+    judged = where.sequence("paused", SHORT_S)
+    judged.write_text(judged.read_text() + "acceptance:\n  - tracking error rms < 0.5 deg\n")
+    where.run(judged, "--yes", "--realtime")
     in_phase(page, "excite")
     page.click("#pause")
     expect(page.locator("#go-on")).to_be_visible()
@@ -197,6 +200,13 @@ def test_stop_at_a_prompt_and_in_a_pause(opened: Callable[..., Page], where: Pla
     page.press("#mass", "Enter")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
     expect(page.locator("#resume")).to_be_hidden()
+    # Judged at its end, as its sequence states limits.
+    expect(page.locator("#judged")).to_contain_text("Verdict: accepted")
+    expect(page.locator("#recorded")).to_contain_text("accepted")
+    with page.context.expect_page() as made:
+        page.locator("#judged a", has_text="certificate").first.click()
+    expect(made.value.locator("body")).to_contain_text("ACCEPTED")
+    shoot(made.value, "certificate")
 
 
 def test_a_phone_in_the_dark_and_without_the_token(
