@@ -23,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from rig.console.controls import Page
 from rig.console.gate import Gate, Token
 from rig.console.hub import Hub, Refusal
+from rig.console.recorded import Recorded
 from rig.console.starting import StartError, Wish
 from rig.console.view import View
 from rig.terminal.control_messages import Command
@@ -77,6 +78,7 @@ class Console:
                 Route("/start", self._posted(self._start), methods=["POST"]),
                 Route("/resume", self._posted(self._resume), methods=["POST"]),
                 WebSocketRoute("/live", self._live),
+                *Recorded(hub.starter.runs).routes,
             ],
             middleware=[Middleware(Gate, hosts=hosts)],
             lifespan=self._lifespan,

@@ -28,7 +28,7 @@ HEADERS: Final = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""Sent with every answer."""
+"""Sent with every answer that does not state the same header itself."""
 _READING: Final = frozenset({"GET", "HEAD"})
 
 
@@ -86,8 +86,11 @@ class Gate:
 def _with_headers(send: Send) -> Send:
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":
+            own = list(message.get("headers", []))
+            names = {name for name, _ in own}
             added = [(k.lower().encode(), v.encode()) for k, v in HEADERS.items()]
-            message = {**message, "headers": [*message.get("headers", []), *added]}
+            added = [each for each in added if each[0] not in names]
+            message = {**message, "headers": [*own, *added]}
         await send(message)
 
     return sending

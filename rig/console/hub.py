@@ -70,6 +70,13 @@ class Hub:
         self.notes.append((self._noted, words))
         del self.notes[:-_NOTES]
 
+    @property
+    def scope(self) -> str:
+        """Whose runs are shown, in words."""
+        if self._only:
+            return f"live runs of your user on {', '.join(sorted(self._only))}"
+        return "live runs of your user on any bench"
+
     def run_of(self, page: Page) -> Followed | None:
         """Return the run that a page shows: the one that was chosen, else the newest that goes on,
         else the newest.

@@ -53,6 +53,7 @@ class View:
                     "may": page.may,
                 }
             ),
+            "scope": _same(hub.scope),
             "choices": (0, hub.starter.choices),
             "run": (key, key),
         }

@@ -16,6 +16,7 @@ from rig.config.packaged import names
 from rig.console.starting import Starter
 
 PORT = 8736
+DEFAULT_BENCH = "practical"
 
 
 @click.command("console")
@@ -32,7 +33,7 @@ PORT = 8736
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("runs"),
     show_default=True,
-    help="Where runs that are started in the page are recorded.",
+    help="Where runs that are started in the page are recorded; the page lists the runs in it.",
 )
 def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """Watch runs on a page, stop, pause and answer them, and start new ones on BENCH, a file or the
@@ -51,7 +52,9 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     shown = frozenset(load_bench(bench).value.name for bench in benches)
     serve = _server()
     click.echo("STOP in the page is a software stop, not an emergency stop.")
-    starter = Starter(benches or tuple(names("benches")), runs)
+    # The bench that `rig run` takes by default is offered first.
+    packaged = sorted(names("benches"), key=lambda name: name != DEFAULT_BENCH)
+    starter = Starter(benches or tuple(packaged), runs)
     # Ctrl-C is the ordinary end.
     with suppress(KeyboardInterrupt):
         serve(starter, shown, port, _announce)

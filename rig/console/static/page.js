@@ -3,6 +3,7 @@
 import { Charts, limitWords, shownNumber } from "./charts.js";
 import { Friction } from "./friction.js";
 import { Link } from "./link.js";
+import { Recorded } from "./recorded.js";
 import { setUpStart } from "./start.js";
 import { HELD, OFF, PHASES, timeWords } from "./words.js";
 
@@ -15,12 +16,13 @@ const DEG = 180 / Math.PI;
 const at = (id) => document.getElementById(id);
 const state = {};
 let lastStop = -Infinity;
-let stopSent = null; // key of the run that a STOP was sent to
+let endSaid = null; // key of the run whose end was told beside STOP
 
 const charts = new Charts(at("charts"));
 const friction = new Friction(at("friction"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
 const start = setUpStart(link, () => state, say);
+const recorded = new Recorded(going, showJudged);
 
 function say(words) {
   at("outcome").textContent = words;
@@ -63,6 +65,7 @@ function takeState(changed, fresh) {
   for (const words of changed.notes || []) say(words);
   if (changed.choices) start.choices(changed.choices);
   if (changed.runs) showRuns();
+  if (changed.scope) at("scope").textContent = changed.scope;
   showRun();
   if (changed.record || changed.live || changed.about) showTables(changed);
   showControls();
@@ -102,6 +105,7 @@ function showRuns() {
 function showRun() {
   const { about, status, live, record } = state;
   const badge = at("bench");
+  document.body.classList.toggle("no-run", !state.run || !about);
   if (!state.run || !about) {
     badge.className = "badge";
     badge.textContent = "no run: start one below, or with `rig run`";
@@ -110,6 +114,7 @@ function showRun() {
     at("ending").hidden = true;
     at("resume-box").hidden = true;
     at("prompt").hidden = true;
+    showJudged();
     return;
   }
   badge.className = `badge ${about.real ? "real" : "simulated"}`;
@@ -150,6 +155,7 @@ function showEnding() {
   at("resume-real").hidden = !state.about?.real;
   const line = at("ending");
   line.hidden = !ended;
+  showJudged();
   if (!ended) return;
   line.className = `ending${ended.good ? " good" : ""}`;
   if (line.textContent !== ended.words) line.textContent = ended.words;
@@ -157,10 +163,24 @@ function showEnding() {
   alertOnce("stop", "");
   alertOnce("unverified", record?.de_energised === false
     ? "The state of the drive could NOT be verified. Switch the main supply off before you approach the bench." : "");
-  if (stopSent === state.run && record?.de_energised !== null) {
-    say(record?.de_energised ? "The run has ended; the drive is off (read back)" : "The run has ended");
-    stopSent = null;
+  if (endSaid !== state.run && (record?.de_energised ?? null) !== null) {
+    // What was said before, such as an answer to a prompt, is of no use any more.
+    say(record.de_energised ? "The run has ended; the drive is off (read back)"
+      : "The run has ended; the state of the drive could NOT be verified");
+    endSaid = state.run;
   }
+}
+
+// The verdict on the run that has ended, and its pages, once the list of recorded runs has them.
+function showJudged() {
+  const run = state.run && state.status?.ended ? recorded.of(state.about?.folder) : null;
+  const line = at("judged");
+  line.hidden = !run || !run.pages.length;
+  const known = JSON.stringify(run && [run.folder, run.verdict, run.pages]);
+  if (line.hidden || line.dataset.known === known) return;
+  line.dataset.known = known;
+  line.replaceChildren(`Verdict: ${run.verdict === "-" ? "none" : run.verdict}. Pages: `,
+    ...recorded.links(run));
 }
 
 function showPrompt() {
@@ -275,7 +295,6 @@ async function pressStop() {
   const now = performance.now();
   if (at("stop").disabled || now - lastStop < AGAIN_MS) return;
   lastStop = now;
-  stopSent = state.run;
   const run = state.run;
   say("STOP is sent");
   const answer = await link.post("/command", { run, command: "stop" });
