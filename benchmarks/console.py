@@ -29,6 +29,7 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ from rig.planning.plan import make_plan
 from rig.runs.run import create_folder
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
+from rig.wiring import teardown
 from rig.wiring.connect import connect
 
 SEQUENCE = """\
@@ -105,6 +107,8 @@ def host(bench_name: str, count: int, realtime: bool, log: bool) -> None:
     # The computer is shared while this is measured; lateness is recorded, and ends no run.
     limits = planning._limits
     planning._limits = lambda values, bench: _patient(limits(values, bench))
+    marks: dict[str, int] = {}
+    _noted(marks)
     late: list[tuple[int, int]] = []
     if log:
         note = Histogram.note
@@ -121,6 +125,7 @@ def host(bench_name: str, count: int, realtime: bool, log: bool) -> None:
         inputs = Inputs(bench, sequence, 0, realtime)
         for number in range(count):
             folder = Path(name) / str(number)
+            marks.clear()
             screen = Screen()
             with (
                 StopButton() as stop,
@@ -137,12 +142,29 @@ def host(bench_name: str, count: int, realtime: bool, log: bool) -> None:
                 _, outcome = execute(inputs, plan, devices, folder, operator, stop, _silent)
             phase = re.search(r"phase ([^:]+):", outcome.message)
             say(
+                **marks,
                 known_ns=operator.known_ns,
                 verified=outcome.safe.verified,
                 ending=outcome.ending.value,
                 phase=phase[1] if phase else "",
             )
     say(late=late[::2])
+
+
+def _noted(marks: dict[str, int]) -> None:
+    """Note when the loop takes a press, and when the shaft stands, ns."""
+    press, wait = StopButton.press, teardown._wait_for_standstill
+
+    def pressed(button: StopButton, cause: str = "") -> None:
+        marks.setdefault("taken_ns", time.monotonic_ns())
+        press(button, cause)
+
+    def stood(*given: Any) -> None:
+        wait(*given)
+        marks["stood_ns"] = time.monotonic_ns()
+
+    StopButton.press = pressed  # type: ignore[method-assign]
+    teardown._wait_for_standstill = stood
 
 
 def _patient(limits: Limits) -> Limits:
@@ -249,6 +271,7 @@ def latency(bench: str, presses: int, realtime: bool) -> list[str]:
     """Press STOP in many runs, each at a random moment of its motion; return a row of the table."""
     chance = random.Random(0)
     off, answered, phases, unverified = [], [], Counter[str](), 0
+    parts: list[list[float]] = [[], [], []]
     with started(bench, presses, realtime, False) as (console, lines):
         for _ in range(presses):
             run = next(lines)["run"]
@@ -259,6 +282,9 @@ def latency(bench: str, presses: int, realtime: bool) -> list[str]:
                 pressed, taken, words = console.stop(run)
             end = next(lines)
             off.append((end["known_ns"] - pressed) * 1e-6)
+            marks = [pressed, end["taken_ns"], end["stood_ns"], end["known_ns"]]
+            for part, (begin, finish) in zip(parts, pairwise(marks), strict=True):
+                part.append((finish - begin) * 1e-6)
             answered.append((taken - pressed) * 1e-6)
             phases[end["phase"]] += 1
             unverified += not end["verified"] or end["ending"] != "stopped"
@@ -268,6 +294,7 @@ def latency(bench: str, presses: int, realtime: bool) -> list[str]:
         str(len(off)),
         *(f"{np.percentile(off, point):.0f}" for point in (50, 99, 100)),
         f"{np.percentile(answered, 99):.0f}",
+        *("{:.0f}, {:.0f}".format(*np.percentile(part, (50, 99))) for part in parts),
         str(unverified),
         ", ".join(f"{name} {n}" for name, n in phases.most_common()),
     ]
@@ -340,8 +367,9 @@ def main() -> None:
     else:
         rows = [latency(b, given.presses, given.realtime) for b in given.bench or BENCHES]
         heads = ["bench", "time", "presses", "p50 ms", "p99 ms", "most ms", "answer p99 ms"]
+        heads += ["to the loop p50, p99", "ramp", "off and read back"]
         heads += ["not off", "phases"]
-        print(table(heads, rows, right=[2, 3, 4, 5, 6, 7]))
+        print(table(heads, rows, right=[2, 3, 4, 5, 6, 7, 8, 9, 10]))
         print(f"load of the computer (1 min): {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores")
 
 

@@ -100,22 +100,26 @@ class Place:
     def stop_all(self) -> None:
         """Stop every run of this place, and wait until their sockets are gone."""
         self.sockets.mkdir(mode=0o700, exist_ok=True)
-        with Peer(self.sockets) as peer:
-            peer.socket.settimeout(0.5)
-            for path in self.sockets.glob("run-*.sock"):
-                peer.attach(path)
-                try:
-                    peer.put({"ask": "about"})
-                    peer.run = peer.get()["about"]["run"]
-                    peer.put(peer.order("stop"))
-                except TimeoutError:
-                    # It has stopped and writes its report.
-                    continue
-                except OSError:
-                    path.unlink(missing_ok=True)
-        wait_until(lambda: not list(self.sockets.glob("run-*.sock")))
+        wait_until(lambda: not any([*map(self._stop, self.sockets.glob("run-*.sock"))]))
         for child in self.started:
             child.wait(WAIT_S)
+
+    def _stop(self, path: Path) -> bool:
+        """Ask a run to stop; return whether its socket may still be there."""
+        with Peer(self.sockets) as peer:
+            # A run that is ending does not answer any more, and takes its socket away.
+            peer.socket.settimeout(1.0)
+            peer.attach(path)
+            try:
+                peer.put({"ask": "about"})
+                peer.run = peer.get()["about"]["run"]
+                peer.put(peer.order("stop"))
+            except TimeoutError:
+                return True
+            except OSError:
+                path.unlink(missing_ok=True)
+                return False
+        return True
 
 
 @dataclass
