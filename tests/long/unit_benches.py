@@ -15,8 +15,9 @@ import yaml
 from drivers.clock import Clock
 from drivers.mock import sensor_faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.makes import LACKS, description
+from drivers.mock.makes import MAKES, description
 from drivers.mock.plant.parts.constants import Joint
+from drivers.mock.traits import CSP
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.operator import AutomaticOperator
@@ -30,6 +31,8 @@ from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
 
 MISTAKES = ("unit of speed", "sign", "ratio", "shaft", "torque constant")
+CYCLIC = tuple(name for name, make in MAKES.items() if make.modes & CSP)
+"""Makes whose drives take positions in every cycle; the benches have no other mode."""
 SLOWEST_HZ = 0.25
 COUNTS = (1024, 2000, 4096, 8192, 16384, 65536)
 RATIOS = (0.2, 0.25, 0.5, 2 / 3, 0.8, 1.25, 1.5, 2.0, 4.0, 5.0)
@@ -64,7 +67,7 @@ def draw(rng: np.random.Generator, mistake: str | None) -> Drawn:
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
     serial = bool(rng.integers(2))
-    make = str(rng.choice(["all objects", *LACKS]))
+    make = str(rng.choice(["all objects", *CYCLIC]))
     gear = round(between(5.0, 250.0), int(rng.integers(3)))
     constant, limit_A, supply = between(0.01, 0.3), between(2.0, 40.0), float(rng.choice([24, 48]))
     torque = constant * gear * limit_A
