@@ -43,7 +43,7 @@ stages:
   - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 4, frequency_Hz: 1}}],
      duration_s: {duration_s}, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.1}}
   - {{name: heavy, stage: loaded, weight_kg: 20, tones: [{{amplitude_deg: 4, frequency_Hz: 1}}],
-     duration_s: {duration_s}, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.1}}
+     duration_s: {heavy_s}, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.1}}
 """
 WAIT_S = 150.0
 
@@ -73,10 +73,14 @@ class Place:
         """Folder of the control sockets."""
         return self.runtime / "loadrig"
 
-    def sequence(self, name: str, duration_s: float) -> Path:
-        """Write a sequence of two stages, the second with 20 kg."""
+    def sequence(self, name: str, duration_s: float, heavy_s: float | None = None) -> Path:
+        """Write a sequence of two stages, the second with 20 kg and as long as the first unless
+        stated.
+        """
         path = self.folder / f"{name}.yaml"
-        path.write_text(SEQUENCE.format(name=name, duration_s=duration_s))
+        path.write_text(
+            SEQUENCE.format(name=name, duration_s=duration_s, heavy_s=heavy_s or duration_s)
+        )
         return path
 
     def run(self, sequence: Path, *options: str) -> subprocess.Popen[bytes]:
