@@ -308,7 +308,7 @@ def test_the_charts_hold_the_extremes_of_the_recording(
 ) -> None:
     page = opened()
     page.select_option("#window", "0")
-    child = where.run(where.sequence("drawn", SHORT_S), "--yes")
+    child = where.run(where.sequence("drawn", SHORT_S), "--yes", "--realtime")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
     child.wait(WAIT_S)
     found = page.evaluate("window.rigConsole.extremes()")

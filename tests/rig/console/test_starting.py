@@ -34,7 +34,7 @@ def real(tmp_path: Path) -> Path:
 @pytest.fixture
 def sequence(tmp_path: Path) -> Path:
     path = tmp_path / "own.yaml"
-    path.write_text(SEQUENCE.format(name="own", duration_s=2))
+    path.write_text(SEQUENCE.format(name="own", duration_s=2, heavy_s=2))
     return path
 
 
