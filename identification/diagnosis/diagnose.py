@@ -61,8 +61,10 @@ FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 joint encoder's angle.
 """
 Maps = tuple[Map, ...]
-Estimate = Callable[[Dataset], Mapping[str, float | None]]
-"""Nominal parameters of a dataset by another estimator; None for one that is not determined."""
+Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]]]
+"""Nominal parameters of a dataset by another estimator, None for one that is not determined, and
+its warnings.
+"""
 ANGULAR = (
     "cogging",
     "torque_ripple",
@@ -90,7 +92,7 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share done.
         inspect: Called with the nominal model's fit before the search.
-        estimate: Its nominal parameters are reported if nothing is missing; None for the rows'.
+        estimate: Estimator of what is reported if nothing is missing; None keeps the fit.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.
@@ -110,8 +112,8 @@ def diagnose(
     shift = _shifts(found, scored, units_of([prepare(fitted[0], bandwidth)]))
     if verdict is Verdict.NOTHING_MISSING and estimate is not None:
         report("identifying the nominal parameters", 0.97)
-        found, shift = _with_estimate(found, here, unit, estimate(dataset), shift)
-        scored = found.baseline
+        found, shift, more = _with_estimate(found, here, unit, estimate(dataset), shift)
+        scored, why = found.baseline, (*why, *more)
     main, fits = _fits(found.baseline, scored, aside, unit, bandwidth, drawn)
     unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
     findings = _findings(found, verdict, traces, (*here, *aside), rng)
@@ -181,19 +183,20 @@ def _with_estimate(
     found: Search,
     here: Sequence[View],
     unit: str,
-    values: Mapping[str, float | None],
+    estimated: tuple[Mapping[str, float | None], tuple[str, ...]],
     shift: Mapping[str, Shift],
-) -> tuple[Search, dict[str, Shift]]:
-    """Return a search that found nothing with the nominal model at estimated values, and these
-    values before and after the correction.
+) -> tuple[Search, dict[str, Shift], tuple[str, ...]]:
+    """Return a search that found nothing with the nominal model at estimated values, these values
+    before and after the correction, and the estimator's warnings.
     """
+    values, warnings = estimated
     given = {n: v for n, v in values.items() if v is not None}
     nominal = nominal_at(here, unit, found.baseline, given)
     same = {
         n: replace(s, before=values[n], after=values[n]) if n in values else s
         for n, s in shift.items()
     }
-    return replace(found, baseline=nominal, final=nominal), same
+    return replace(found, baseline=nominal, final=nominal), same, warnings
 
 
 def observable_effects(

@@ -16,7 +16,7 @@ class SelectionRules:
     Attributes:
         level: Significance level of the tests whether anything is missing, or anything more. Basis:
             alarms at most 1 %; sign flips within blocks of time give the level by construction
-            (M44).
+            (D4, D5).
         tested_from: Ratio of an equation's mean-square mismatch to the noise's, from which it is
             tested. Basis: some hundred independent rows give the noise's mean square to about a
             tenth (decisions 36, 43).

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -98,16 +99,16 @@ def diagnose_source(
             dataset = burning(dataset)
             found = diagnose_gas(dataset, rng=rng, progress=progress)
         else:
-            nominal = _Nominal(seed, progress)
+            estimate = functools.partial(_identified, seed=seed, progress=progress)
             found = diagnose(
                 dataset,
                 bandwidth_Hz=bandwidth_Hz,
                 rng=rng,
                 progress=progress,
                 inspect=inspect,
-                estimate=nominal if refine else None,
+                estimate=estimate if refine else None,
             )
-            found = _refined(dataset, found, nominal, seed, progress) if refine else found
+            found = _refined(dataset, found, seed, progress) if refine else found
     except RecordingError as error:
         raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds, found = time.perf_counter() - started, settled(found)
@@ -190,37 +191,30 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     )
 
 
-class _Nominal:
-    """The nominal parameters as ``rig identify`` gives them, and its warnings."""
-
-    def __init__(self, seed: int, progress: Callable[[str, float], None] | None) -> None:
-        self._seed, self._progress = seed, progress
-        self.warnings: tuple[str, ...] = ()
-
-    def __call__(self, dataset: Dataset) -> dict[str, float | None]:
-        """Return the values, None for those that are not determined."""
-        rng = np.random.default_rng(self._seed)
-        try:
-            result = identify_any_length(dataset, rng=rng, progress=self._progress)
-        except RecordingError as error:
-            self.warnings = (f"not identified: {error}",)
-            return {}
-        self.warnings = tuple(f"identification: {w}" for w in result.warnings)
-        return {**result.values()}
+def _identified(
+    dataset: Dataset, seed: int, progress: Callable[[str, float], None] | None
+) -> tuple[dict[str, float | None], tuple[str, ...]]:
+    """Return the nominal parameters as ``rig identify`` gives them, None for those that are not
+    determined, and its warnings.
+    """
+    try:
+        result = identify_any_length(dataset, rng=np.random.default_rng(seed), progress=progress)
+    except RecordingError as error:
+        return {}, (f"not identified: {error}",)
+    return {**result.values()}, tuple(f"identification: {w}" for w in result.warnings)
 
 
 def _refined(
     dataset: Dataset,
     found: Diagnosis,
-    nominal: _Nominal,
     seed: int,
     progress: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """Return a diagnosis with nominal parameters by prediction errors, the effects subtracted,
-    where that takes no longer than the search; and with the warnings of the estimator.
+    """Return a diagnosis of something missing with nominal parameters by prediction errors, the
+    effects subtracted, where that takes no longer than the search.
     """
     if found.verdict is Verdict.NOTHING_MISSING:
-        return dataclasses.replace(found, warnings=(*found.warnings, *nominal.warnings))
+        return found
     samples = sum(len(r.time) for r in dataset.part("fit"))
     if samples > REFINED_SAMPLES:
         note = (

@@ -54,10 +54,11 @@ def test_where_nothing_is_missing_the_values_and_errors_are_those_of_the_estimat
     """A wrong estimate is not hidden: the printed error is the one that its values leave."""
     plain = of(honest())
     given = {**plain.parameters, "J": share * plain.parameters["J"]}
-    found = diagnose(Dataset(honest()), estimate=lambda _dataset: {**given, "Ms": None})
+    found = diagnose(Dataset(honest()), estimate=lambda _dataset: ({**given, "Ms": None}, ("hm",)))
     assert found.parameters["J"] == given["J"]
     assert found.parameter_shift["J"].before == found.parameter_shift["J"].after == given["J"]
     assert found.parameter_shift["Ms"].after is None
+    assert "hm" in found.warnings
     ratio = found.fit.final_rms / plain.fit.final_rms
     assert (0.99 < ratio < 1.05) if share == 1.0 else ratio > 1.2
 
