@@ -15,12 +15,20 @@ from identification.recording import Array
 Rows = NDArray[np.intp]
 LEAST_JITTER = 0.005
 """Deviation of the stamps from a grid, rms, in periods, below which they count as even."""
-MOST_OFF = 0.5
-"""Greatest deviation of one stamp from the grid, in periods."""
+MOST_OFF = 0.25
+"""Greatest mean deviation of neighbouring stamps from the grid, in periods: a lost sample or a
+changing rate moves all stamps from there on, jitter and single late stamps do not.
+"""
+WINDOW = 101
+"""Number of neighbouring stamps in that mean."""
 SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to that at the stamps, below which the grid is right.
 
 Quantisation and noise are the same on both; the more they hide of the jitter, the less it matters.
+"""
+FAST, MOST = 0.25, 0.99
+"""Samples are compared whose travel is at least this share of this quantile: at rest no stamp
+matters.
 """
 NEIGHBOURS = (-2, -1, 1, 2)
 
@@ -38,16 +46,18 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
         return None
     grid, index = found
     jitter = float(np.std(time - grid))
-    rows = _with_neighbours(index)
+    rows = _with_neighbours(index, time)
     if jitter < LEAST_JITTER * float(np.median(np.diff(grid))) or not rows.size:
         return None
+    travel = np.abs(angle[rows + 2] - angle[rows - 2])
+    rows = rows[travel >= FAST * np.quantile(travel, MOST)]
     on_grid, at_stamps = (_roughness(t, angle, rows) for t in (grid, time))
     return (grid, jitter) if on_grid < SMOOTHER * at_stamps else None
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps and the number of each sample; None if a
-    stamp is further than :data:`MOST_OFF` from it.
+    """Return the times on the line through the stamps and the number of each sample; None if the
+    stamps leave it by more than :data:`MOST_OFF` in the mean over neighbours.
     """
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
@@ -56,20 +66,28 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
         index = np.concatenate(([0], np.cumsum(counts))).astype(np.intp)
         period, origin = (float(v) for v in np.polyfit(index, time, 1))
         grid: Array = np.asarray(origin + period * index, dtype=np.float64)
-        if float(np.max(np.abs(time - grid))) <= MOST_OFF * period:
+        window = min(WINDOW, len(time) // 4)
+        mean = np.convolve(time - grid, np.full(window, 1.0 / window), mode="valid")
+        if float(np.max(np.abs(mean))) <= MOST_OFF * period:
             return grid, index
     return None
 
 
-def _with_neighbours(index: Rows) -> Rows:
-    """Return the rows whose two neighbours on either side are one period apart."""
-    consecutive = np.diff(index) == 1
+def _with_neighbours(index: Rows, time: Array) -> Rows:
+    """Return the rows whose two neighbours on either side are one period apart, with stamps of
+    their own.
+    """
+    consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
     runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
     return np.flatnonzero(runs) + 2
 
 
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
-    """Return the rms distance of samples from the cubic through their neighbours."""
+    """Return the median distance of samples from the cubic through their neighbours.
+
+    Nearly coinciding stamps magnify the noise of their samples without limit, so that a mean would
+    be theirs.
+    """
     apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
     predicted = np.zeros(len(rows))
     for j, k in enumerate(NEIGHBOURS):
@@ -78,4 +96,4 @@ def _roughness(time: Array, angle: Array, rows: Rows) -> float:
             if m != j:
                 weight *= other / (other - apart[j])
         predicted += weight * angle[rows + k]
-    return float(np.sqrt(np.mean((angle[rows] - predicted) ** 2)))
+    return float(np.median(np.abs(angle[rows] - predicted)))

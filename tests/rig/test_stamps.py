@@ -49,6 +49,25 @@ def test_evenly_taken_samples_get_even_times(share: float, quantum: float) -> No
     assert jitter == pytest.approx(share * PERIOD, rel=0.1)
 
 
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("kind", ["normal", "late", "late at times"])
+def test_jitter_of_any_distribution_gives_even_times(kind: str, seed: int) -> None:
+    """Stamps of a host are late, never early, and now and then by several periods."""
+    rng, count = np.random.default_rng(seed), 20_000
+    true = PERIOD * np.arange(count)
+    late = {
+        "normal": 0.13 * rng.standard_normal(count),
+        "late": rng.exponential(0.13, count),
+        "late at times": rng.exponential(0.05, count) + 2.0 * (rng.uniform(size=count) < 1e-3),
+    }[kind]
+    stamps = np.maximum.accumulate(true + PERIOD * late)
+    found = even_stamps(stamps, angle_at(true))
+    assert found is not None
+    offset = found[0] - true
+    assert np.ptp(offset) < 0.03 * PERIOD
+    assert np.mean(offset) == pytest.approx(PERIOD * np.mean(late), abs=0.02 * PERIOD)
+
+
 @pytest.mark.parametrize("share", [0.01, 0.1, 0.25])
 def test_uneven_samples_keep_their_stamps(share: float) -> None:
     assert even_stamps(jittering(share), angle_at(jittering(share))) is None
