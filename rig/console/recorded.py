@@ -20,7 +20,7 @@ from rig.runs.catalogue.index import list_runs
 SHOWN: Final = 30
 """Most runs of the list, the latest."""
 _FRESH_S: Final = 3.0
-"""Time for which a list is given out again."""
+"""Seconds for which a list is reused."""
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
 _POLICY: Final = (
     "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"

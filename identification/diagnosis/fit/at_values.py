@@ -31,9 +31,10 @@ def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[st
 
 
 def _remaining(equation: Equation, given: Sequence[str]) -> Array:
-    """Return an equation's residual with the parameters that have no given value at their best
-    values: those of other equations than torque, which are not nominal parameters or, in the
-    breakaway equation, levels of its own; and the rotor's share of the inertia.
+    """Return an equation's residual with its remaining parameters refitted.
+
+    In the torque equation the given values are held; the rotor's share of the inertia is refitted.
+    All parameters of the other equations are refitted: they are constants of their own.
     """
     held = given if equation.name == "torque" else ()
     other = equation.tangent[:, [name not in held for name in equation.names]]

@@ -66,7 +66,7 @@ class SelectionRules:
         further_searches: Number of searches without the effects that validation dropped. Basis: one
             for each effect that stands in for another (decision 43).
         parts: Number of parts of the blocks of time, used if one recording alone determines a
-            parameter. Basis: three quarters of the rows determine what all do.
+            parameter. Basis: chosen; three quarters of the rows remain for the fit.
         sole_share: Share of the squares of a parameter's derivative in one part, above which that
             part alone determines it. Basis: the others then give it ten times its standard error.
         loop_share: Ratio of the closing torque to the motion's torque, from which a crossing shows
@@ -84,10 +84,10 @@ class SelectionRules:
         nearly_complete: Share of the mismatch's power beyond the noise, below which the remainder
             is tested for hysteresis. Basis: simulated trials: right effects explained at least 95.9
             %, springs in place of hysteresis 76 to 89 %.
-        greatest_confidence: Greatest confidence in any effect. Basis: 99 of 100 is what proofs of
-            some hundred names can verify.
+        greatest_confidence: Greatest confidence in any effect. Basis: chosen;
+            on machines made by others such names are right less often (docs/diagnosis.md).
         incomplete_confidence: Greatest confidence in an effect if the test finds that more is
-            missing. Basis: 13 of 16 such trials were right.
+            missing. Basis: chosen; 13 of 16 such trials were right (54 to 96 %).
         faint_confidence: Greatest confidence in an effect whose mismatch is faint. Basis: a tenth
             of it may be something else (docs/diagnosis.md).
         implausible_confidence: Confidence in a rival that fits as well, but with a parameter
@@ -144,4 +144,4 @@ class SelectionRules:
 
 
 RULES = SelectionRules()
-"""The rules of ``rig diagnose``, with which the proofs were run."""
+"""The rules of ``rig diagnose``."""

@@ -240,7 +240,7 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
     rows = np.concatenate([before[stack.part(name)] for name in names])
     change = np.concatenate([(left[0][1] - before)[stack.part(name)] for name in names])
     if len(change) and float(np.mean(change**2)) < RULES.least_share:
-        # What these recordings have to themselves can explain the effect.
+        # Constants fitted to these recordings alone can absorb the effect.
         return fitted(names)
     if (len(rows) and float(np.mean(rows**2)) > RULES.tested_from) or unseen < -RULES.rejected:
         return unseen

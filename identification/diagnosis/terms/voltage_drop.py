@@ -24,7 +24,7 @@ smaller one looks like a dead time.
 """
 DEAD_SHARES, BRUSH_SHARES = (0.005, 0.02), (0.05, 0.1, 0.2)
 GREATEST_QUANTILE = 0.99
-"""Quantile of the currents that counts as the greatest; a few spikes are not it."""
+"""Quantile of the currents that counts as the greatest, so that spikes are ignored."""
 
 
 def has_current(view: View) -> bool:
@@ -64,7 +64,7 @@ def _mean_over_sample(
     """Return the mean of a function of the current over each sample's period, for a current that is
     linear in time.
 
-    Near a reversal the current changes by more than its knee within one period. ``zero_A`` is the
+    Near a reversal the current changes by more than I_b within one period. ``zero_A`` is the
     reading without current. The function is applied to the logged samples and its result resampled
     like the voltage, since interpolation of the current would widen the step.
     """

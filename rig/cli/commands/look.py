@@ -18,7 +18,7 @@ NEEDED = {
     "the angle": {"angle", "motor_angle", "velocity"},
     "the current, torque or voltage": {"current", "torque", "voltage"},
 }
-"""Channels of which an identification needs one each."""
+"""Sets of channels; an identification needs at least one of each."""
 
 
 @click.command("look")
@@ -78,7 +78,7 @@ def command(
 
 
 def _missing(look: Look) -> str:
-    """Return what to state in that campaign file, as no column was recognised as it."""
+    """Return which columns the user must state in that campaign file."""
     lacking = [name for name, any_of in NEEDED.items() if not any_of & look.guesses.keys()]
     return f", and state the column of {' and '.join(lacking)} in it" if lacking else ""
 

@@ -75,8 +75,8 @@ def diagnose_source(
         keeps its own bandwidth.
         progress: Called with the current step and the completed share.
         refine: Whether nominal parameters are those of ``rig identify`` if nothing is missing, and
-            refitted by prediction errors, with the effects subtracted, if something is; that of
-            more than :data:`REFINED_SAMPLES` samples takes too long. A gas generator's are always
+            refitted by prediction errors, with the effects subtracted, if something is; above
+            :data:`REFINED_SAMPLES` samples no refit is made. A gas generator's are always
             refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
         a firing are left out.

@@ -6,8 +6,8 @@ constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint cre
 one step late.
 
 A step of MuJoCo accelerates the joint with the current at the step's end, and its angle with the
-speed at the step's end. The angle before a step therefore belongs to the stamp one step earlier;
-current, voltage and angle are consistent with these stamps.
+speed at the step's end. The angle before a step is therefore logged one stamp later, so that it
+agrees with the current that caused the motion.
 """
 
 from __future__ import annotations
