@@ -112,9 +112,17 @@ def joint_angle(recording: Recording) -> Array | None:
     motor = channels["motor_angle"] / recording.bench.gear_ratio
     if joint is None:
         return motor
-    if 0.0 < quantum(joint) < quantum(motor):
+    if finer_joint(recording):
         return joint
     return np.asarray(motor + np.median(joint - motor))
+
+
+def finer_joint(recording: Recording) -> bool:
+    """Whether the joint encoder was recorded and is finer than the motor's at the joint."""
+    joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
+    if joint is None or motor is None:
+        return joint is not None
+    return 0.0 < quantum(joint) < quantum(motor / recording.bench.gear_ratio)
 
 
 def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:

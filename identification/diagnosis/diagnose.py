@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from time import perf_counter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,7 +41,7 @@ from identification.diagnosis.selection.held_out import (
     validation_rms,
 )
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
-from identification.diagnosis.selection.search import Progress, Search, search
+from identification.diagnosis.selection.search import Options, Progress, Search, search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
@@ -104,9 +105,8 @@ def diagnose(
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
         inspect(first)
-    here, aside, found, (verdict, where, drawn) = _searches(
-        dataset, (here, first), terms, bandwidth, rng, report
-    )
+    task = _Task(dataset, here, first, bandwidth, rng, report)
+    here, aside, found, verdict, where, drawn = _searches(task, terms)
     effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else found.baseline
     shift = _shifts(found, scored, units_of([prepare(fitted[0], bandwidth)]))
@@ -137,39 +137,72 @@ def diagnose(
     )
 
 
-def _searches(
-    dataset: Dataset,
-    start: tuple[tuple[View, ...], Joint],
-    terms: Sequence[Term],
-    bandwidth: float,
-    rng: np.random.Generator,
-    report: Progress,
-) -> tuple[tuple[View, ...], tuple[View, ...], Search, tuple[Verdict, Location | None, Maps]]:
-    """Search, validate and judge; if effects were dropped and the verdict is outside the
-    catalogue, search again without them, since they may have stood in for others.
+class _Task(NamedTuple):
+    """Inputs of every search of one diagnosis.
 
-    The first result counts if no further search ends with another verdict. The arguments are those
-    of :func:`_search_sides`.
-
-    Returns:
-        Views of the fitted recordings and of those set aside, the search, and the verdict with the
-        location and the maps of the mismatch.
+    Attributes:
+        dataset: The dataset.
+        here: Views of the fitted recordings.
+        first: Fit of the nominal model to them.
+        bandwidth: Bandwidth of every error, Hz.
+        rng: Random generator for the sign flips.
+        report: Called with the name of the step and the share done.
     """
-    unit = torque_unit(dataset.part("fit")[0])
-    results = []
-    for _ in range(1 + RULES.further_searches):
-        here, searched, gives = _search_sides(dataset, start, terms, bandwidth, rng, report)
-        aside = _validation_views(dataset, bandwidth, gives)
-        report("validating effects on unused recordings", 0.92)
-        found = with_indistinct_effects(validated_effects(searched, here, aside, unit), terms)
-        report("locating", 0.95)
-        results.append((here, aside, found, verdict_of(found, rng, searched)))
-        without = {s.name for s in found.steps if s.action == DROPPED}
-        if results[-1][-1][0] is not Verdict.OUTSIDE_CATALOGUE or not without:
+
+    dataset: Dataset
+    here: tuple[View, ...]
+    first: Joint
+    bandwidth: float
+    rng: np.random.Generator
+    report: Progress
+
+    @property
+    def unit(self) -> str:
+        """Unit of the torque."""
+        return torque_unit(self.dataset.part("fit")[0])
+
+
+class _Outcome(NamedTuple):
+    """Views of the fitted recordings and of those set aside, the validated search, the verdict with
+    the location and the maps of the mismatch.
+    """
+
+    here: tuple[View, ...]
+    aside: tuple[View, ...]
+    found: Search
+    verdict: Verdict
+    where: Location | None
+    maps: Maps
+
+
+def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
+    """Search, validate and judge; as long as the verdict is outside the catalogue, search again:
+    without the effects that were dropped, since they may have stood in for others, and then with a
+    fit of every effect.
+
+    The first outcome counts if no further search ends with another verdict.
+    """
+    outcomes, tried = [_outcome(task, terms)], terms
+    for _ in range(RULES.further_searches):
+        without = {s.name for s in outcomes[-1].found.steps if s.action == DROPPED}
+        if outcomes[-1].verdict is not Verdict.OUTSIDE_CATALOGUE or not without:
             break
-        terms = [t for t in terms if t.name not in without]
-    last = results[-1]
-    return last if last[-1][0] in (Verdict.NAMED, Verdict.AMBIGUOUS) else results[0]
+        tried = [t for t in tried if t.name not in without]
+        outcomes.append(_outcome(task, tried))
+    if outcomes[-1].verdict is Verdict.OUTSIDE_CATALOGUE:
+        outcomes.append(_outcome(task, terms, thorough=True))
+    named = outcomes[-1].verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
+    return outcomes[-1] if named else outcomes[0]
+
+
+def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Outcome:
+    """Search, validate and judge once."""
+    here, searched, flexible = _search_sides(task, terms, thorough)
+    aside = _validation_views(task.dataset, task.bandwidth, flexible)
+    task.report("validating effects on unused recordings", 0.92)
+    found = with_indistinct_effects(validated_effects(searched, here, aside, task.unit), terms)
+    task.report("locating", 0.95)
+    return _Outcome(here, aside, found, *verdict_of(found, task.rng, searched))
 
 
 def _begin(progress: Progress | None) -> Progress:
@@ -252,36 +285,26 @@ def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recordi
 
 
 def _search_sides(
-    dataset: Dataset,
-    start: tuple[tuple[View, ...], Joint],
-    terms: Sequence[Term],
-    bandwidth: float,
-    rng: np.random.Generator,
-    report: Progress,
+    task: _Task, terms: Sequence[Term], thorough: bool
 ) -> tuple[tuple[View, ...], Search, bool]:
     """Search for effects on the motor's side and, with a flexible transmission, again on the
     valve's side.
 
-    Args:
-        dataset: The dataset.
-        start: Views of its recordings and the fit of the nominal model.
-        terms: Effects to choose from.
-        bandwidth: Bandwidth of every error, Hz.
-        rng: Random generator for the sign flips.
-        report: Called with the name of the step and the share done.
-
     Returns:
         Views of the last search, its result, and whether the transmission is flexible.
     """
-    (here, first), fitted, fixed = start, dataset.part("fit"), dataset.model.fixed
-    unit = torque_unit(fitted[0])
-    found = search(here, unit, first, terms, rng, report, FLEXIBLE, fixed)
+    fitted, model = task.dataset.part("fit"), task.dataset.model
+    options = Options(FLEXIBLE, model.fixed, thorough)
+    found = search(task.here, task.unit, task.first, terms, task.rng, task.report, options)
     if not any(e.term.name in FLEXIBLE for e in found.final.effects):
-        return here, found, False
-    report("search on the valve's side", 0.0)
-    here = views(fitted, bandwidth, True, dataset.recordings)
-    again = fit_from_estimate(here, unit, first.nominal, dataset.model)
-    return here, search(here, unit, again, on_the_joint(terms), rng, report, fixed=fixed), True
+        return task.here, found, False
+    task.report("search on the valve's side", 0.0)
+    here = views(fitted, task.bandwidth, True, task.dataset.recordings)
+    again = fit_from_estimate(here, task.unit, task.first.nominal, model)
+    options = replace(options, until=())
+    terms = on_the_joint(terms)
+    found = search(here, task.unit, again, terms, task.rng, task.report, options)
+    return here, found, True
 
 
 def _effects_to_search(
@@ -294,10 +317,10 @@ def _effects_to_search(
     return [t for t in TERMS if t.name not in left_out], why
 
 
-def _validation_views(dataset: Dataset, bandwidth: float, gives: bool) -> tuple[View, ...]:
+def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tuple[View, ...]:
     """Return views of the recordings that are set aside."""
     fitted, held = dataset.part("fit"), dataset.part("validate")
-    return views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
+    return views((*fitted, *held), bandwidth, flexible, dataset.recordings)[len(fitted) :]
 
 
 def _is_linear(bench: Bench) -> bool:

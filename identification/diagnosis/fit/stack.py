@@ -25,7 +25,7 @@ from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
 FEW_REGRESSORS = 4
-"""Number of regressors up to which the variance is computed from the residual after the fit."""
+"""Number of regressors up to which the statistic is computed from the residual after the fit."""
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column is rounding error."""
 NOMINAL_IN = ("torque", "breakaway")
@@ -253,10 +253,11 @@ class Stack:
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int]
     ) -> Candidate | None:
         full = self.whitened(columns)
-        before = _lengths(full)
-        rest = self.projected(full)
-        after = _lengths(rest)
-        if np.any(before == 0.0) or np.any(after < RULES.collinear_below * before):
+        # A recording that shows nothing of what each recording has to itself has zeros there.
+        shown = _lengths(full) > 0.0
+        before = _lengths(full)[shown]
+        rest = self.projected(full[:, shown])
+        if not len(before) or np.any(_lengths(rest) < RULES.collinear_below * before):
             return None
         q, r = np.linalg.qr(rest)
         diagonal = np.abs(np.diag(r))
@@ -267,21 +268,21 @@ class Stack:
         if 1.0 / float(energy @ energy) < RULES.least_active:
             return None
         score = q.T @ self.residual
-        coefficients = np.linalg.solve(r, score)
+        coefficients = np.zeros(len(shown))
+        coefficients[shown] = np.linalg.solve(r, score)
         if any(coefficients[k] <= 0.0 for k in positive):
             return None
-        if q.shape[1] > FEW_REGRESSORS:
-            weights = NO_WEIGHTS
-        rest_sums = sums - weights @ score if len(weights) else sums
+        rest_sums = sums - weights @ score
+        few = q.shape[1] <= FEW_REGRESSORS
         return Candidate(
             name=name,
             shape=shape,
             coefficients=coefficients,
             gain=float(score @ score),
             penalty=float(np.sum(rest_sums**2)),
-            statistic=wald_statistic(score, rest_sums),
+            statistic=wald_statistic(score, rest_sums if few else sums),
             blocks=sums,
-            weights=weights,
+            weights=weights if few else NO_WEIGHTS,
             share=float(score @ score) / sum(len(c) for c in columns.values()),
         )
 

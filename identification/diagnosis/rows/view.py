@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from identification.diagnosis.rows.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
     drive_torque,
+    finer_joint,
     irregular,
     joint_angle,
     resting,
@@ -157,6 +159,13 @@ class View:
         return self.time[half : len(self.time) - half : self.low_pass.factor]
 
 
+class _Origin(NamedTuple):
+    """Start of a recording in running time, s, and what is added to its joint angle, rad."""
+
+    start: float
+    shift: float
+
+
 def views(
     recordings: Sequence[Recording],
     bandwidth_Hz: float,
@@ -177,15 +186,40 @@ def views(
         RecordingError: A recording does not allow this bandwidth.
     """
     every = campaign or recordings
-    starts = dict(zip(map(id, every), run_starts(every), strict=True))
+    starts = run_starts(every)
+    shifts = _shifts_of_zero(every, starts, valve_side)
+    origins = {id(r): _Origin(*o) for r, *o in zip(every, starts, shifts, strict=True)}
     found = _one_origin(
-        [_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings)]
+        [_view(r, k, bandwidth_Hz, valve_side, origins[id(r)]) for k, r in enumerate(recordings)]
     )
     if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(
         np.sum(v.unsteady) for v in found
     ):
         return found
     return tuple(replace(v, moving=v.unsteady) for v in found)
+
+
+def _shifts_of_zero(
+    recordings: Sequence[Recording], starts: Sequence[float], valve_side: bool
+) -> list[float]:
+    """Return what is added to the joint angle of each recording, rad, so that all have one zero.
+
+    The joint angle is the motor's, with the zero of the joint encoder in that recording
+    (:func:`joint_angle`). If the motor's origin was kept, the zero of the first recording holds for
+    all: a joint encoder that slipped later does not turn the joint.
+    """
+    lags = [None if valve_side or finer_joint(r) else _encoder_lag(r) for r in recordings]
+    known = [(start, lag) for start, lag in zip(starts, lags, strict=True) if lag is not None]
+    if len(known) < 2 or _origin_is_lost([lag for _, lag in known]):
+        return [0.0] * len(recordings)
+    first = float(np.median(min(known, key=lambda k: k[0])[1]))
+    return [0.0 if lag is None else float(np.median(lag)) - first for lag in lags]
+
+
+def _origin_is_lost(lags: Sequence[Array]) -> bool:
+    """Whether the difference of the encoders changes more between recordings than within any."""
+    within = max(float(np.ptp(lag)) for lag in lags)
+    return float(np.ptp([np.median(lag) for lag in lags])) > within
 
 
 def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
@@ -199,15 +233,14 @@ def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
     if len(both) < 2:
         return tuple(found)
     zeros = {v.index: float(np.median(v.lag)) for v in both if v.lag is not None}
-    within = max(float(np.ptp(v.lag)) for v in both if v.lag is not None)
-    if float(np.ptp(list(zeros.values()))) <= within:
+    if not _origin_is_lost([v.lag for v in both if v.lag is not None]):
         return tuple(found)
     gear = both[0].recording.bench.gear_ratio
     return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
 
 
 def _view(
-    recording: Recording, index: int, start: float, bandwidth_Hz: float, valve_side: bool
+    recording: Recording, index: int, bandwidth_Hz: float, valve_side: bool, origin: _Origin
 ) -> View:
     grid, rate = uniform_grid(recording), 1.0 / recording.period
     low_pass = decimator(rate, bandwidth_Hz)
@@ -219,6 +252,7 @@ def _view(
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
+    angle = np.asarray(angle + origin.shift)
     acceleration = central_difference(velocity, 1.0 / rate)
     drive = drive_torque(recording, grid, velocity)
     hanging = recording.known_torque(angle)
@@ -237,7 +271,7 @@ def _view(
         recording=recording,
         index=index,
         time=grid,
-        run_time=start + grid - grid[0],
+        run_time=origin.start + grid - grid[0],
         angle=angle,
         velocity=velocity,
         acceleration=acceleration,
@@ -329,13 +363,21 @@ def _motor(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def _lag(recording: Recording, grid: Array) -> Array | None:
+    lag = _encoder_lag(recording)
+    return None if lag is None else resample(recording.time, lag, grid)
+
+
+def _encoder_lag(recording: Recording) -> Array | None:
+    """Return the drive side less the joint side at the samples, rad; None without both
+    encoders.
+    """
     channels = recording.channels
     if "motor_angle" not in channels or "angle" not in channels:
         return None
     lag = channels["motor_angle"] / recording.bench.gear_ratio - channels["angle"]
     if float(np.ptp(lag)) < SAME_ENCODER * float(np.ptp(channels["angle"])):
         return None
-    return resample(recording.time, lag, grid)
+    return np.asarray(lag)
 
 
 def torque_per_ampere(view: View) -> float:

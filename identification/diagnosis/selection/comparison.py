@@ -13,6 +13,7 @@ from scipy import stats
 
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.joint import Added, Joint
+from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
@@ -154,3 +155,14 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
         parameter_count(rival) > parameter_count(chosen)
         and float(difference @ difference) < RULES.same_fit * best.cost
     )
+
+
+def one_of_each(
+    trials: Sequence[tuple[Candidate, Joint]],
+) -> tuple[list[Candidate], list[Joint]]:
+    """Return candidates and fits with the best fit of each effect only, in the same order."""
+    best: dict[str, tuple[Candidate, Joint]] = {}
+    for candidate, joint in trials:
+        if candidate.name not in best or joint.cost < best[candidate.name][1].cost:
+            best[candidate.name] = candidate, joint
+    return [c for c, _ in best.values()], [j for _, j in best.values()]

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +28,7 @@ from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Contender, Round, implausible
+from identification.diagnosis.selection.crossing import PAIR
 from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.recording import Array
@@ -144,18 +144,73 @@ def validated_effects(
             if tried is None:
                 continue
             # An effect in one recording alone cannot be tested on others.
-            worth = (
-                _error_reduction(case, tried, joint, tried.effects[-1])
-                if tried.effects[-1].term.place is None
-                else math.inf
-            )
+            alone = tried.effects[-1].term.place is not None
+            worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
             if worth >= RULES.rejected:
-                steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case))
+                steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case, alone))
                 joint, rounds[rival.name] = tried, Round(rival.name, ())
                 break
-    return replace(
-        found, baseline=baseline, final=joint, rounds=tuple(rounds.values()), steps=tuple(steps)
-    )
+    judged = []
+    for kept in rounds.values():
+        joint, now = _with_rivals_judged(case, joint, kept, steps)
+        judged.append(now)
+    return replace(found, baseline=baseline, final=joint, rounds=tuple(judged), steps=tuple(steps))
+
+
+def _with_rivals_judged(
+    case: _Case, joint: Joint, taken: Round, steps: list[Step]
+) -> tuple[Joint, Round]:
+    """Return fit and round of an effect whose rivals are also judged by recordings set aside, where
+    these are decisive.
+
+    A rival that the fit does not reject, and whose error is significantly smaller there, takes the
+    effect's place.
+    """
+    seen = _seen_aside(case, joint, taken.name)
+    if seen is None:
+        return joint, taken
+    rivals, better = [], []
+    for rival in taken.rivals:
+        tried = within_limits(case.here, case.unit, rival.joint)
+        there = _seen_aside(case, tried, rival.name)
+        # The torque during crossings decides between a gap and a loop.
+        if {taken.name, rival.name} == set(PAIR):
+            there = None
+        if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
+            stack, left, names = seen
+            worse = _studentised_reduction(stack, [left, there[1]], names)
+            if worse >= RULES.rejected:
+                rival = replace(rival, preference=max(rival.preference, worse))
+            elif worse <= -RULES.rejected:
+                if rival.preference < RULES.rejected and not rival.beyond:
+                    better.append((worse, rival, tried))
+                else:
+                    rival = replace(rival, preference=min(rival.preference, 0.0))
+        rivals.append(rival)
+    if not better:
+        return joint, replace(taken, rivals=tuple(rivals))
+    worse, rival, tried = min(better, key=lambda b: b[0])
+    steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
+    # Stouffer's sum of what the fitted recordings and those set aside say.
+    former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
+    others = (r for r in rivals if r.name != rival.name)
+    return tried, Round(rival.name, (former, *others))
+
+
+def _others(joint: Joint, name: str) -> set[str]:
+    """Return the names of a fit's effects without one."""
+    return {e.term.name for e in joint.effects} - {name}
+
+
+def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, list[str]] | None:
+    """Return rows and residual of recordings set aside, and the equations by which an effect is
+    judged; None if they cannot judge it.
+    """
+    own = next((e for e in joint.effects if e.term.name == name), None)
+    if own is None or own.term.place is not None or not case.aside:
+        return None
+    found = validation_residual(joint, case.aside, case.unit)
+    return None if found is None else (*found, judging_equations(joint, own.term))
 
 
 def dropped_effects(found: Search) -> tuple[str, ...]:
@@ -182,11 +237,15 @@ class _Case(NamedTuple):
     baseline: Joint
 
 
-def _step(action: str, name: str, gain: float, worth: float, case: _Case) -> Step:
-    if math.isinf(worth):
+def _step(
+    action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
+) -> Step:
+    if alone:
         note = "is in one recording alone, so that no other can test it"
         return Step(action, name, None, gain, note)
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
+    if math.isinf(worth):
+        return Step(action, name, None, gain, f"explains nearly all of the error on {judges}")
     change = "less" if worth >= 0.0 else "larger"
     note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
     return Step(action, name, None, gain, note)
@@ -217,35 +276,61 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
     """Return by how many standard errors, over blocks of time, an effect reduces the error in the
     equations by which it is judged.
     """
-    left = (
-        [validation_residual(j, case.aside, case.unit) for j in (joint, without)]
-        if case.aside
-        else []
-    )
-    parts = folds(joint)
-    fitted = partial(
-        _studentised_reduction,
-        joint.stack,
-        [cross_validation_residual(j, parts) for j in (joint, without)],
-    )
     names = judging_equations(joint, effect.term)
-    if not left or left[0] is None or left[1] is None:
-        return fitted(names)
-    stack, before = left[1]
-    shown = stack.columns(effect.term, effect.shape).values()
-    if not any(np.any(columns) for columns in shown):
-        # The effect is unknown in these recordings, as a phase that each recording has to itself.
-        return fitted(names)
-    unseen = _studentised_reduction(stack, [left[0][1], before], names)
-    rows = np.concatenate([before[stack.part(name)] for name in names])
-    change = np.concatenate([(left[0][1] - before)[stack.part(name)] for name in names])
-    if len(change) and float(np.mean(change**2)) < RULES.least_share:
-        # Constants fitted to these recordings alone can absorb the effect.
-        return fitted(names)
-    if (len(rows) and float(np.mean(rows**2)) > RULES.tested_from) or unseen < -RULES.rejected:
-        return unseen
-    # The mismatch of these recordings is within the noise, so no effect can reduce it.
-    return fitted(names)
+    unseen = [
+        found
+        for j in (joint, without)
+        if case.aside and (found := validation_residual(j, case.aside, case.unit)) is not None
+    ]
+    if len(unseen) == 2:
+        stack, left = unseen[1][0], [rows for _, rows in unseen]
+        reduction = _reduction(stack, left, names)
+        if reduction >= RULES.rejected or (
+            _can_show(stack, left, effect, names)
+            and (_beyond_noise(stack, left[1], names) or reduction < -RULES.rejected)
+        ):
+            return reduction
+    # No recording is set aside, or those that are cannot judge the effect.
+    parts = folds(joint)
+    left = [cross_validation_residual(j, parts) for j in (joint, without)]
+    return _reduction(joint.stack, left, names)
+
+
+def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
+    """Whether an effect changes the prediction of recordings.
+
+    It may be unknown there, as a phase that each recording has to itself, and the constants fitted
+    to these recordings alone can absorb it.
+    """
+    columns = stack.columns(effect.term, effect.shape).values()
+    change = np.concatenate([(left[0] - left[1])[stack.part(name)] for name in names])
+    return any(np.any(c) for c in columns) and (
+        not len(change) or float(np.mean(change**2)) >= RULES.least_share
+    )
+
+
+def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
+    """Whether a residual is beyond the noise in some equations; otherwise no effect can reduce
+    it.
+    """
+    rows = np.concatenate([left[stack.part(name)] for name in names])
+    return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
+
+
+def _reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`_studentised_reduction`, infinite if the first residual lacks nearly all of the
+    second's squares beyond the noise.
+
+    An effect in a few blocks, as an end stop, may explain nearly everything, although these are
+    too few for a standard error.
+    """
+    rows = np.concatenate([np.stack(left, axis=1)[stack.part(name)] for name in names])
+    within = RULES.excess * len(rows)
+    first, second = (max(float(squares), within) for squares in np.sum(rows**2, axis=0))
+    explained = (second - first) / (second - within) if second > within else 0.0
+    if explained >= RULES.adequate:
+        return math.inf
+    return _studentised_reduction(stack, left, names)
 
 
 def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:

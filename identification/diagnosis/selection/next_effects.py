@@ -7,7 +7,9 @@ other.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+
+import numpy as np
 
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate
@@ -17,7 +19,12 @@ from identification.diagnosis.selection.removal import (
     left_beyond_noise,
     would_be_removed,
 )
-from identification.diagnosis.terms.term import Term
+from identification.diagnosis.terms.term import Context, Shape, Term
+
+TRIALS = 3
+"""Number of trial parameters of an effect without a score; a fit searches within a factor of 4 of
+each.
+"""
 
 
 def finalist_groups(
@@ -61,3 +68,29 @@ def finalist_groups(
 
 def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
     return [c for c in ranked if c.score > RULES.rival_share * ranked[0].score][: RULES.finalists]
+
+
+def unscored(
+    joint: Joint, terms: Mapping[str, Term], scored: Collection[Candidate]
+) -> list[Candidate]:
+    """Return trials of the effects without a score whose size is given by a nonlinear parameter.
+
+    Their regressors depend on the nominal values: where these are far from the right ones, as
+    without a Stribeck fall, the score of the right effect may be negative.
+    """
+    names = {c.name for c in scored}
+    context = Context(joint.equations[0].views, joint.nominal)
+    acting = {e.name for e in joint.equations}
+    out = []
+    for name, term in terms.items():
+        if name in names or term.size is None or not acting & term.columns.keys():
+            continue
+        shapes = list(term.shapes(context))
+        places = {(2 * k + 1) * len(shapes) // (2 * TRIALS) for k in range(TRIALS)}
+        out += [_trial(name, shapes[k]) for k in sorted(places) if k < len(shapes)]
+    return out
+
+
+def _trial(name: str, shape: Shape) -> Candidate:
+    none = np.zeros((0, 1))
+    return Candidate(name, shape, np.ones(1), 0.0, 0.0, 0.0, none, np.zeros((0, 1, 1)), 0.0)

@@ -31,12 +31,13 @@ from identification.diagnosis.selection.comparison import (
     Round,
     contains,
     implausible,
+    one_of_each,
     parameter_count,
     preference,
     simplest,
 )
 from identification.diagnosis.selection.crossing import gap_or_loop
-from identification.diagnosis.selection.next_effects import finalist_groups
+from identification.diagnosis.selection.next_effects import finalist_groups, unscored
 from identification.diagnosis.selection.removal import (
     judging_equations,
     share_equation,
@@ -72,6 +73,23 @@ class Search:
 
 
 @dataclass(frozen=True)
+class Options:
+    """Options of a search.
+
+    Attributes:
+        until: Names of effects; the search ends when one of them is added.
+        fixed: Nominal parameters that are not estimated.
+        thorough: Whether every effect is fitted before the first is selected, and not only those
+            with the best scores. A score is linear about the nominal fit, which may be far from
+            the right parameters.
+    """
+
+    until: Collection[str] = ()
+    fixed: Collection[str] = ()
+    thorough: bool = False
+
+
+@dataclass(frozen=True)
 class _Case:
     """Inputs of the whole search.
 
@@ -79,13 +97,13 @@ class _Case:
         views: Recordings.
         unit: Unit of the torque.
         terms: Effects to choose from, by name.
-        fixed: Nominal parameters that are not estimated.
+        options: Options of the search.
     """
 
     views: tuple[View, ...]
     unit: str
     terms: Mapping[str, Term]
-    fixed: Collection[str]
+    options: Options
 
 
 @dataclass(frozen=True)
@@ -112,8 +130,7 @@ def search(
     terms: Sequence[Term],
     rng: np.random.Generator,
     progress: Progress,
-    until: Collection[str] = (),
-    fixed: Collection[str] = (),
+    options: Options = Options(),
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each.
 
@@ -127,10 +144,9 @@ def search(
         terms: Effects to choose from.
         rng: Random generator for the sign flips.
         progress: Called with the current step.
-        until: Names of effects; the search ends when one of them is added.
-        fixed: Nominal parameters that are not estimated.
+        options: Options of the search.
     """
-    case = _Case(tuple(views), unit, {t.name: t for t in terms}, fixed)
+    case = _Case(tuple(views), unit, {t.name: t for t in terms}, options)
     joint = baseline
     rounds: list[Round] = []
     steps: list[Step] = []
@@ -153,9 +169,9 @@ def search(
         joint, added = taken
         rounds.append(added)
         baseline, joint = with_lower_noise(views, unit, baseline, joint)
-        if added.name in until:
+        if added.name in options.until:
             break
-    if not rounds or rounds[-1].name not in until:
+    if not rounds or rounds[-1].name not in options.until:
         joint, rounds = _final_effects(case, (baseline, joint), rounds, progress, steps)
     p_value, p_after = p_values[0], p_values[-1]
     return Search(baseline, joint, tuple(rounds), p_value, p_after, test.loudest, tuple(steps))
@@ -208,6 +224,10 @@ def _next_effect(
     """
     baseline, joint = fits
     best = _best_of_each(test.trials)
+    if case.options.thorough and not joint.effects:
+        every = [*best, *unscored(joint, case.terms, best)]
+        tell(every)
+        return _best_finalist(case, fits, every, test.p_value, steps)
     if not best:
         return None
     missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)
@@ -251,7 +271,9 @@ def _best_finalist(
     if not finalists:
         return None
     terms, joint = case.terms, fits[1]
-    fitted = [_fit_with(case, fits, candidate) for candidate in finalists]
+    finalists, fitted = one_of_each(
+        [(candidate, _fit_with(case, fits, candidate)) for candidate in finalists]
+    )
     beyond = [implausible(f) for f in fitted]
     ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
     order = [k for k in ranked if not beyond[k]]
@@ -295,12 +317,14 @@ def _best_finalist(
 def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
     """Return the fit with a candidate and the selected effects.
 
-    An effect with several forms is fitted in each; a form other than the usual one must be
-    significantly better.
+    An effect with several forms is fitted in each; a form must be significantly better than those
+    before it.
     """
-    usual, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
-    sure = [f for f in others if preference(f, usual) >= RULES.rejected]
-    return min(sure, key=lambda f: f.cost, default=usual)
+    taken, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
+    for other in others:
+        if preference(other, taken) >= RULES.rejected:
+            taken = other
+    return taken
 
 
 def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
@@ -324,7 +348,7 @@ def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shap
     tried = fit(case.views, case.unit, joint.nominal, (*joint.effects, added), baseline)
     if added.term.follows and tried.nominal.flat:
         # An effect that depends on the fall of friction may have masked it in the nominal fit.
-        tried = with_assumed_fall(case.views, case.unit, tried, joint.nominal, case.fixed)
+        tried = with_assumed_fall(case.views, case.unit, tried, joint.nominal, case.options.fixed)
     return feasible_or_first(case.views, case.unit, tried)
 
 

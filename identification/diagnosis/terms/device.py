@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
@@ -20,6 +21,7 @@ from identification.diagnosis.terms.term import (
     Term,
     everywhere,
     in_motion,
+    of_each_recording,
     one,
     polar,
     rows,
@@ -33,10 +35,14 @@ REFERENCE_FORCE_N = 3000.0
 REFERENCE_MASS_KG = 30.6
 """Case 2 of the paper, the reference of load exponent and load inertia."""
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
-BOTH = 0.0
-"""Side of a pair of end stops."""
+UPPER, LOWER, BOTH = 1.0, -1.0, 0.0
+"""End of the travel with a stop."""
 STOPS = 10
 """Number of trial stops on either side, in the outer half of the travel."""
+ONE_PHASE = 0.0
+"""Last nonlinear parameter of a swing whose phase and size are the same at the start of each
+recording; otherwise the number of recordings, each with its own.
+"""
 SKEWS_S: tuple[Shape, ...] = tuple(
     (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
 )
@@ -44,7 +50,8 @@ WITH_VOLTAGE = (1.0,)
 """Last nonlinear parameter of a time skew for which the voltage is sampled together with the
 current.
 """
-SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
+SWINGS_HZ = tuple(float(f) for f in np.arange(0.3, 3.01, 0.04))
+SWING_DECAY_S = 8.0
 
 
 @lru_cache(maxsize=KEPT)
@@ -97,48 +104,55 @@ def label_kg(view: View) -> float:
 
 
 def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
-    if not view.loaded:
-        return np.zeros((2, len(view.time)))
-    since = view.time - view.time[0]
-    envelope = _load(view, nominal) * np.exp(-since / shape[1])
-    return np.asarray(sine_cosine(2.0 * np.pi * shape[0], since) * envelope)
+    swing = np.zeros((2, len(view.time)))
+    if view.loaded:
+        since = view.time - view.time[0]
+        envelope = _load(view, nominal) * np.exp(-since / shape[1])
+        swing = sine_cosine(2.0 * np.pi * shape[0], since) * envelope
+    return swing if shape[2] == ONE_PHASE else of_each_recording(view, round(shape[2]), swing)
+
+
+def _swings(context: Context) -> Sequence[Shape]:
+    loaded = [v.index for v in context.views if v.loaded]
+    own = (float(1 + max(loaded)),) if len(loaded) > 1 else ()
+    return [(f, SWING_DECAY_S, phases) for f in SWINGS_HZ for phases in (ONE_PHASE, *own) if loaded]
 
 
 def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
+    sizes = [
+        polar(float(sine), float(cosine))[0] for sine, cosine in zip(c[::2], c[1::2], strict=True)
+    ]
     return {
-        "fraction": polar(float(c[0]), float(c[1]))[0],
+        "fraction": float(np.median([size for size in sizes if size > 0.0] or [0.0])),
         "frequency_Hz": shape[0],
         "decay_s": shape[1],
     }
 
 
 def _stop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    side, angle, other = shape
-    if side == BOTH:
-        beyond = np.maximum(view.angle - angle, 0.0) + np.minimum(view.angle - other, 0.0)
-        return rows(beyond)
-    return rows(side * np.maximum(side * (view.angle - angle), 0.0))
+    side, upper, lower = shape
+    above, below = np.maximum(view.angle - upper, 0.0), np.minimum(view.angle - lower, 0.0)
+    return rows((side != LOWER) * above + (side != UPPER) * below)
 
 
 def _stops(context: Context) -> list[Shape]:
     """Return trial stops at either end of the travel, and at both."""
     low = min(float(np.min(v.angle)) for v in context.views)
     high = max(float(np.max(v.angle)) for v in context.views)
-    shares = np.linspace(0.5, 0.97, STOPS)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    single = [
-        (side, float(middle + side * share * half), 0.0) for side in (1.0, -1.0) for share in shares
+    return [
+        (side, float(middle + share * half), float(middle - share * half))
+        for share in np.linspace(0.5, 0.97, STOPS)
+        for side in (UPPER, LOWER, BOTH)
     ]
-    both = [(BOTH, float(middle + share * half), float(middle - share * half)) for share in shares]
-    return [*single, *both]
 
 
 def _read_stop(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
-    side, angle, other = shape
+    side, upper, lower = shape
     return {
-        "angle_rad": angle,
+        "angle_rad": lower if side == LOWER else upper,
         "stiffness_Nm_rad": float(c[0]),
-        "other_rad": other if side == BOTH else 0.0,
+        "other_rad": lower if side == BOTH else 0.0,
     }
 
 
@@ -204,6 +218,7 @@ TERMS = (
         _read_stop,
         _stops,
         refine={1: 0.08, 2: 0.08},
+        forms={0: (UPPER, LOWER, BOTH)},
         positive=(0,),
         at_angle=True,
     ),
@@ -239,7 +254,7 @@ TERMS = (
         "load_swing",
         in_motion(_swing),
         _read_swing,
-        lambda c: everywhere(c, _is_loaded, SWINGS),
+        _swings,
         refine={0: 0.0, 1: 0.0},
         follows=True,
         shape_error=CLOSE,

@@ -172,7 +172,16 @@ def _last_rest(view: View) -> Array:
 
 
 def _thermal(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return rows(view.velocity * (1.0 - np.exp(-view.run_time / shape[0])))
+    return rows(view.velocity * (1.0 - _left_of_the_start(view, shape)))
+
+
+def _coulomb_drift(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(-view.sense * shape[0] * np.expm1(-view.run_time / shape[0]))
+
+
+def _left_of_the_start(view: View, shape: Shape) -> Array:
+    """Return what is left of a state at the start of the running time, shape (m,)."""
+    return np.asarray(np.exp(-view.run_time / shape[0]))
 
 
 TERMS = (
@@ -260,14 +269,16 @@ TERMS = (
         },
         lambda context: WARM_UPS_S if context.nominal.get("sigma_2") > 0.0 else (),
         refine={0: 0.0},
+        start=in_motion(lambda v, _n, s: rows(v.velocity * _left_of_the_start(v, s))),
         shape_error=EXACT,
     ),
     Term(
         "coulomb_drift",
-        in_motion(lambda v, _n, s: rows(-v.sense * s[0] * np.expm1(-v.run_time / s[0]))),
+        in_motion(_coulomb_drift),
         lambda c, shape, _context: {"rate_Nm_s": float(c[0]), "time_s": shape[0]},
         lambda _context: (*WARM_UPS_S, (STEADY_S,)),
         refine={0: 0.0},
+        start=in_motion(lambda v, _n, s: rows(v.sense * _left_of_the_start(v, s))),
         shape_error=EXACT,
     ),
 )

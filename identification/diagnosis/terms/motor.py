@@ -23,6 +23,7 @@ from identification.diagnosis.terms.term import (
     Term,
     everywhere,
     in_motion,
+    of_each_recording,
     one,
     polar,
     rows,
@@ -176,12 +177,7 @@ def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
     """Return the regressors of :func:`_rises`, with one for the initial temperature of each
     recording, shape (1 + recordings, m).
     """
-    out = np.zeros((1 + round(shape[1]), rises.shape[1]))
-    out[0] = rises[0]
-    # The initial temperature of a recording that is not fitted is unknown.
-    if view.index < round(shape[1]):
-        out[1 + view.index] = rises[1]
-    return out
+    return np.concatenate([rises[:1], of_each_recording(view, round(shape[1]), rises[1:])])
 
 
 def _warmth(view: View, magnet: float) -> Array:

@@ -145,3 +145,15 @@ def rows(*series: Array) -> Array:
     if len(series) == 1:
         return np.asarray(series[0], dtype=np.float64)[None]
     return np.stack([np.asarray(s, dtype=np.float64) for s in series])
+
+
+def of_each_recording(view: View, count: int, series: Array) -> Array:
+    """Return regressors whose coefficients each of ``count`` recordings has to itself, shape
+    (count k, m), from those of one recording, shape (k, m).
+
+    A recording that is not fitted has none.
+    """
+    out = np.zeros((count, *series.shape))
+    if view.index < count:
+        out[view.index] = series
+    return out.reshape(-1, series.shape[1])

@@ -87,11 +87,11 @@ def verdict_of(
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, judges, least):
         return Verdict.NOTHING_MISSING, None, drawn
-    fewer = len(found.final.effects) < len(searched.final.effects)
+    changed = _names(found) != _names(searched)
     if (
         not found.final.effects
         or _insufficient(searched)
-        or (fewer and _insufficient(found, RULES.adequate_after_removal))
+        or (changed and _insufficient(found, RULES.adequate_after_removal))
         or direction_dependent(found.final)
         or infeasible(searched.final)
         or _hysteretic_remainder(searched)
@@ -99,6 +99,11 @@ def verdict_of(
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open_rivals(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
+
+
+def _names(found: Search) -> set[str]:
+    """Return the names of a search's effects."""
+    return {e.term.name for e in found.final.effects}
 
 
 def insufficient_effects(

@@ -24,6 +24,7 @@ from identification.diagnosis.selection.comparison import infeasible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Pendulum, Recording
+from identification.signals import smooth
 
 from .benches import BENCH, CYCLE_S, campaign, honest, nominal_fit
 
@@ -276,3 +277,55 @@ def test_a_closing_step_is_shortened_until_the_mismatch_falls(
     monkeypatch.setattr(fitting, "solve", solve)
     assert fitting._closing_steps((), "N m", best, SimpleNamespace(linear_step=np.ones(1))) is after
     assert tried == shares
+
+
+def test_a_joint_encoder_that_slipped_does_not_turn_the_joint() -> None:
+    """The zero of the first recording holds for all, unless the motor's origin was lost."""
+    first, second = honest()[:2]
+    slip = 0.01
+
+    def slipped(recording: Recording, share: float, size: float) -> Recording:
+        angle = recording.channels["angle"].copy()
+        angle[int(share * len(angle)) :] += size
+        return replace(recording, channels={**recording.channels, "angle": angle})
+
+    (_, plain), (_, after), (_, lost) = (
+        views(pair, 25.0)
+        for pair in (
+            (first, second),
+            (slipped(first, 0.75, slip), slipped(second, 0.0, slip)),
+            (first, slipped(second, 0.0, slip)),
+        )
+    )
+    noise = 1e-4
+    assert np.max(np.abs(after.angle - plain.angle)) < noise
+    assert np.max(np.abs(lost.angle - plain.angle - slip)) < noise
+
+
+def test_a_swing_may_begin_otherwise_in_each_recording() -> None:
+    """Its frequency and decay are one; size and phase are each recording's own."""
+    fraction, frequency_Hz, decay_s = 0.2, 1.1, 6.0
+
+    def swinging(recording: Recording, phase: float) -> Recording:
+        time = recording.channels["time"] - recording.channels["time"][0]
+        load = recording.bench.moment_arm * recording.contact_force * 0.05
+        swing = np.exp(-time / decay_s) * np.sin(2.0 * np.pi * frequency_Hz * time + phase)
+        speed = np.gradient(smooth(recording.channels["motor_angle"], 1e3, 30.0), 1e-3)
+        torque = fraction * load * swing * np.sign(speed)
+        current = recording.channels["current"] + torque / recording.bench.ampere_torque
+        channels = {n: c for n, c in recording.channels.items() if n != "voltage"}
+        return replace(recording, channels={**channels, "current": current})
+
+    hidden = [swinging(r, 2.0 * k) if r.weight_mass else r for k, r in enumerate(honest()[:5])]
+    joint = nominal_fit(hidden)
+    context = Context(joint.equations[0].views, joint.nominal)
+    (term,) = (t for t in TERMS if t.name == "load_swing")
+    best = max(trial_candidates(joint.stack, context, [term]), key=lambda c: c.score)
+    assert best.shape[2] != 0.0
+    start = Added(term, best.shape, tuple(best.coefficients))
+    found = fit(context.views, "N m", joint.nominal, (start,), joint).effects[0]
+    read, sizes = found.parameters(context), np.hypot(*np.reshape(found.coefficients, (-1, 2)).T)
+    assert np.all(sizes[:2] < 1e-9)
+    assert sizes[2:] == pytest.approx(read["fraction"], rel=0.2)
+    assert read["frequency_Hz"] == pytest.approx(frequency_Hz, rel=0.02)
+    assert read["decay_s"] == pytest.approx(decay_s, rel=0.2)

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View, views
-from identification.diagnosis.selection.comparison import Round
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.held_out import (
     DROPPED,
+    _Case,
+    _reduction,
     _studentised_reduction,
+    _with_rivals_judged,
     dropped_effects,
     folds,
     validated_effects,
@@ -118,3 +123,41 @@ def test_a_single_block_has_no_scatter_to_be_compared_with() -> None:
     before = np.ones(len(stack.residual))
     assert _studentised_reduction(whole, [0.5 * before, before], ["torque"]) == np.inf
     assert _studentised_reduction(whole, [before, 0.5 * before], ["torque"]) == 0.0
+
+
+def test_recordings_set_aside_reject_a_rival_that_fits_as_well() -> None:
+    rival = Contender(WRONG.term.name, search(WRONG).final, 0.0, "")
+    found = search(RIGHT)
+    found = replace(found, rounds=(Round(RIGHT.term.name, (rival,)),))
+    (judged,) = validated_effects(found, here(), aside(), "N m").rounds
+    assert judged.rivals[0].preference >= RULES.rejected
+
+
+@pytest.mark.parametrize("preference", [0.0, 5.0])
+def test_recordings_set_aside_choose_between_effects_that_fit_alike(preference: float) -> None:
+    """A rival that the fit rejected does not take the place; the effect is then ambiguous."""
+    rival = Contender(RIGHT.term.name, search(RIGHT).final, preference, "")
+    steps: list[Step] = []
+    joint, taken = _with_rivals_judged(
+        _Case(here(), aside(), "N m", nominal()),
+        search(WRONG).final,
+        Round(WRONG.term.name, (rival,)),
+        steps,
+    )
+    swapped = preference < RULES.rejected
+    assert taken.name == joint.effects[-1].term.name == (RIGHT if swapped else WRONG).term.name
+    assert [s.action for s in steps] == ["swap"] * swapped
+    if swapped:
+        assert taken.rivals[0].preference >= RULES.rejected
+    else:
+        assert taken.rivals[0].preference <= 0.0
+
+
+def test_an_effect_in_few_blocks_pays_by_what_it_explains() -> None:
+    """A stop that one recording touches once leaves too few blocks for a standard error."""
+    stack = nominal().stack
+    left = np.ones(len(stack.residual))
+    without = left + 30.0 * (stack.block == stack.block[0])
+    assert _studentised_reduction(stack, [left, without], ["torque"]) < RULES.rejected
+    assert _reduction(stack, [left, without], ["torque"]) == np.inf
+    assert _reduction(stack, [without, left], ["torque"]) <= 0.0

@@ -117,3 +117,14 @@ def test_effects_are_listed_as_the_search_came_upon_them() -> None:
     effects = effects_of(listed, np.random.default_rng(0))
     assert [e.name for e in effects] == [NAME, second.name]
     assert effects[0].parameters["torque_Nm"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_an_effect_that_took_anothers_place_must_explain_the_mismatch_too() -> None:
+    search = found(1.0)
+    term = next(t for t in TERMS if t.name == "cogging")
+    views = search.final.equations[0].views
+    little = fit(views, "N m", search.final.nominal, (Added(term, (7.0,), ()),), search.baseline)
+    swapped = replace(search, final=little, rounds=(Round("cogging", ()),))
+    rng = np.random.default_rng(0)
+    assert verdict_of(swapped, rng, search)[0] is Verdict.OUTSIDE_CATALOGUE
+    assert verdict_of(search, rng, search)[0] is Verdict.NAMED

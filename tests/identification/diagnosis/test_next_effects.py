@@ -16,7 +16,7 @@ from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.selection.comparison import preference
-from identification.diagnosis.selection.next_effects import finalist_groups
+from identification.diagnosis.selection.next_effects import TRIALS, finalist_groups, unscored
 from identification.diagnosis.selection.removal import (
     left_beyond_noise,
     share_equation,
@@ -261,3 +261,16 @@ def test_what_the_rotor_and_the_damping_take_does_not_twist_a_shaft() -> None:
     )
     assert 1.0 / after.effects[0].coefficients[0] == pytest.approx(3000.0, rel=0.01)
     assert np.mean(after.residual[after.stack.part("transmission")] ** 2) < 2.0
+
+
+def test_effects_without_a_score_are_tried_if_a_nonlinear_parameter_gives_their_size() -> None:
+    joint = nominal_fit(campaign({}, 5, 6.0))
+    found = unscored(joint, BY_NAME, [])
+    names = {c.name for c in found}
+    assert {"presliding", "friction_memory", "stribeck_shape"} <= names
+    assert "asymmetric_coulomb" not in names
+    stiff = [c.shape[0] for c in found if c.name == "presliding"]
+    assert len(stiff) == TRIALS
+    assert stiff == sorted(stiff)
+    scored = [c for c in found if c.name == "presliding"][:1]
+    assert "presliding" not in {c.name for c in unscored(joint, BY_NAME, scored)}
