@@ -48,6 +48,7 @@ from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.verdict.judgement import (
     effects_of,
     insufficient_effects,
+    named_or_ambiguous,
     unexplained_equations,
     verdict_of,
 )
@@ -177,8 +178,8 @@ class _Outcome(NamedTuple):
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
     """Search, validate and judge; as long as the verdict is outside the catalogue, search again:
-    without the effects that were dropped, since they may have stood in for others, and then with a
-    fit of every effect.
+    without the effects that were dropped, since they may have stood in for others, and then with
+    fits of effects that had no score.
 
     The first outcome counts if no further search ends with another verdict.
     """
@@ -200,9 +201,13 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
     here, searched, flexible = _search_sides(task, terms, thorough)
     aside = _validation_views(task.dataset, task.bandwidth, flexible)
     task.report("validating effects on unused recordings", 0.92)
-    found = with_indistinct_effects(validated_effects(searched, here, aside, task.unit), terms)
+    found = validated_effects(searched, here, aside, task.unit)
     task.report("locating", 0.95)
-    return _Outcome(here, aside, found, *verdict_of(found, task.rng, searched))
+    verdict, where, drawn = verdict_of(found, task.rng, searched)
+    if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
+        found = with_indistinct_effects(found, terms)
+        verdict = named_or_ambiguous(found)
+    return _Outcome(here, aside, found, verdict, where, drawn)
 
 
 def _begin(progress: Progress | None) -> Progress:

@@ -84,6 +84,9 @@ class SelectionRules:
         nearly_complete: Share of the mismatch's power beyond the noise, below which the remainder
             is tested for hysteresis. Basis: simulated trials: right effects explained at least 95.9
             %, springs in place of hysteresis 76 to 89 %.
+        cancelled: Power of the sum of two contributions over the sum of their powers, below which
+            the two cancel each other. Basis: independent contributions have 1 on average; below,
+            each is at least three times its share of the sum.
         greatest_confidence: Greatest confidence in any effect. Basis: chosen;
             on machines made by others such names are right less often (docs/diagnosis.md).
         incomplete_confidence: Greatest confidence in an effect if the test finds that more is
@@ -133,6 +136,7 @@ class SelectionRules:
     adequate: float = 0.70
     adequate_after_removal: float = 0.5
     nearly_complete: float = 0.95
+    cancelled: float = 0.1
     greatest_confidence: float = 0.99
     incomplete_confidence: float = 0.8
     faint_confidence: float = 0.9

@@ -14,6 +14,7 @@ import numpy as np
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.score.significance import beyond_noise
 from identification.diagnosis.selection.removal import (
     judging_equations,
     left_beyond_noise,
@@ -73,17 +74,18 @@ def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
 def unscored(
     joint: Joint, terms: Mapping[str, Term], scored: Collection[Candidate]
 ) -> list[Candidate]:
-    """Return trials of the effects without a score whose size is given by a nonlinear parameter.
+    """Return trials of the effects without a score whose size is given by a nonlinear parameter, in
+    the equations whose mismatch is beyond the noise.
 
     Their regressors depend on the nominal values: where these are far from the right ones, as
     without a Stribeck fall, the score of the right effect may be negative.
     """
     names = {c.name for c in scored}
     context = Context(joint.equations[0].views, joint.nominal)
-    acting = {e.name for e in joint.equations}
+    beyond = beyond_noise(joint)
     out = []
     for name, term in terms.items():
-        if name in names or term.size is None or not acting & term.columns.keys():
+        if name in names or term.size is None or not beyond & {*judging_equations(joint, term)}:
             continue
         shapes = list(term.shapes(context))
         places = {(2 * k + 1) * len(shapes) // (2 * TRIALS) for k in range(TRIALS)}

@@ -79,9 +79,8 @@ class Options:
     Attributes:
         until: Names of effects; the search ends when one of them is added.
         fixed: Nominal parameters that are not estimated.
-        thorough: Whether every effect is fitted before the first is selected, and not only those
-            with the best scores. A score is linear about the nominal fit, which may be far from
-            the right parameters.
+        thorough: Whether effects without a score are fitted too before the first is selected. A
+            score is linear about the nominal fit, which may be far from the right parameters.
     """
 
     until: Collection[str] = ()
@@ -225,9 +224,9 @@ def _next_effect(
     baseline, joint = fits
     best = _best_of_each(test.trials)
     if case.options.thorough and not joint.effects:
-        every = [*best, *unscored(joint, case.terms, best)]
-        tell(every)
-        return _best_finalist(case, fits, every, test.p_value, steps)
+        tried = [*best[: RULES.finalists], *unscored(joint, case.terms, best)]
+        tell(tried)
+        return _best_finalist(case, fits, tried, test.p_value, steps)
     if not best:
         return None
     missing = partial(_missing, joint, case.terms, (*test.trials, *test.unnamed), rng)

@@ -20,6 +20,7 @@ from identification.diagnosis.score.locate import best_map, location, maps
 from identification.diagnosis.score.significance import greatest_mean_square, level, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
+from identification.diagnosis.verdict.cancelling import cancelling_effects
 from identification.diagnosis.verdict.hysteretic import is_hysteretic
 from identification.diagnosis.verdict.one_direction import direction_dependent
 from identification.diagnosis.verdict.wording import finding
@@ -93,12 +94,18 @@ def verdict_of(
         or _insufficient(searched)
         or (changed and _insufficient(found, RULES.adequate_after_removal))
         or direction_dependent(found.final)
+        or cancelling_effects(found.final)
         or infeasible(searched.final)
         or _hysteretic_remainder(searched)
     ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
+    return named_or_ambiguous(found), where, drawn
+
+
+def named_or_ambiguous(found: Search) -> Verdict:
+    """Return the verdict on effects that explain the mismatch, from their rivals."""
     open_rivals = any(_open_rivals(r) for r in found.rounds)
-    return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
+    return Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED
 
 
 def _names(found: Search) -> set[str]:
@@ -120,6 +127,13 @@ def insufficient_effects(
             f"{title(n)} would explain the mismatch only with a different size in each "
             "direction of motion"
             for n in lopsided
+        )
+    cancelling = cancelling_effects(found.final)
+    if cancelling:
+        one, other = (title(n) for n in cancelling)
+        return (
+            f"{one} and {other.lower()} would explain the mismatch only if each is many times "
+            "their sum, which nearly cancels",
         )
     if infeasible(found.final):
         return ()

@@ -264,11 +264,12 @@ def test_what_the_rotor_and_the_damping_take_does_not_twist_a_shaft() -> None:
 
 
 def test_effects_without_a_score_are_tried_if_a_nonlinear_parameter_gives_their_size() -> None:
-    joint = nominal_fit(campaign({}, 5, 6.0))
+    assert not unscored(nominal_fit(honest()), BY_NAME, [])
+    joint = nominal_fit(campaign({"cogging": {"torque_Nm": 1.0, "per_motor_turn": 7.0}}, 5, 6.0))
     found = unscored(joint, BY_NAME, [])
     names = {c.name for c in found}
     assert {"presliding", "friction_memory", "stribeck_shape"} <= names
-    assert "asymmetric_coulomb" not in names
+    assert not names & {"asymmetric_coulomb", "transport_delay"}
     stiff = [c.shape[0] for c in found if c.name == "presliding"]
     assert len(stiff) == TRIALS
     assert stiff == sorted(stiff)
