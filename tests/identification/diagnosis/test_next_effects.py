@@ -29,6 +29,7 @@ from identification.recording import Pendulum
 from .benches import campaign, honest, nominal_fit
 
 BY_NAME = {t.name: t for t in TERMS}
+COGGING = {"torque_Nm": 1.0, "per_motor_turn": 7.0, "phase_rad": 0.0}
 NAMES = ("encoder_eccentricity", "encoder_slip", "asymmetric_coulomb", "cogging")
 
 
@@ -265,7 +266,7 @@ def test_what_the_rotor_and_the_damping_take_does_not_twist_a_shaft() -> None:
 
 def test_effects_without_a_score_are_tried_if_a_nonlinear_parameter_gives_their_size() -> None:
     assert not unscored(nominal_fit(honest()), BY_NAME, [])
-    joint = nominal_fit(campaign({"cogging": {"torque_Nm": 1.0, "per_motor_turn": 7.0}}, 5, 6.0))
+    joint = nominal_fit(campaign({"cogging": COGGING}, 5, 6.0))
     found = unscored(joint, BY_NAME, [])
     names = {c.name for c in found}
     assert {"presliding", "friction_memory", "stribeck_shape"} <= names
