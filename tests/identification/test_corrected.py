@@ -67,7 +67,7 @@ LINEAR = {
     "current_offset": ({"current_A": 0.3}, (), (0.3,)),
     "current_drift": ({"rate_A_s": 0.01}, (0.0,), (0.01,)),
     "backlash": ({"gap_rad": 0.007}, (0.007, 0.0, 0.0, 0.0), (1.0,)),
-    "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0, 0.0, 0.0)),
+    "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0, 0.0, 0.0, 0.0, 0.0)),
     "gear_mesh_ripple": (
         {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0},
         (23.0,),

@@ -94,14 +94,15 @@ def coupling_torque(view: View, rotor: float) -> Array:
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    """Return the regressors of a shaft's elastic twist: drive torque, and torques of rotor inertia
-    and shaft damping.
+    """Return the regressors of a shaft's elastic twist: drive torque, and torques of rotor inertia,
+    shaft damping, and the rotor's dry and viscous friction.
 
-    Rotor inertia and damping are unknown; with a soft shaft their effect is up to a hundred times
-    the encoders' noise at breakaway or reversal.
+    All but the first are unknown; with a soft shaft their effect is up to a hundred times the
+    encoders' noise.
     """
-    torque = view.transmitted
-    return rows(torque, -view.rotor_acceleration, -central_difference(torque, view.step))
+    torque, speed = view.transmitted, view.motor_speed / view.recording.bench.gear_ratio
+    damping = -central_difference(torque, view.step)
+    return rows(torque, -view.rotor_acceleration, damping, -view.sense, -speed)
 
 
 def _play(view: View, nominal: Nominal, shape: Shape) -> Array:

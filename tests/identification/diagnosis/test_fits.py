@@ -329,3 +329,20 @@ def test_a_swing_may_begin_otherwise_in_each_recording() -> None:
     assert sizes[2:] == pytest.approx(read["fraction"], rel=0.2)
     assert read["frequency_Hz"] == pytest.approx(frequency_Hz, rel=0.02)
     assert read["decay_s"] == pytest.approx(decay_s, rel=0.2)
+
+
+def test_friction_of_the_rotor_does_not_twist_the_shaft() -> None:
+    """A part of the friction may be on the motor's side, before the shaft."""
+    stiffness, friction = 900.0, 3.0
+    soft = []
+    for recording in honest()[:3]:
+        (view,) = views([recording], 25.0)
+        twist = (view.transmitted - friction * view.sense) / stiffness
+        angle = recording.channels["motor_angle"] / BENCH.gear_ratio - twist
+        soft.append(replace(recording, channels={**recording.channels, "angle": angle}))
+    joint = nominal_fit(soft)
+    (term,) = (t for t in TERMS if t.name == "compliance")
+    found = joint.stack.term(term, ())
+    assert found is not None
+    assert 1.0 / found.coefficients[0] == pytest.approx(stiffness, rel=0.01)
+    assert found.coefficients[3] * stiffness == pytest.approx(friction, rel=0.02)
