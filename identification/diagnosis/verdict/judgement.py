@@ -308,7 +308,8 @@ def _effect(
     quality = max(
         excess[own.name].explained, 1.0 if excess[own.name].after < RULES.near_floor else 0.0
     )
-    confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
+    alone = found.rounds[0].name == taken.name
+    confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before, alone)
     rivals = tuple(
         Rival(
             r.name,
@@ -335,7 +336,9 @@ def _effect(
     )
 
 
-def confidence_of(taken: Round, quality: float, p_after: float, before: float) -> float:
+def confidence_of(
+    taken: Round, quality: float, p_after: float, before: float, alone: bool = True
+) -> float:
     """Return the confidence in an effect, from its rivals, the share it explains, and whether more
     is missing.
 
@@ -344,6 +347,8 @@ def confidence_of(taken: Round, quality: float, p_after: float, before: float) -
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         p_after: p-value of the test whether anything more is missing.
         before: Mean-square mismatch of that equation over the noise's, without any effect.
+        alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
+            error of that effect's regressors.
     """
     over = [
         max(probability(r.preference), 1.0 - RULES.implausible_confidence if r.beyond else 0.0)
@@ -351,7 +356,7 @@ def confidence_of(taken: Round, quality: float, p_after: float, before: float) -
     ]
     most = (
         RULES.incomplete_confidence
-        if p_after <= RULES.level
+        if p_after <= RULES.level or (before < FAINT_RATIO and not alone)
         else RULES.faint_confidence
         if before < FAINT_RATIO
         else RULES.greatest_confidence
