@@ -16,6 +16,7 @@ import hashlib
 import logging
 import os
 import stat
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -29,7 +30,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 
 _LOG = logging.getLogger(__name__)
 _DIGEST_DIGITS = 12
-_SAID = Event()
+_SAID, _COMPILING = Event(), Event()
 
 
 class KernelCache:
@@ -54,7 +55,10 @@ class KernelCache:
     def load_overload(self, signature: Any, target: Any) -> Any:
         """Return the compiled code of a signature; None if it is missing or damaged."""
         try:
-            return self._opened().load_overload(signature, target)
+            found = self._opened().load_overload(signature, target)
+            if found is None:
+                _say_compiling()
+            return found
         except Exception as error:  # noqa: BLE001 - unpickling a damaged file raises anything; compiling is the remedy
             _LOG.info("%s is compiled anew: %s", self._function.__qualname__, error)
             if self._files is not None:
@@ -237,6 +241,16 @@ class _Files(FunctionCache):
 def _user() -> int:
     # Windows has no user numbers.
     return os.geteuid() if hasattr(os, "geteuid") else 0
+
+
+def _say_compiling() -> None:
+    """Log once, for all kernels, why a first start takes long, if a person may be waiting."""
+    if not _COMPILING.is_set() and sys.stderr is not None and sys.stderr.isatty():
+        _COMPILING.set()
+        _LOG.warning(
+            "compiling numeric kernels for this computer, once for each version of the program; "
+            "this takes up to a minute"
+        )
 
 
 def _say_not_kept(reason: str) -> None:

@@ -96,6 +96,21 @@ def test_machine_code_is_kept_and_used(package: Package) -> None:
     assert not again.shifted.stats.cache_misses
 
 
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_person_who_waits_is_told_of_the_first_compilation(
+    package: Package,
+    terminal: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal, raising=False)
+    identification.numerics.kernel_cache._COMPILING.clear()
+    for _ in range(2):
+        assert package(2.0).shifted(3.0) == 7.0
+    said = [r for r in caplog.messages if "compiling" in r]
+    assert len(said) == terminal
+
+
 def test_a_changed_constant_of_a_called_kernel_renews_the_caller(
     package: Package, tmp_path: Path
 ) -> None:
