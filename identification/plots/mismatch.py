@@ -10,9 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter
 
-from identification.diagnosis.result import Curve, Effect, Map, ResidualTrace
+from identification.diagnosis.result import Curve, Effect, Fit, Map, ResidualTrace
 from identification.plots.style import (
     BLACK,
     BLUE,
@@ -26,6 +26,10 @@ from identification.plots.style import (
     thinned,
 )
 
+_OPENING_WIDTH = 4.4
+"""Width of the first figure, inches: its text is legible on a screen of 390 pixels."""
+_FEW_DECADES = 300.0
+"""Range of a logarithmic axis, greatest over least, below which 2 and 5 are labelled too."""
 _COLUMNS = 2
 _MOST_MAPS = 8
 _DRAWN = {
@@ -35,6 +39,50 @@ _DRAWN = {
     "m^2/s": (1e6, "mm^2/s"),
 }
 """Stored unit to conversion factor and displayed unit."""
+
+
+def errors(fits: Sequence[Fit]) -> Figure:
+    """Error of each equation over its noise floor, before and after the correction, on fitted
+    recordings and on those set aside.
+
+    Args:
+        fits: Errors of each equation, at least one with a noise floor.
+    """
+    rows = [
+        (f"{fit.equation}, {recordings}", before / fit.noise_floor_rms, after / fit.noise_floor_rms)
+        for fit in fits
+        for recordings, before, after in (
+            ("fitted", fit.baseline_rms, fit.final_rms),
+            ("set aside", fit.validate_baseline_rms, fit.validate_final_rms),
+        )
+        if before is not None and after is not None and fit.noise_floor_rms > 0.0
+    ]
+    made, (axis,) = figure(1, width=_OPENING_WIDTH, height=1.3 + 0.28 * len(rows))
+    for row, (_, before, after) in enumerate(rows):
+        axis.plot((before, after), (row, row), color=GREY, linewidth=1.2, zorder=2)
+    for place, marker, color, label in ((1, "s", VERMILION, "before"), (2, "o", BLUE, "after")):
+        axis.plot(
+            [row[place] for row in rows],
+            range(len(rows)),
+            marker,
+            color=color,
+            label=label,
+            zorder=3,
+        )
+    axis.axvline(1.0, color=BLACK, linewidth=0.8, linestyle="--", label="noise floor")
+    axis.set_xscale("log")
+    low, high = axis.get_xlim()
+    axis.set_xlim(min(low, 0.5), max(high, 2.0))
+    low, high = axis.get_xlim()
+    subs = (1.0, 2.0, 5.0) if high < _FEW_DECADES * low else (1.0,)
+    axis.xaxis.set_major_locator(LogLocator(subs=subs))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _place: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
+    axis.set_yticks(range(len(rows)), [name for name, _, _ in rows])
+    axis.set_ylim(len(rows) - 0.5, -0.5)
+    axis.set_xlabel("error over the noise floor (1)")
+    legend_above(axis, 3)
+    return made
 
 
 def maps(shown: Sequence[Map]) -> Figure:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from identification.diagnosis.result import Fit as EquationError
 from identification.diagnosis.result import ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
@@ -160,3 +161,20 @@ def test_where_the_load_varies_there_is_no_curve_of_one_load() -> None:
     assert "measured, hot firing" in labels
     (fitted,) = [line for line in axis.lines if line.get_label() == "fitted"]
     assert fitted.get_linestyle() == "None"
+
+
+def test_errors_are_drawn_over_the_noise_floor_of_each_equation() -> None:
+    fits = (
+        EquationError("torque", "N m", 25.0, 0.6, 0.2, 0.2, 0.8, 0.3),
+        EquationError("voltage", "V", 25.0, 0.05, 0.05, 0.1),
+        EquationError("transmission", "rad", 25.0, 0.0, 0.0, 0.0),
+    )
+    (axis,) = mismatch.errors(fits).axes
+    drawn = {line.get_label(): line.get_xdata() for line in axis.lines}
+    assert drawn["before"] == pytest.approx([3.0, 4.0, 0.5])
+    assert drawn["after"] == pytest.approx([1.0, 1.5, 0.5])
+    names = [label.get_text() for label in axis.get_yticklabels()]
+    assert names == ["torque, fitted", "torque, set aside", "voltage, fitted"]
+    low, high = axis.get_xlim()
+    assert low < 0.5
+    assert high > 4.0

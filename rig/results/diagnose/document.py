@@ -107,7 +107,11 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     verdict = found.verdict.value
     yield Section(
         "",
-        (Verdict(_HEADLINES[verdict], found.statement, _TONES[verdict]), *_warnings(found)),
+        (
+            Verdict(_HEADLINES[verdict], found.statement, _TONES[verdict]),
+            *_errors(found),
+            *_warnings(found),
+        ),
     )
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
@@ -163,6 +167,16 @@ def _recordings(found: Diagnosis) -> Iterator[Note | Picture]:
         yield Note(f"Figures of {hidden} more recordings are left out.", "aside")
     for trace in shown:
         yield _trace(trace, found)
+
+
+def _errors(found: Diagnosis) -> list[Picture]:
+    if not any(fit.noise_floor_rms > 0.0 for fit in found.fits):
+        return []
+    caption = (
+        "Error of each equation over its noise floor, before and after the correction; fitted "
+        "recordings, and recordings that were set aside"
+    )
+    return [Picture.of("errors", caption, mismatch.errors(found.fits), lead=True)]
 
 
 def _maps(found: Diagnosis) -> list[Picture]:
