@@ -132,8 +132,8 @@ def gap_or_loop(
     terms: Sequence[Term],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """If backlash or coupling hysteresis was identified, select one of the two by the torque that is
-    transmitted while the gap is crossed; return the fit and the selection rounds.
+    """If backlash or coupling hysteresis was identified, select one of the two by the torque that
+    is transmitted while the gap is crossed; return the fit and the selection rounds.
     """
     named = [e for e in joint.effects if e.term.name in PAIR]
     by_name = {t.name: t for t in terms}
