@@ -76,12 +76,16 @@ class Contradiction:
     changes: tuple[Change, ...] = ()
 
 
-def wrong_speed(factor: float, servo: Servo) -> Contradiction:
-    """Return what a reported speed of ``factor`` times the true one means."""
+def wrong_speed(factor: float, servo: Servo, rough: bool = False) -> Contradiction:
+    """Return what a reported speed of ``factor`` times the true one means; ``rough`` if few counts
+    show it.
+    """
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
         f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
+    if rough:
+        words += "; few counts show this factor, so compare the unit with the manual of the drive"
     changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
     return Contradiction(SPEED, factor, words, changes)
 

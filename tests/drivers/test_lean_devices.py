@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -374,11 +375,56 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
         (0.0146, "606Ch is in rpm: set servo.velocity_unit: rpm"),
         (0.0104, "606Ch is in rpm: set servo.velocity_unit: rpm"),
         (-1.0, "606Ch has the opposite sign of 6064h"),
-        (0.1, "set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about 0.015"),
+        (0.0, "606Ch reads 0 while 6064h changes"),
+        (0.03, "606Ch is in rpm: set servo.velocity_unit: rpm"),
+        (0.1, "606Ch looks like 10 counts per second: set servo.velocity_unit_rad_s: 0.01534, or"),
+        (9.3, "606Ch looks like 0.1 counts per second: set servo.velocity_unit_rad_s: 0.0001534,"),
+        (4.0, "set servo.velocity_unit_rad_s: 0.0003835, about the speed of one unit of 606Ch"),
     ],
 )
 def test_the_remedy_names_the_unit_that_was_found(host: Host, factor: float, words: str) -> None:
     assert host.servo.speed_remedy(factor).startswith(words)
+    keys = dict(host.servo.speed_settings(factor))
+    told = re.search(r"set servo\.(\w+): ([^,;]+)", words)
+    if factor <= 0.0:
+        assert keys == {}
+    else:
+        assert told is not None
+        assert str(keys[told[1]]) == told[2]
+
+
+@pytest.mark.parametrize("unit", [2 * math.pi / 60, 2 * math.pi / 4096])
+@pytest.mark.parametrize("factor", [0.01, 0.2, 3.0, 6.0, 20.0, 300.0])
+def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
+    host: Host, unit: float, factor: float
+) -> None:
+    scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
+    near = velocity_unit.nearest_factor(scales, factor, 15.0)
+    assert not 0.5 < near < 2.0
+    assert 1 / 15 <= near / factor <= 15.0
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        (0xFFB44700, "set servo.velocity_unit_rad_s: 0.01047"),
+        (0x00100300, "set servo.velocity_unit_rad_s: 1"),
+    ],
+)
+def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
+    word: int, words: str
+) -> None:
+    class Stating:
+        label = "node 1"
+
+        def describes(self, *_: object) -> bool:
+            return True
+
+        def read(self, *_: int) -> int:
+            return word
+
+    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    assert str(error).endswith(f"rad/s: {words}")
 
 
 def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:

@@ -196,10 +196,34 @@ def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
 
 
 def test_an_encoder_that_stands_still_explains_a_trip() -> None:
-    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 5e-3
     found = hint(early(moved, 0.0 * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
     assert found is not None
     assert "it stands still" in found.words
+
+
+@pytest.mark.parametrize("shown", [0, 1, 2])
+@pytest.mark.parametrize("counts", [5, 40])
+def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(
+    shown: int, counts: int
+) -> None:
+    count = 1e-5
+    moved = np.concatenate((np.zeros(150), count * np.arange(1.0, counts + 1)))
+    joint = np.floor(np.linspace(0.0, shown, len(moved))) * 4e-4
+    right = early(moved, joint, np.gradient(moved, 1e-3))
+    assert hint(right, NOMINAL, Remedies()) is None  # type: ignore[arg-type]
+    found = hint(early(moved, joint, 60.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert found.what == "speed against position"
+    assert ("few counts" in found.words) == (counts == 5)
+
+
+def test_a_ratio_is_not_taken_from_the_rest_before_the_motion() -> None:
+    moved = np.concatenate((np.zeros(2000), [1e-5, 2e-5, 3e-5, 4e-5, 5e-5]))
+    joint = np.concatenate((np.zeros(2000), [4e-5, 1e-5, 6e-5, 2e-5, 8e-5]))
+    found = hint(early(moved, joint, 1000.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert found.what == "speed against position"
 
 
 def test_a_jump_explains_nothing() -> None:
