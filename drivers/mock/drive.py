@@ -260,7 +260,7 @@ class SimulatedDrive(SimulatedNode):
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
         values[_FOLLOWING] = round(reading.following_error_counts)
-        self._own.measure(values, reading)
+        self._own.measure(values, reading, self.current_sign)
 
     def _obey(self, word: int) -> None:
         rising = word & ~self._last_word

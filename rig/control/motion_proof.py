@@ -138,7 +138,9 @@ def hint(
     if not _same(speed, SPEED_BAND) and counts >= HINT_COUNTS:
         if counts > ROUGH_COUNTS:
             return wrong_speed(speed, servo)
-        return _rough_speed(speed, servo)
+        # A reported speed beyond its limit is not too small, though few samples may sum up so.
+        if speed > 1.0 or not too_fast:
+            return _rough_speed(speed, servo)
     return _instant_speed(motion, servo) if too_fast else None
 
 

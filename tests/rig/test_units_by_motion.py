@@ -32,11 +32,12 @@ def test_a_drawn_bench(tmp_path: Path, mistake: str | None) -> None:
         ("unit of speed", 0, "epos_serial"),
         ("unit of speed", 505, "epos_serial"),
         ("unit of speed", 1003, "mock"),
+        ("sign", 3000, "epos_serial"),
         (TENFOLD, 0, "epos_serial"),
         (TENFOLD, 6, "mock"),
     ],
 )
-def test_a_unit_of_the_speed_is_found_on_every_transport(
+def test_a_mistake_is_found_on_every_transport(
     tmp_path: Path, mistake: str, seed: int, bus: str
 ) -> None:
     drawn = draw(np.random.default_rng([seed, 1]), mistake)
