@@ -227,8 +227,9 @@ def test_the_peak_of_a_slip_back_is_no_wrong_sign() -> None:
 
 
 def test_a_ratio_is_not_taken_from_the_rest_before_the_motion() -> None:
-    moved = np.concatenate((np.zeros(2000), [1e-5, 2e-5, 3e-5, 4e-5, 5e-5]))
-    joint = np.concatenate((np.zeros(2000), [4e-5, 1e-5, 6e-5, 2e-5, 8e-5]))
+    rest = np.zeros(200)
+    moved = np.concatenate((rest, 1e-5 * np.arange(1.0, 7.0)))
+    joint = np.concatenate((rest, 1e-5 * np.array([0.5, 3.0, 1.0, 5.0, 2.0, 4.0])))
     found = hint(early(moved, joint, 1000.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
     assert found is not None
     assert found.what == "speed against position"
