@@ -45,6 +45,8 @@ _DC_LINK: Final = key(0x6079)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
+_NO_LIMIT: Final = 0xFFFFFFFF
+"""607Fh of a drive whose speed is not limited."""
 _VOLTAGE_ENABLED: Final = 0x0010
 _REMOTE: Final = 0x0200
 _TARGET_REACHED: Final = 0x0400
@@ -187,7 +189,8 @@ class SimulatedDrive(SimulatedNode):
         """Show and take speeds in another unit from now on, as a drive does that was made so."""
         values = self._values
         for address in (key(0x607F), key(0x6084), key(0x6085)):
-            values[address] = round(values[address] * self.speed_unit / counts_per_s)
+            if values[address] != _NO_LIMIT:
+                values[address] = round(values[address] * self.speed_unit / counts_per_s)
         self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
