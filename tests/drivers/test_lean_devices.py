@@ -300,8 +300,10 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
 
 
 def test_an_encoder_of_class_1(host: Host) -> None:
+    assert list(host.encoder.lacks()) == []
     remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
     assert list(host.encoder.refusals(host.cycle_s)) == []
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == ["6503h", "1013h"]
     enabled(host)
     host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
     sample = host.encoder.sample()
@@ -310,6 +312,13 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     wrong = Cia406Encoder(host.encoder._channel, EncoderScales(4096))
     with pytest.raises(ConfigurationError, match="6501h says 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
+    remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == [
+        "6001h",
+        "6002h",
+        "6503h",
+        "1013h",
+    ]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
