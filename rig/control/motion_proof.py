@@ -112,7 +112,11 @@ def prove(
 
 
 def hint(
-    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False
+    motion: Motion,
+    nominal: Nominal,
+    servo: Servo,
+    too_fast: bool = False,
+    too_strong: bool = False,
 ) -> Contradiction | None:
     """Return what explains a trip or a fault early in a motion; None where nothing does.
 
@@ -124,6 +128,7 @@ def hint(
         nominal: Constants of the bench file.
         servo: The drive, which names the remedy for its speed.
         too_fast: Whether the reported speed is what tripped.
+        too_strong: Whether the torque is, which follows from the current and the torque constant.
     """
     if len(motion.time) < 2:
         return None
@@ -141,6 +146,10 @@ def hint(
         # A reported speed beyond its limit is not too small, though few samples may sum up so.
         if speed > 1.0 or not too_fast:
             return _rough_speed(speed, servo)
+    if too_strong:
+        constant, source = torque_constant(motion, nominal)
+        if not _same(constant / nominal.torque_constant_N_m_A, TORQUE_BAND):
+            return wrong_torque(constant, source, nominal)
     return _instant_speed(motion, servo) if too_fast else None
 
 

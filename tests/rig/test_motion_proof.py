@@ -218,6 +218,19 @@ def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(
     assert ("few counts" in found.words) == (counts == 5)
 
 
+@pytest.mark.parametrize(("share", "wrong"), [(2.0, True), (1.2, False)])
+def test_a_torque_that_tripped_is_explained_by_its_constant(share: float, wrong: bool) -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    few = early(moved, moved, np.gradient(moved, 1e-3))
+    nominal = Nominal(share * KM, GEAR, 10.0, 10.0 * KM)
+    drive: Any = Remedies()
+    assert hint(few, nominal, drive) is None
+    found = hint(few, nominal, drive, too_strong=True)
+    assert (found is not None) is wrong
+    if found is not None:
+        assert found.changes == (Change("machine", "torque_constant_N_m_A", KM),)
+
+
 def test_the_peak_of_a_slip_back_is_no_wrong_sign() -> None:
     moved = -1e-4 * np.repeat(np.arange(6.0), 5)
     velocity = np.where(np.arange(30) == 29, 8.0, 0.0)
