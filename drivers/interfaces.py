@@ -350,8 +350,7 @@ class Encoder(Recognised, ABC):
         yield from ()
 
     def lacks(self) -> Iterator[str]:
-        """Yield what the encoder does not report, for the operator, as far as reads show. Writes
-        nothing.
+        """Yield what the encoder does not report, for the operator. Writes nothing.
 
         Raises:
             LinkError: The encoder cannot be reached.
