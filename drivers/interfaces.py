@@ -349,6 +349,14 @@ class Encoder(Recognised, ABC):
         """
         yield from ()
 
+    def lacks(self) -> Iterator[str]:
+        """Yield what the encoder does not report, for the operator. Writes nothing.
+
+        Raises:
+            LinkError: The encoder cannot be reached.
+        """
+        yield from ()
+
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
         """Check resolution against the device and map process data."""

@@ -6,8 +6,12 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 KNOWN_SPREAD: Final = 2.2
-"""Ratio up to which a unit of speed that a motion shows is a known one; known ones differ by far
-more, and at low speed rounding to whole units changes a measured one.
+"""Ratio up to which a unit of speed that a motion shows is one of those with a name; these differ
+by far more, and at low speed rounding to whole units changes a measured one.
+"""
+MEASURED_SPREAD: Final = 1.5
+"""Ratio up to which a motion of some hundredths of a radian shows a unit of speed without rounding:
+0.74 to 1.42 on most simulated benches with stick and slip.
 """
 
 

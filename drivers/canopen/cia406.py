@@ -10,6 +10,7 @@ from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Encoder, EncoderSample, Identity
 from drivers.objects import (
     VENDOR,
+    ObjectAddress,
     PdoLayout,
     ProcessChannel,
     identity_doubts,
@@ -87,6 +88,28 @@ class Cia406Encoder(Encoder):
         if not unmappable:
             yield from refusal(self._channel.read, *_VALUE)
 
+    def lacks(self) -> Iterator[str]:
+        """Yield what this encoder does not report: class 1 of the profile has fewer objects."""
+        read = self._channel.read
+
+        def absent(*addresses: ObjectAddress) -> bool:
+            return all(optional(read, *address) is None for address in addresses)
+
+        if absent(*_RESOLUTION):
+            yield "joint encoder: not checked: counts per turn (6001h, 6501h)"
+        if absent(_RANGE, _TURNS):
+            yield (
+                "joint encoder: no range of the position (6002h, 6502h): it is taken to start anew "
+                "after each turn"
+            )
+        if absent(_ALARMS):
+            yield "joint encoder: not monitored: alarms (6503h)"
+        if not self._has_stamp():
+            yield (
+                "joint encoder: no time stamp (1013h): samples have this computer's time of the "
+                "SYNC"
+            )
+
     def prepare(self, cycle_s: float) -> None:
         """Check resolution and alarms, and map process data.
 
@@ -99,9 +122,7 @@ class Cia406Encoder(Encoder):
         self._require_resolution()
         self._require_no_alarm()
         channel = self._channel
-        self._stamped = (
-            channel.describes(*_TIME, mappable=True) and optional(channel.read, *_TIME) is not None
-        )
+        self._stamped = self._has_stamp()
         channel.map_process_data([], [self._inputs(self._stamped)], cycle_s)
         self._counter = Unwrapper(self._modulus(), near=self._scales.middle)
         self._time = Unwrapper(_WHOLE)
@@ -114,6 +135,12 @@ class Cia406Encoder(Encoder):
         )
         time_us = stamp[0] if stamp else self._channel.sync_us
         return EncoderSample(self._time.update(time_us) * _US, angle, self._channel.fresh)
+
+    def _has_stamp(self) -> bool:
+        channel = self._channel
+        return (
+            channel.describes(*_TIME, mappable=True) and optional(channel.read, *_TIME) is not None
+        )
 
     def _inputs(self, stamped: bool) -> PdoLayout:
         return PdoLayout(_POSITION, (_VALUE, _TIME) if stamped else (_VALUE,))

@@ -8,7 +8,7 @@ from typing import Final
 
 from drivers.errors import ConfigurationError
 from drivers.objects import ObjectAddress, ProcessChannel, optional
-from drivers.remedies import KNOWN_SPREAD
+from drivers.remedies import KNOWN_SPREAD, MEASURED_SPREAD
 from drivers.units import ServoScales
 
 UNIT: Final[ObjectAddress] = (0x60A9, 0)
@@ -23,8 +23,15 @@ _NUMERATORS: Final[Mapping[int, float]] = {
 """Codes of CiA 303-2: radian, degree, revolution."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
 """Codes of the time units: second, minute, hour."""
+_POWERS: Final = (-3, -2, -1, 1, 2, 3)
+"""Powers of ten of the decimal multiples that are recognised."""
 _SAME: Final = 0.01
 """Relative difference up to which two units count as equal."""
+_UNUSUAL: Final = 3.0
+"""Least ratio of the distances, as logarithms, to a unit with a name and to a decimal multiple for
+the latter to count.
+"""
+_WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per second"}
 
 
 def decode(word: int) -> float | None:
@@ -50,7 +57,7 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
         yield ConfigurationError(
             f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s "
             f"({word & 0xFFFFFFFF:08X}h), the bench file states {unit:.6g} rad/s: "
-            f"{_words(told, scales)}"
+            f"{_words(told, scales, exact=True)}"
         )
 
 
@@ -58,7 +65,13 @@ def remedy(scales: ServoScales, factor: float) -> str:
     """Return a text with the setting to change if the reported speed is ``factor`` times the true
     speed.
     """
-    if factor <= 0.0:
+    if factor == 0.0:
+        return (
+            "606Ch reads 0 while 6064h changes: the drive does not measure its speed, or shows it "
+            "in a unit too coarse for this motion; set servo.velocity_unit_rad_s to the unit in "
+            "its manual, and a finer one with the maker's tool"
+        )
+    if factor < 0.0:
         return "606Ch has the opposite sign of 6064h; correct the drive with its maker's tool"
     return _words(scales.motor_speed_unit_rad_s / factor, scales)
 
@@ -69,38 +82,82 @@ def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float
     """
     if factor <= 0.0:
         return ()
-    unit = scales.motor_speed_unit_rad_s / factor
-    name = _known(unit, scales)
-    if name is not None:
+    name, unit = _recognised(scales.motor_speed_unit_rad_s / factor, scales)
+    if name is not None and name in _units(scales):
         return (("velocity_unit_rad_s", None), ("velocity_unit", name))
-    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.3g}")))
+    return (("velocity_unit", None), ("velocity_unit_rad_s", float(f"{unit:.4g}")))
 
 
 def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the known unit that is nearest to a rough one; that one where none is
-    within ``spread``.
+    """Return the factor of the other unit with a name that is nearest to a rough one, where it is
+    within ``spread``; else the nearest power of ten.
     """
     if factor <= 0.0:
         return factor
     own = scales.motor_speed_unit_rad_s
-    name = _known(own / factor, scales, spread)
-    return factor if name is None else own / _units(scales)[name]
+    named = _nearest(own / factor, _others(scales), spread)
+    if named is not None:
+        return own / named[1]
+    return 10.0 ** (round(math.log10(factor)) or math.copysign(1.0, math.log10(factor)))
 
 
 def _units(scales: ServoScales) -> dict[str, float]:
+    """Return the units that have a name in the bench file."""
     return {"rpm": RPM, "counts_per_s": scales.count_rad}
 
 
-def _known(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str | None:
-    """Return the name of the nearest unit of speed; None for one without a name."""
-    known = _units(scales)
-    name = min(known, key=lambda name: abs(math.log(unit / known[name])))
-    return name if known[name] / spread <= unit <= known[name] * spread else None
+def _others(scales: ServoScales) -> dict[str, float]:
+    """Return those of them that are not the unit of the bench file."""
+    own = scales.motor_speed_unit_rad_s
+    return {name: unit for name, unit in _units(scales).items() if abs(unit - own) > _SAME * own}
 
 
-def _words(unit: float, scales: ServoScales) -> str:
-    name = _known(unit, scales)
+def _decimal(scales: ServoScales) -> dict[str, float]:
+    """Return decimal multiples of the unit of the bench file: drives are set to a power of ten."""
+    own = scales.motor_speed_unit_rad_s
+    name = next((n for n, unit in _units(scales).items() if abs(unit - own) <= _SAME * own), None)
+    words = "times the stated unit" if name is None else _WORDS[name]
+    return {f"{10.0**power:g} {words}": own * 10.0**power for power in _POWERS}
+
+
+def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
+    """Return name and value of the nearest of known units; None where none is within a ratio."""
+    if not known:
+        return None
+    name = min(known, key=lambda name: _apart(unit, known[name]))
+    return (name, known[name]) if _apart(unit, known[name]) <= math.log(spread) else None
+
+
+def _apart(first: float, second: float) -> float:
+    return abs(math.log(first / second))
+
+
+def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[str | None, float]:
+    """Return name and value of a known unit; no name for one that is unknown.
+
+    A measured one may be off by rounding and by peaks of the speed between samples. A decimal
+    multiple is less likely than a unit with a name, so that it counts only where the latter is
+    farther than a motion shows without rounding, and where it is itself nearer by far.
+    """
+    one = 1.0 + _SAME
+    named = _nearest(unit, _others(scales), one if exact else KNOWN_SPREAD)
+    decimal = _nearest(unit, _decimal(scales), one if exact else MEASURED_SPREAD)
+    if named is None or decimal is None:
+        return named or decimal or (None, unit)
+    apart = _apart(unit, named[1])
+    usual = apart <= math.log(MEASURED_SPREAD) or apart <= _UNUSUAL * _apart(unit, decimal[1])
+    return named if usual else decimal
+
+
+def _words(found: float, scales: ServoScales, exact: bool = False) -> str:
+    name, unit = _recognised(found, scales, exact)
+    if name is not None and name in _units(scales):
+        return f"606Ch is in {_WORDS[name]}: set servo.velocity_unit: {name}"
+    setting = f"set servo.velocity_unit_rad_s: {unit:.4g}"
+    if exact:
+        return f"606Ch is in {name}: {setting}" if name is not None else setting
     if name is not None:
-        words = name.replace("counts_per_s", "counts per second")
-        return f"606Ch is in {words}: set servo.velocity_unit: {name}"
-    return f"set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about {unit:.2g}"
+        return f"606Ch looks like {name}: {setting}, or the unit in the manual of the drive"
+    return (
+        f"{setting}, about the speed of one unit of 606Ch, or the unit in the manual of the drive"
+    )

@@ -60,11 +60,14 @@ class Layout:
     obstacle: str = ""
 
 
-def load_dbc(path: Path) -> Database:
+def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
     """Read a DBC file.
 
+    Signals that overlap, or that do not fit into their message, are faults of that message alone:
+    the file is read, and each such message is named with its fault.
+
     Returns:
-        Layouts by message name.
+        The database, and the fault of each message that has one, by its place in the database.
 
     Raises:
         ConfigurationError: The file cannot be read; the message gives ``file:line:column`` of a
@@ -78,13 +81,26 @@ def load_dbc(path: Path) -> Database:
             f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
         ) from error
     try:
-        return _load(data)
+        database = _load(data)
     except DbcError as error:
         raise ConfigurationError(
             f"{path}{_explain(str(error))}; correct it with a DBC editor"
         ) from error
     except _NotTextError as error:
         raise ConfigurationError(f"{path}: is not a text file: {error}") from error
+    faults = {at: _fault(message) for at, message in enumerate(database.messages)}
+    return database, {at: words for at, words in faults.items() if words}
+
+
+def _fault(message: Message) -> str:
+    """Return what is wrong with the bits of a message; empty where nothing is."""
+    try:
+        message.refresh(strict=True)
+    except DbcError as error:
+        return str(error).rstrip(".")
+    except _ODD as error:
+        return f"{type(error).__name__}: {error}"
+    return ""
 
 
 def read_dbc(path: Path) -> dict[str, Layout]:
@@ -96,9 +112,12 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     Raises:
         ConfigurationError: As :func:`load_dbc`.
     """
-    database = load_dbc(path)
+    database, faults = load_dbc(path)
     counts = Counter(message.name for message in database.messages)
-    layouts = {message.name: _layout(message) for message in database.messages}
+    layouts = {
+        message.name: _layout(message, faults.get(at, ""))
+        for at, message in enumerate(database.messages)
+    }
     twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
     return layouts | twice
 
@@ -134,7 +153,7 @@ def _load(data: bytes) -> Database:
             continue
         try:
             with _quiet():
-                database = cantools.database.load_string(text, database_format="dbc")
+                database = cantools.database.load_string(text, database_format="dbc", strict=False)
         except DbcError as error:
             first = first or error
         except _ODD as error:
@@ -165,14 +184,14 @@ def _explain(error: str) -> str:
     return f":{place[1]}:{place[2]}: {text}" if place else f": {text}"
 
 
-def _layout(message: Message) -> Layout:
+def _layout(message: Message, fault: str) -> Layout:
     return Layout(
         name=message.name,
         identifier=message.frame_id | (EXTENDED_FLAG if message.is_extended_frame else 0),
         size=message.length,
         period_s=_period_s(message.cycle_time),
         signals=_signals(message),
-        obstacle=_obstacle(message),
+        obstacle=fault or _obstacle(message),
     )
 
 

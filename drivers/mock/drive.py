@@ -45,6 +45,8 @@ _DC_LINK: Final = key(0x6079)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
+_NO_LIMIT: Final = 0xFFFFFFFF
+"""607Fh of a drive whose speed is not limited."""
 _VOLTAGE_ENABLED: Final = 0x0010
 _REMOTE: Final = 0x0200
 _TARGET_REACHED: Final = 0x0400
@@ -187,7 +189,8 @@ class SimulatedDrive(SimulatedNode):
         """Show and take speeds in another unit from now on, as a drive does that was made so."""
         values = self._values
         for address in (key(0x607F), key(0x6084), key(0x6085)):
-            values[address] = round(values[address] * self.speed_unit / counts_per_s)
+            if values[address] != _NO_LIMIT:
+                values[address] = round(values[address] * self.speed_unit / counts_per_s)
         self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
@@ -260,7 +263,7 @@ class SimulatedDrive(SimulatedNode):
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
         values[_FOLLOWING] = round(reading.following_error_counts)
-        self._own.measure(values, reading)
+        self._own.measure(values, reading, self.current_sign)
 
     def _obey(self, word: int) -> None:
         rising = word & ~self._last_word

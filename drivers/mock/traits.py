@@ -114,7 +114,8 @@ class OwnObjects:
             if shown.quantity is None:
                 values[key(*shown.address)] = round(rated_current_A / shown.unit)
 
-    def measure(self, values: dict[int, int], reading: Reading) -> None:
-        """Set what is measured."""
+    def measure(self, values: dict[int, int], reading: Reading, current_sign: int) -> None:
+        """Set what is measured; currents with a sign of the drive's own."""
         for number, quantity, unit in self.measured:
-            values[number] = round(quantity(reading) / unit)
+            sign = current_sign if quantity is current_A else 1
+            values[number] = sign * round(quantity(reading) / unit)

@@ -8,6 +8,7 @@ from typing import Final
 from drivers.errors import DeviceError
 from rig.commissioning.record import StepRecord, WrongError
 from rig.commissioning.setup import Setup
+from rig.common.findings import Cause
 from rig.control.motion_words import Change
 from rig.control.readings import reading_findings, take_readings
 from rig.wiring.bench_text import watcher
@@ -60,7 +61,8 @@ def readings(setup: Setup, step: StepRecord) -> None:
         for item in reading_findings(taken, setup.limits)
         if "joint angle" not in item.text and "encoder against drive" not in item.text
     ]
-    for words in devices.servo.lacks(bench.cycle_s).words:
+    noted = [item.text for item in found if not item.refused and item.cause is Cause.ENCODER]
+    for words in (*devices.servo.lacks(bench.cycle_s).words, *noted):
         setup.interview.tell(f"note: {words}")
     problems = [item.text for item in found if item.refused]
     if problems:

@@ -227,8 +227,8 @@ class Cycle:
             if units is not None:
                 units.take(sample, self._torque)
             if trip is not None:
-                too_fast = trip.check is Check.SPEED
-                raise TripError(trip, "" if units is None else units.explanation(too_fast))
+                of = (trip.check is Check.SPEED, trip.check is Check.TORQUE)
+                raise TripError(trip, "" if units is None else units.explanation(*of))
             if self._witness is not None and self._witness.decided(sample):
                 self._witness = None
             if keep is not None:

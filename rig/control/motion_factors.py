@@ -22,6 +22,8 @@ quick that it would show.
 """
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, at the joint."""
+HINT_COUNTS: Final = 4
+"""Least number of different positions of an encoder on which words about a trip rest."""
 SENSE: Final = 0.3
 """Least share of the work that may be negative: friction takes work in both directions."""
 _JUMP_SHARE: Final = 0.7
@@ -74,9 +76,8 @@ def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
     if len(motion.time) < 2:
         return math.nan
     size = _block(motion)
-    edges = np.arange(0, len(motion.time), size)
-    if len(edges) < 3:
-        edges = np.array([0, len(motion.time) - 1])
+    # A trip comes in the last, unfinished block.
+    edges = np.append(np.arange(0, len(motion.time) - 1, size), len(motion.time) - 1)
     moved = np.diff(motion.motor[edges])
     mean = motion.velocity[1:] * np.diff(motion.time)
     reported = np.diff(np.concatenate(([0.0], np.cumsum(mean)))[edges])
@@ -120,10 +121,21 @@ def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 
 def early_factor(motion: Motion) -> float:
-    """Return the same for the few samples before a trip; NaN unless they fit it."""
-    m, j = motion.motor - motion.motor[0], motion.joint - motion.joint[0]
-    slope, delay = _slope(m, motion.velocity, j)
-    rest, span = j - slope * m - delay * motion.velocity, float(np.max(np.abs(j - m)))
+    """Return the same for the few samples before a trip; NaN unless they fit it.
+
+    A joint encoder that shows few positions is not compared: its step may be longer than the travel
+    so far. If it shows one position only, the travel must be longer than its step, play and twist.
+    """
+    shown = len(np.unique(motion.joint))
+    if shown < HINT_COUNTS and (shown > 1 or float(np.ptp(motion.motor)) < LEAST_RAD):
+        return math.nan
+    # At rest every factor fits.
+    moved = (motion.motor != motion.motor[0]) | (motion.joint != motion.joint[0])
+    begin = max(0, int(np.argmax(moved)) - 1)
+    m, j = (x[begin:] - x[0] for x in (motion.motor, motion.joint))
+    v = motion.velocity[begin:]
+    slope, delay = _slope(m, v, j)
+    rest, span = j - slope * m - delay * v, float(np.max(np.abs(j - m)))
     if span <= 0.0 or float(np.sqrt(np.mean(rest**2))) > 0.1 * span:
         return math.nan
     return slope

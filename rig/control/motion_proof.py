@@ -12,6 +12,7 @@ import numpy as np
 
 from drivers.interfaces import Servo
 from rig.control.motion_factors import (
+    HINT_COUNTS,
     SENSE,
     Motion,
     current_sense,
@@ -38,11 +39,13 @@ from rig.control.motion_words import (
 )
 from rig.wiring.devices import Nominal
 
-HINT_COUNTS: Final = 4
-"""Least number of different motor positions on which words about a trip rest."""
 INSTANT_SPREAD: Final = 15.0
 """Ratio up to which the factor of a speed is known early in a motion: a drive shows the peak of a
-slip that lasts less than a cycle. Known units are taken within it.
+slip that lasts less than a cycle. Units with a name are taken within it.
+"""
+ROUGH_COUNTS: Final = 30
+"""Different motor positions up to which a motion counts as early; with more of them, the factors of
+simulated benches are right within 2.2 times.
 """
 LEAST_INSTANT: Final = 4.0
 """Least ratio of the speed of one sample to the change of the position that explains a trip."""
@@ -109,7 +112,11 @@ def prove(
 
 
 def hint(
-    motion: Motion, nominal: Nominal, servo: Servo, too_fast: bool = False
+    motion: Motion,
+    nominal: Nominal,
+    servo: Servo,
+    too_fast: bool = False,
+    too_strong: bool = False,
 ) -> Contradiction | None:
     """Return what explains a trip or a fault early in a motion; None where nothing does.
 
@@ -121,6 +128,7 @@ def hint(
         nominal: Constants of the bench file.
         servo: The drive, which names the remedy for its speed.
         too_fast: Whether the reported speed is what tripped.
+        too_strong: Whether the torque is, which follows from the current and the torque constant.
     """
     if len(motion.time) < 2:
         return None
@@ -131,9 +139,17 @@ def hint(
         shaft = early_factor(motion)
     if not (math.isnan(shaft) or abs(shaft - 1.0) <= 2.0 * RATIO_TOLERANCE):
         return wrong_shaft(shaft, nominal)
-    speed = speed_factor(motion, least=0.0)
-    if not _same(speed, SPEED_BAND) and len(np.unique(motion.motor)) >= HINT_COUNTS:
-        return wrong_speed(servo.nearest_speed_factor(speed, INSTANT_SPREAD), servo)
+    speed, counts = speed_factor(motion, least=0.0), len(np.unique(motion.motor))
+    if not _same(speed, SPEED_BAND) and counts >= HINT_COUNTS:
+        if counts > ROUGH_COUNTS:
+            return wrong_speed(speed, servo)
+        # A reported speed beyond its limit is not too small, though few samples may sum up so.
+        if speed > 1.0 or not too_fast:
+            return _rough_speed(speed, servo)
+    if too_strong:
+        constant, source = torque_constant(motion, nominal)
+        if not _same(constant / nominal.torque_constant_N_m_A, TORQUE_BAND):
+            return wrong_torque(constant, source, nominal)
     return _instant_speed(motion, servo) if too_fast else None
 
 
@@ -153,7 +169,11 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     factor = abs(float(motion.velocity[-1])) / fastest
     if factor < LEAST_INSTANT:
         return None
-    return wrong_speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo)
+    return _rough_speed(factor, servo)
+
+
+def _rough_speed(factor: float, servo: Servo) -> Contradiction:
+    return wrong_speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo, rough=True)
 
 
 def _same(factor: float, band: tuple[float, float]) -> bool:

@@ -67,16 +67,16 @@ class MotionWitness:
             raise ConfigurationError(proof.words)
         return proof
 
-    def hint(self, too_fast: bool = False) -> Contradiction | None:
+    def hint(self, too_fast: bool = False, too_strong: bool = False) -> Contradiction | None:
         """Return what explains a trip or a fault; see :func:`rig.control.motion_proof.hint`."""
-        return hint(self.motion, self._nominal, self._servo, too_fast)
+        return hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
 
-    def explanation(self, too_fast: bool = False) -> str:
-        """Return what explains a trip (``too_fast``: of the reported speed) or a fault; empty where
-        nothing does.
+    def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
+        """Return what explains a trip (``too_fast``: of the reported speed, ``too_strong``: of the
+        torque) or a fault; empty where nothing does.
         """
         try:
-            found = self.hint(too_fast)
+            found = self.hint(too_fast, too_strong)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             # Words about a trip must not stand in the way of the stop.
             return ""

@@ -16,9 +16,10 @@ SPEED, SHAFT, WORK, CONSTANT = (
     "torque constant",
 )
 """Names of what is compared."""
-SPEED_BAND: Final = (0.4, 2.5)
-"""Ratio of reported to true speed that is taken for the same unit. Filters, and samples that miss
-the short peaks of stick and slip, change it by less (0.7 in a slow ramp), units by more.
+SPEED_BAND: Final = (0.25, 4.0)
+"""Range of the ratio of reported to true speed that counts as the same unit. Filters, and samples
+at the pace of the loop that miss the peaks of stick and slip, change the ratio less (0.33 at one
+count a cycle); wrong units change it more, for example rpm and degrees per second by a factor of 6.
 """
 RATIO_TOLERANCE: Final = 0.1
 """Relative difference of the encoders' travels that is left to play and twist."""
@@ -76,12 +77,16 @@ class Contradiction:
     changes: tuple[Change, ...] = ()
 
 
-def wrong_speed(factor: float, servo: Servo) -> Contradiction:
-    """Return what a reported speed of ``factor`` times the true one means."""
+def wrong_speed(factor: float, servo: Servo, rough: bool = False) -> Contradiction:
+    """Return what a reported speed of ``factor`` times the true one means; ``rough`` if few counts
+    show it.
+    """
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
         f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
+    if rough:
+        words += "; few counts show this factor, so compare the unit with the manual of the drive"
     changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
     return Contradiction(SPEED, factor, words, changes)
 

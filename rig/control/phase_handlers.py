@@ -138,7 +138,9 @@ class PhaseHandlers:
         if devices.hang is None and self.own_limits is None:
             # This is checked before a person hangs a weight, so that no weight is hung for a run
             # that does not start.
-            require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
+            limits, cycle_s = self._plan.servo_limits, self._plan.cycle_s
+            for words in require_ready(devices, limits, cycle_s, self._reset_fault):
+                self._operator.tell(f"warning: {words}")
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
             self.cycle.now_ns,

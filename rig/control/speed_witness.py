@@ -12,6 +12,7 @@ from typing import Final
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Servo
 from rig.common.sample import Sample
+from rig.control.motion_words import SPEED_BAND
 
 STEP_RAD: Final = 0.01
 """Joint travel of one comparison, rad; several counts of any motor encoder before a gear."""
@@ -20,11 +21,6 @@ STEPS: Final = 3
 LONGEST_S: Final = 1.0
 """Longest time of a travel, s; a longer travel is not compared, because its sum would contain an
 offset of the speed many times.
-"""
-BAND: Final = (0.25, 4.0)
-"""Range of the ratio of reported to true speed that counts as the same unit. Filters, and samples
-that miss the short peaks of stick-slip, change the ratio less (0.7 in the slow ramp); wrong units
-change the ratio more, for example rpm and degrees per second by a factor of 6.
 """
 
 
@@ -78,10 +74,10 @@ class SpeedWitness:
         if self._left:
             return False
         factor = self._products / self._squares
-        if not BAND[0] <= factor <= BAND[1]:
+        if not SPEED_BAND[0] <= factor <= SPEED_BAND[1]:
             raise ConfigurationError(
                 f"the speed that the drive reports is {factor:.4g} times the change of its "
-                f"position; it must be {BAND[0]:g} to {BAND[1]:g} times: "
+                f"position; it must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: "
                 f"{self._servo.speed_remedy(factor)}"
             )
         return True

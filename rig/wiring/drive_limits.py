@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Set
 from dataclasses import dataclass
+from typing import Final
 
 from drivers.errors import ConfigurationError
 from drivers.interfaces import LimitSteps, Servo, ServoLimits
@@ -42,6 +43,11 @@ class Row:
     looser: bool
 
 
+SPEED_UNIT: Final = (
+    "; a speed limit that is not the one set with the maker's tool is in another unit: compare "
+    "servo.velocity_unit with the manual of the drive"
+)
+"""What else a wrong limit of the speed may mean."""
 _ROWS = (
     ("joint angle, lower end", "607Dh:01h", "angle_min_rad", "rad", "angle_rad"),
     ("joint angle, upper end", "607Dh:02h", "angle_max_rad", "rad", "angle_rad"),
@@ -146,11 +152,13 @@ def require_within_own(
     """
     rows = loosened(wanted, own, steps, places, unheld)
     if rows:
+        speed = any(row.field == "speed_rad_s" for row in rows)
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
             f"{_list(rows, 'bench file', 'drive')}; tighten the "
             "bench file, or change the drive with its maker's tool; limits left by an "
             "aborted run are cleared by switching the drive's supply off and on"
+            + (SPEED_UNIT if speed else "")
         )
 
 

@@ -91,7 +91,11 @@ def device_findings(
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
     settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
     yield from settings
-    yield from _refused(Cause.ENCODER, devices.encoder.refusals(cycle_s))
+    unread = list(_refused(Cause.ENCODER, devices.encoder.refusals(cycle_s)))
+    yield from unread
+    if not unread:
+        for text in devices.encoder.lacks():
+            yield Finding(Cause.ENCODER, text, refused=False)
     if devices.pressure is not None:
         yield from _refused(Cause.PRESSURE, devices.pressure.refusals(cycle_s))
     if settings:
@@ -107,7 +111,7 @@ def device_findings(
 
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
-) -> None:
+) -> list[str]:
     """Refuse devices now that a run would refuse after the operator has hung a weight.
 
     Args:
@@ -116,12 +120,17 @@ def require_ready(
         cycle_s: As there.
         reset_fault: As there.
 
+    Returns:
+        Warnings for the operator.
+
     Raises:
         ConfigurationError: Lists every reason.
         DeviceError: A device does not answer.
     """
-    if problems := refusals(list(device_findings(devices, wanted, cycle_s, reset_fault))):
+    found = list(device_findings(devices, wanted, cycle_s, reset_fault))
+    if problems := refusals(found):
         raise ConfigurationError("; ".join(problems))
+    return warnings(found)
 
 
 def energised(state: ServoState) -> StateError | None:

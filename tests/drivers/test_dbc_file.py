@@ -27,13 +27,25 @@ def test_a_syntax_error_names_line_and_column(tmp_path: Path) -> None:
         read_dbc(path)
 
 
-def test_signals_that_overlap_are_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("good", "bad", "words"),
+    [
+        ("Life : 4|4@1+", "Life : 3|4@1+", "overlapping in message DRV_Command"),
+        ("Life : 4|4@1+", "Life : 62|4@1+", "does not fit in message DRV_Command"),
+    ],
+)
+def test_a_message_whose_bits_are_wrong_is_not_used_and_others_are(
+    tmp_path: Path, good: str, bad: str, words: str
+) -> None:
     path = tmp_path / "bad.dbc"
-    path.write_text(DRIVE_DBC.read_text().replace("Life : 4|4@1+", "Life : 3|4@1+"))
-    with pytest.raises(
-        ConfigurationError, match=r"bad\.dbc: The signals .* overlapping in message DRV_Command"
-    ):
-        read_dbc(path)
+    text = DRIVE_DBC.read_text()
+    assert good in text
+    path.write_text(text.replace(good, bad))
+    layouts, right = read_dbc(path), read_dbc(DRIVE_DBC)
+    assert words in layouts["DRV_Command"].obstacle
+    assert {name: one for name, one in layouts.items() if name != "DRV_Command"} == {
+        name: one for name, one in right.items() if name != "DRV_Command"
+    }
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:

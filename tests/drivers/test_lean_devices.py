@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -299,8 +300,10 @@ def test_a_range_that_an_unsigned32_cannot_hold(host: Host, span: int) -> None:
 
 
 def test_an_encoder_of_class_1(host: Host) -> None:
+    assert list(host.encoder.lacks()) == []
     remove(host.bench.encoder, (0x6001, 0), (0x6002, 0), (0x6503, 0), (0x1013, 0))
     assert list(host.encoder.refusals(host.cycle_s)) == []
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == ["6503h", "1013h"]
     enabled(host)
     host.cycles(400, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
     sample = host.encoder.sample()
@@ -309,6 +312,13 @@ def test_an_encoder_of_class_1(host: Host) -> None:
     wrong = Cia406Encoder(host.encoder._channel, EncoderScales(4096))
     with pytest.raises(ConfigurationError, match="6501h says 262144 counts per turn"):
         wrong.prepare(host.cycle_s)
+    remove(host.bench.encoder, (0x6501, 0), (0x6502, 0))
+    assert [words.split("(")[1][:5] for words in host.encoder.lacks()] == [
+        "6001h",
+        "6002h",
+        "6503h",
+        "1013h",
+    ]
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -374,11 +384,56 @@ def test_a_unit_of_the_speed_that_is_not_the_bench_file_s_is_refused(host: Host)
         (0.0146, "606Ch is in rpm: set servo.velocity_unit: rpm"),
         (0.0104, "606Ch is in rpm: set servo.velocity_unit: rpm"),
         (-1.0, "606Ch has the opposite sign of 6064h"),
-        (0.1, "set servo.velocity_unit_rad_s, the speed of one unit of 606Ch: about 0.015"),
+        (0.0, "606Ch reads 0 while 6064h changes"),
+        (0.03, "606Ch is in rpm: set servo.velocity_unit: rpm"),
+        (0.1, "606Ch looks like 10 counts per second: set servo.velocity_unit_rad_s: 0.01534, or"),
+        (9.3, "606Ch looks like 0.1 counts per second: set servo.velocity_unit_rad_s: 0.0001534,"),
+        (4.0, "set servo.velocity_unit_rad_s: 0.0003835, about the speed of one unit of 606Ch"),
     ],
 )
 def test_the_remedy_names_the_unit_that_was_found(host: Host, factor: float, words: str) -> None:
     assert host.servo.speed_remedy(factor).startswith(words)
+    keys = dict(host.servo.speed_settings(factor))
+    told = re.search(r"set servo\.(\w+): ([^,;]+)", words)
+    if factor <= 0.0:
+        assert keys == {}
+    else:
+        assert told is not None
+        assert str(keys[told[1]]) == told[2]
+
+
+@pytest.mark.parametrize("unit", [2 * math.pi / 60, 2 * math.pi / 4096])
+@pytest.mark.parametrize("factor", [0.01, 0.2, 3.0, 6.0, 20.0, 300.0])
+def test_a_rough_factor_never_leads_to_the_unit_of_the_bench_file(
+    host: Host, unit: float, factor: float
+) -> None:
+    scales = dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
+    near = velocity_unit.nearest_factor(scales, factor, 15.0)
+    assert not 0.5 < near < 2.0
+    assert 1 / 15 <= near / factor <= 15.0
+
+
+@pytest.mark.parametrize(
+    ("word", "words"),
+    [
+        (0xFFB44700, "set servo.velocity_unit_rad_s: 0.01047"),
+        (0x00100300, "set servo.velocity_unit_rad_s: 1"),
+    ],
+)
+def test_a_unit_that_a_drive_states_is_named_only_where_it_is_that_one(
+    word: int, words: str
+) -> None:
+    class Stating:
+        label = "node 1"
+
+        def describes(self, *_: object) -> bool:
+            return True
+
+        def read(self, *_: int) -> int:
+            return word
+
+    (error,) = velocity_unit.refusals(Stating(), SCALES)  # type: ignore[arg-type]
+    assert str(error).endswith(f"rad/s: {words}")
 
 
 def test_prepared_twice_a_full_drive_is_written_less(host: Host) -> None:

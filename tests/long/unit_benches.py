@@ -30,6 +30,8 @@ from rig.runs.run_record import Ending
 from rig.terminal.stop_button import StopButton
 from rig.wiring.connect import connect
 
+TENFOLD = "tenfold speed"
+"""A unit of the speed ten times finer than the stated one; not part of the table of the study."""
 MISTAKES = ("unit of speed", "sign", "ratio", "shaft", "torque constant")
 CYCLIC = tuple(name for name, make in MAKES.items() if make.modes & CSP)
 """Makes whose drives take positions in every cycle; the benches have no other mode."""
@@ -172,6 +174,12 @@ def _mistake(
         if which:
             return spoil, ("servo.velocity_unit", "rpm"), "606Ch is in rpm"
         return spoil, ("servo.velocity_unit", "counts_per_s"), "606Ch is in counts per second"
+    if mistake == TENFOLD:
+        servo["velocity_unit"] = "counts_per_s" if which else "rpm"
+        unit = 0.1 if which else counts / 600
+        spoil = lambda mock: mock.drive.use_speed_unit(unit)  # noqa: E731
+        told = ("servo.velocity_unit_rad_s", unit * 2.0 * math.pi / counts)
+        return spoil, told, "606Ch looks like 0.1 "
     if mistake == "sign":
         if which == 0:
             spoil = lambda mock: setattr(mock.drive, "current_sign", -1)  # noqa: E731

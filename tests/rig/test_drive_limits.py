@@ -15,7 +15,14 @@ from drivers.interfaces import LimitSteps, ServoLimits
 from drivers.servo_limits import decode, encode, steps
 from drivers.units import ServoScales
 from rig.runs.run_record import Ending
-from rig.wiring.drive_limits import compare, loosened, require_held, require_within_own, show
+from rig.wiring.drive_limits import (
+    SPEED_UNIT,
+    compare,
+    loosened,
+    require_held,
+    require_within_own,
+    show,
+)
 
 WANTED = ServoLimits(-0.5, 0.6, 2.0, 60.0, 25.0, 0.03, 2, 35.0)
 
@@ -204,8 +211,15 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
         f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, "
         f"or change the drive "
         "with its maker's tool; limits left by an aborted run are cleared by switching the "
-        "drive's supply off and on"
+        "drive's supply off and on" + SPEED_UNIT
     )
+
+
+def test_only_a_speed_may_be_in_another_unit() -> None:
+    for field, told in (("speed_rad_s", True), ("torque_N_m", False)):
+        with pytest.raises(ConfigurationError) as caught:
+            require_within_own(changed(**{field: getattr(WANTED, field) * 68.0}), WANTED)
+        assert ("servo.velocity_unit" in str(caught.value)) == told
 
 
 @pytest.mark.parametrize("option", range(10))

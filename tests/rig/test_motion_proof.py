@@ -75,7 +75,7 @@ def test_a_right_motion_shows_everything_and_contradicts_nothing() -> None:
     assert proof.unproven == ""
 
 
-@pytest.mark.parametrize(("factor", "wrong"), [(0.45, 0), (2.3, 0), (0.35, 1), (2.7, 1), (-1.0, 1)])
+@pytest.mark.parametrize(("factor", "wrong"), [(0.3, 0), (3.7, 0), (0.2, 1), (5.0, 1), (-1.0, 1)])
 def test_speed_against_position(factor: float, wrong: int) -> None:
     proof = proven(motion(velocity=lambda v: factor * v))
     assert len(proof.contradictions) == wrong
@@ -196,10 +196,56 @@ def test_a_trip_is_explained_by_encoders_in_proportion(factor: float) -> None:
 
 
 def test_an_encoder_that_stands_still_explains_a_trip() -> None:
-    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 5e-3
     found = hint(early(moved, 0.0 * moved, np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
     assert found is not None
     assert "it stands still" in found.words
+
+
+@pytest.mark.parametrize("shown", [0, 1, 2])
+@pytest.mark.parametrize("counts", [5, 40])
+def test_a_joint_encoder_with_few_steps_in_the_travel_explains_no_trip(
+    shown: int, counts: int
+) -> None:
+    count = 1e-5
+    moved = np.concatenate((np.zeros(150), count * np.arange(1.0, counts + 1)))
+    joint = np.floor(np.linspace(0.0, shown, len(moved))) * 4e-4
+    right = early(moved, joint, np.gradient(moved, 1e-3))
+    assert hint(right, NOMINAL, Remedies()) is None  # type: ignore[arg-type]
+    found = hint(early(moved, joint, 60.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert found.what == "speed against position"
+    assert ("few counts" in found.words) == (counts == 5)
+
+
+@pytest.mark.parametrize(("share", "wrong"), [(2.0, True), (1.2, False)])
+def test_a_torque_that_tripped_is_explained_by_its_constant(share: float, wrong: bool) -> None:
+    moved = np.linspace(0.0, 1.0, 30) ** 2 * 1e-3
+    few = early(moved, moved, np.gradient(moved, 1e-3))
+    nominal = Nominal(share * KM, GEAR, 10.0, 10.0 * KM)
+    drive: Any = Remedies()
+    assert hint(few, nominal, drive) is None
+    found = hint(few, nominal, drive, too_strong=True)
+    assert (found is not None) is wrong
+    if found is not None:
+        assert found.changes == (Change("machine", "torque_constant_N_m_A", KM),)
+
+
+def test_the_peak_of_a_slip_back_is_no_wrong_sign() -> None:
+    moved = -1e-4 * np.repeat(np.arange(6.0), 5)
+    velocity = np.where(np.arange(30) == 29, 8.0, 0.0)
+    found = hint(early(moved, moved, velocity), NOMINAL, Remedies(count=1e-4), too_fast=True)  # type: ignore[arg-type]
+    assert found is not None
+    assert found.factor == pytest.approx(100.0)
+
+
+def test_a_ratio_is_not_taken_from_the_rest_before_the_motion() -> None:
+    rest = np.zeros(200)
+    moved = np.concatenate((rest, 1e-5 * np.arange(1.0, 7.0)))
+    joint = np.concatenate((rest, 1e-5 * np.array([0.5, 3.0, 1.0, 5.0, 2.0, 4.0])))
+    found = hint(early(moved, joint, 1000.0 * np.gradient(moved, 1e-3)), NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert found is not None
+    assert found.what == "speed against position"
 
 
 def test_a_jump_explains_nothing() -> None:

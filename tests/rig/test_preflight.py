@@ -393,6 +393,43 @@ def test_a_real_bench_is_refused_before_a_weight_is_asked_for(
         assert bench.calls["enable"] == 0
 
 
+def test_what_the_encoder_does_not_report_is_said_before_a_weight_is_asked_for(
+    runner: Any, fake_bench: Any
+) -> None:
+    said = []
+
+    class Told(AutomaticOperator):
+        def tell(self, words: str) -> None:
+            said.append(words)
+
+        def confirm_weight(self, stage: str, weight_kg: float) -> float:
+            said.append("prompt")
+            return weight_kg
+
+    devices = dataclasses.replace(fake_bench().devices(), hang=None)
+    devices.encoder.lacks = lambda: iter(["joint encoder: not monitored: alarms (6503h)"])
+    runner.folder.mkdir()
+    arguments = Told(), StopButton(), lambda *_: None
+    execute(runner.inputs, runner.plan, devices, runner.folder, *arguments)
+    assert said.index("warning: joint encoder: not monitored: alarms (6503h)") == 0
+    assert said.count("warning: joint encoder: not monitored: alarms (6503h)") == 1
+    assert "prompt" in said
+
+
+def test_check_says_what_the_encoder_does_not_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def lean(bench: SimulatedBench) -> None:
+        for address in ((0x6503, 0), (0x1013, 0)):
+            del bench.encoder.objects.entries[key(*address)]
+
+    tampered(monkeypatch, lean)
+    assert status(["check", "practical"]) == 0
+    shown = capsys.readouterr().out
+    assert "warning: joint encoder: not monitored: alarms (6503h)" in shown
+    assert "warning: joint encoder: no time stamp (1013h)" in shown
+
+
 def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(
     runner: Any, fake_bench: Any
 ) -> None:

@@ -27,13 +27,13 @@ def messages_of(path: Path) -> list[BusMessage]:
         InputError: It cannot be read; names line and column.
     """
     try:
-        database = load_dbc(path)
+        database, faults = load_dbc(path)
     except ConfigurationError as error:
         raise InputError(str(error)) from error
-    return [_message(message) for message in database.messages]
+    return [_message(message, faults.get(at, "")) for at, message in enumerate(database.messages)]
 
 
-def _message(message: Any) -> BusMessage:
+def _message(message: Any, fault: str) -> BusMessage:
     found: dict[str, BusSignal] = {}
     left_out: list[str] = []
     if message.is_container:
@@ -51,6 +51,7 @@ def _message(message: Any) -> BusMessage:
         signals=tuple(found[name] for name in by_name if name in found),
         by_group=message.protocol == "j1939" and message.is_extended_frame,
         left_out=tuple(left_out),
+        fault=fault,
     )
 
 

@@ -122,6 +122,7 @@ class BusMessage:
         by_group: Whether frames of other priorities and source addresses are this message too, as
             in SAE J1939.
         left_out: What of it cannot be read, in words.
+        fault: What is wrong with its bits in the source, though they are read; empty for nothing.
     """
 
     name: str
@@ -129,6 +130,7 @@ class BusMessage:
     signals: tuple[BusSignal, ...]
     by_group: bool = False
     left_out: tuple[str, ...] = field(default=())
+    fault: str = ""
 
 
 def little_endian(start: int, width: int) -> tuple[Part, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,7 +71,7 @@ class CanTable(Table):
         known = [message for name in options.dbc_files for message in messages_of(Path(name))]
         if options.bench is not None:
             known = messages_of_bench(Path(options.bench))
-        named = self._named(frames, _by_identifier(known))
+        named = self._named(frames, _by_identifier(known, {i for _, i in frames}))
         self._bases: list[_Base] = []
         self._columns: list[_Column] = []
         names: list[str] = []
@@ -144,6 +144,11 @@ class CanTable(Table):
         for bus, identifier, message, one in found:
             for words in message.left_out:
                 self.note(f"left out: {words}")
+            if message.fault:
+                self.note(
+                    f"{message.fault}: every signal is read from the bits that the DBC states; "
+                    f"doubt those named, and correct the DBC"
+                )
             same = [(b, i) for b, i, m, _ in found if m is message]
             name = message.name
             if len({b for b, _ in same}) > 1:
@@ -206,16 +211,16 @@ def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, li
             yield suffix, _Base(frames, rows), signals
 
 
-def _by_identifier(messages: Iterable[BusMessage]) -> dict[int, BusMessage]:
+def _by_identifier(messages: Iterable[BusMessage], seen: Set[int]) -> dict[int, BusMessage]:
     """Return messages by identifier.
 
     Raises:
-        InputError: Two have the same one.
+        InputError: Two have the same one, and frames with it were seen.
     """
     found: dict[int, BusMessage] = {}
     for message in messages:
         other = found.setdefault(message.identifier, message)
-        if other is not message:
+        if other is not message and message.identifier in seen:
             raise InputError(
                 f"{other.name} and {message.name} of the DBC both have the identifier "
                 f"{hexadecimal(message.identifier)}; name the DBC file of one bus, and read.bus"

@@ -219,6 +219,43 @@ def test_a_scaled_counter_of_a_message_is_unwrapped(tmp_path: Path) -> None:
     assert any("a counter of 12 bits" in note for note in recording.notes)
 
 
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        (' SG_ Extra : 50|12@1+ (1,0) [0|0] "" Host\n', "are overlapping in message Motion"),
+        (' SG_ Extra : 60|12@1+ (1,0) [0|0] "" Host\n', "Extra does not fit in message Motion"),
+    ],
+)
+def test_a_dbc_with_wrong_bits_is_read_with_a_word(tmp_path: Path, bad: str, words: str) -> None:
+    path = write(tmp_path / "log.blf", map(motion, range(N)))
+    right = columns(path)
+    (tmp_path / "bus.dbc").write_text(DBC.replace("BO_ 2566848514", f"{bad}BO_ 2566848514"))
+    found = columns(path)
+    for name, values in right.items():
+        np.testing.assert_array_equal(found[name], values)
+    notes = load_file(tmp_path, "log.blf", CHANNELS, READ).notes
+    assert [words in note for note in notes].count(True) == 1
+    # A message of which no frame is in the file is of no interest.
+    (tmp_path / "bus.dbc").write_text(DBC.replace("SIG_VALTYPE_ 291", f"{bad}SIG_VALTYPE_ 291", 1))
+    notes = load_file(tmp_path, "log.blf", CHANNELS, READ).notes
+    assert not any("Extra" in note for note in notes)
+
+
+def test_two_messages_of_one_identifier_matter_where_their_frames_are(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.blf", map(motion, range(N)))
+    right = columns(path)
+    for identifier, refused in ((100, False), (291, True)):
+        twice = f"BO_ {identifier} Again: 8 Drive\n"
+        (tmp_path / "bus.dbc").write_text(
+            DBC.replace("SIG_VALTYPE_ 291", f"{twice}SIG_VALTYPE_ 291", 1)
+        )
+        if refused:
+            with pytest.raises(InputError, match="both have the identifier 123h"):
+                columns(path)
+        else:
+            assert columns(path).keys() == right.keys()
+
+
 def test_j1939_messages_of_other_sources(tmp_path: Path) -> None:
     dbc = DBC + 'BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","reserved",'
     dbc += (
