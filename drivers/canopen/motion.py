@@ -213,7 +213,8 @@ class _HostLoop(Motion):
         """Forget the motion so far; raises :class:`StateError` where the limits are not known."""
         if self._limits is None:
             raise StateError(
-                f"mode {self.words} holds the limits in this program, and none are written yet"
+                f"in mode {self.words} this program, and not the drive, enforces the limits, and "
+                "no limits have been set; set the limits before the reset"
             )
         self._state = self._before = AT_REST
         self._stepped_in = -1

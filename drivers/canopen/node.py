@@ -280,8 +280,9 @@ class CanopenNode:
     def _disarm(self) -> None:
         """Deactivate a heartbeat consumer that a former program left active when it ended.
 
-        A heartbeat is sent first, because a device that lost its master waits for it. Without the
-        deactivation, the heartbeat before the start of the node would start the time-out again.
+        The host sends a heartbeat first, because a device that has noticed the loss of its master
+        waits for a heartbeat of the master. Without the deactivation, the heartbeat before the
+        start of the node would start the time-out again.
         """
         if optional(self.read, *_CONSUMER):
             self._wire.heartbeat()

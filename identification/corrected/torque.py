@@ -1,4 +1,9 @@
-"""What the motion asks of the drive: eq. 15, and what each effect adds to it."""
+"""Torques of the corrected model: the torque that the motion requires (eq. 15), and what each
+effect adds to it, N m at the joint.
+
+``s`` holds the signals of a recording by name (:mod:`identification.corrected.signals`), ``m`` the
+nominal parameters and the bench constants by name.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,10 @@
-"""Effects in the transmission: motor_angle / i - angle, which is constant by assumption 5."""
+"""Transmission effects of the corrected model: each function returns what an effect adds to the
+difference motor_angle / i - angle, rad.
+
+Without effects this difference is constant (assumption 5). ``s`` holds the signals of a recording
+by name (:mod:`identification.corrected.signals`), ``m`` the nominal parameters and the bench
+constants by name.
+"""
 
 from __future__ import annotations
 

@@ -158,8 +158,9 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     ):
         yield (
             ("model",),
-            f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording "
-            f"to fit has `gravity` or another known load",
+            f"friction {campaign.model.friction} grows with the torque of a pendulum, but no "
+            "recording with role fit has `gravity` or another known load; declare the load, or "
+            "choose another `friction`",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):

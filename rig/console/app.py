@@ -1,4 +1,8 @@
-"""The routes of the console.
+"""HTTP and WebSocket routes of the console.
+
+A reading request needs no token. A command is a POST request with the token in its header and JSON
+as its content; the JSON contains the number of the command, and each command of a page has a higher
+number than the previous one.
 
 Reading needs no token. Commands are POST requests with the token in their header, JSON as their
 content and a number that rises from one command of a page to the next.
@@ -39,13 +43,13 @@ _KINDS: Final = {
     ".svg": "image/svg+xml",
 }
 _PUSH_EVERY: Final = 2
-"""Ticks between two messages to a page."""
+"""Number of ticks between two messages to a page."""
 _COMMANDS: Final = {command.value: command for command in Command}
 _LONGEST_WINDOW_S: Final = 86_400.0
 
 
 class Console:
-    """The application.
+    """The web application of the console.
 
     Args:
         hub: The runs and the pages.
@@ -112,7 +116,9 @@ class Console:
     def _posted(
         self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return the endpoint of a command: checks token, content and number, then acts."""
+        """Return the endpoint of a command. The endpoint checks token, content and number, then
+        calls ``act``.
+        """
 
         async def endpoint(request: Request) -> Response:
             scheme, _, given = request.headers.get("authorization", "").partition(" ")
@@ -144,7 +150,9 @@ class Console:
         return endpoint
 
     async def _command(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a command to a run. A stop needs no controls, and no open page."""
+        """Send a command to a run. The command `stop` needs neither the controls nor an open
+        page.
+        """
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
             raise Refusal(f"unknown command; known are {', '.join(_COMMANDS)}")
@@ -197,7 +205,7 @@ class Console:
             raise Refusal(f"{who} holds the controls; take them first")
 
     async def _live(self, socket: WebSocket) -> None:
-        """Send a page what it shows, until it is closed."""
+        """Send the state and the charts to a page until the page is closed."""
         await socket.accept()
         try:
             hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
@@ -220,7 +228,9 @@ class Console:
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
-        """Send state and charts every few ticks. A page that takes nothing holds up only itself."""
+        """Send state and charts to a page every few ticks. A page that does not read its messages
+        delays only its own messages.
+        """
         view = View(self._hub, page)
         while not reading.done():
             await _send(socket, {"state": view.state()})
@@ -232,7 +242,9 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Take what a page wants to see, until it is closed or sends what no page sends."""
+    """Read which run and charts a page asks for, until the page is closed or sends an invalid
+    message.
+    """
     while True:
         try:
             message = dict(await socket.receive_json())
@@ -251,5 +263,7 @@ def _refused(status: int, words: str) -> Response:
 
 
 async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
-    """Send a JSON message in ASCII, which also bears text that is no valid Unicode."""
+    """Send a JSON message in ASCII; the escapes of ASCII can also encode text that is not valid
+    Unicode.
+    """
     await socket.send_text(json.dumps(message))

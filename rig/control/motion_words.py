@@ -1,4 +1,6 @@
-"""Contradictions between what devices report and the bench file, in words and as keys to set."""
+"""Contradictions between the reports of devices and the bench file, as text for the operator and as
+keys to set.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +17,25 @@ SPEED, SHAFT, WORK, CONSTANT = (
     "current against motion",
     "torque constant",
 )
-"""Names of what is compared."""
+"""Names of the compared properties."""
 SPEED_BAND: Final = (0.4, 2.5)
-"""Ratio of reported to true speed that is taken for the same unit. Filters, and samples that miss
-the short peaks of stick and slip, change it by less (0.7 in a slow ramp), units by more.
+"""Range of the ratio of reported to true speed within which the unit counts as right. Filters, and
+samples that miss the short peaks of stick-slip, change the ratio less (0.7 in a slow ramp); wrong
+units change it more.
 """
 RATIO_TOLERANCE: Final = 0.1
-"""Relative difference of the encoders' travels that is left to play and twist."""
+"""Relative difference of the encoders' travels that play and twist may cause."""
 TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
-"""Ratio of found to stated torque constant that is taken for the same. Data sheets, magnets and
-temperature differ by 20 %, wrong definitions (peak and root mean square, motor and joint) by more.
+"""Range of the ratio of found to stated torque constant within which the stated constant counts as
+right. Data sheets, magnets and temperature cause differences of 20 %; wrong definitions (peak or
+root mean square, motor or joint) cause larger ones.
 """
 STANDS_STILL: Final = 0.005
-"""Share of the motor encoder's travel below which the joint encoder stands still."""
+"""Share of the motor encoder's travel below which the joint encoder counts as standing still."""
 SHAFT_SPREAD: Final = 1.3
-"""Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
+"""Range of the ratio within which encoders count as turning 1:1; it is wide, because before a trip
+the motor encoder moves by only a few counts.
+"""
 NO_TORQUE: Final = (
     "the torque constant is not held against anything: the drive reports no torque beside its "
     "current, no motor voltage that the motion shows, and the bench file states no rated torque "
@@ -40,7 +46,7 @@ NO_TORQUE: Final = (
 
 @dataclass(frozen=True)
 class Change:
-    """A value to be set in the bench file.
+    """Value that the operator should set in the bench file.
 
     Attributes:
         section: Section of the file.
@@ -77,7 +83,7 @@ class Contradiction:
 
 
 def wrong_speed(factor: float, servo: Servo) -> Contradiction:
-    """Return what a reported speed of ``factor`` times the true one means."""
+    """Return the contradiction if the reported speed is ``factor`` times the true one."""
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
         f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
@@ -87,7 +93,7 @@ def wrong_speed(factor: float, servo: Servo) -> Contradiction:
 
 
 def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
-    """Name the cause of encoders whose travels differ by a factor."""
+    """Return the cause of a difference between the travels of the encoders."""
     gear = nominal.gear_ratio
     found = (
         f"the joint encoder travels {factor:.4g} times as far as the motor encoder over the gear "
@@ -116,7 +122,7 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
 
 
 def wrong_sense(sense: float) -> Contradiction:
-    """Return what work of the current against the motion means."""
+    """Return the contradiction if the current works against the motion."""
     words = (
         f"the current works against the motion in both directions ({sense:.2f} of its amount, "
         f"must be above {-SENSE:g}), but friction takes work: its sign is wrong: set "
@@ -126,7 +132,7 @@ def wrong_sense(sense: float) -> Contradiction:
 
 
 def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradiction:
-    """Return what another torque constant than the stated one means."""
+    """Return the contradiction between the found and the stated torque constant."""
     stated = nominal.torque_constant_N_m_A
     factor = constant / stated
     if factor < 0.0:

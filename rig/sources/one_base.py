@@ -1,4 +1,4 @@
-"""Brings channels that a file holds at several time bases to one of them.
+"""Resamples channels that a file stores at several time bases at the time stamps of one of them.
 
 Pure functions of arrays.
 """

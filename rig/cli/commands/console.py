@@ -39,9 +39,10 @@ def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """Watch runs on a page, stop, pause and answer them, and start new ones on BENCH, a file or the
     name of a packaged one; without BENCH, on any packaged bench.
 
-    Prints the address of the page, which only this computer can open, until Ctrl-C. The address
-    holds a token of this start; without it the page can only be read. Runs go on when the page or
-    this command ends. STOP in the page is a stop function in software, not an emergency stop.
+    Prints the address of the page, which only this computer can open, and serves the page until
+    Ctrl-C. The address contains a token that is valid until this command ends; without the token
+    the page is read-only. Runs go on when the page or this command ends. STOP in the page is a stop
+    function in software, not an emergency stop.
 
     \b
     Example:

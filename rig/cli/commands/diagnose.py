@@ -68,10 +68,7 @@ def command(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
-    if refine is not None:
-        click.echo(
-            "note: --refine and --no-refine have no effect any more; leave them out", err=True
-        )
+    _note_former_options(refine)
     if observable:
         _no_search(gas)
         return _print_observable(source, seed, bandwidth, json_file)
@@ -114,6 +111,7 @@ def _print_files(folder: Path, beside: Exports, page: Path) -> None:
 
 
 def _note_former_options(refine: bool | None) -> None:
+    """Print a note if an option of earlier versions was given."""
     if refine is not None:
         click.echo(
             "note: --refine and --no-refine have no effect any more; leave them out", err=True

@@ -1,4 +1,4 @@
-"""Output of ``rig runs compare``: constants of several runs, and which of them moved."""
+"""Output of ``rig runs compare``: identified parameters of several runs, and those that changed."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _HALF_WIDTHS = 1.6448536269514722
 
 @dataclass(frozen=True)
 class Course:
-    """One constant over the runs that determine it.
+    """Values of one identified parameter in the runs that determine it, in the order of the runs.
 
     Attributes:
         name: Name of the constant.
@@ -120,7 +120,8 @@ def _history(
 
 
 def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
-    """Yield every constant over a history; the rate of false alarms is of all of them together.
+    """Yield the values of every parameter over a history, with a test for a change; the false-alarm
+    rate is that of all parameters together.
 
     Args:
         history: Details of the runs in the order of time.

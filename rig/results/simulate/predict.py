@@ -1,4 +1,6 @@
-"""Equation errors of result files on a source, with and without their effects."""
+"""Predicts the recordings of a source with models from result files, once with and once without the
+effects of the model, and returns the equation errors.
+"""
 
 from __future__ import annotations
 
