@@ -123,7 +123,11 @@ class Console:
         async def endpoint(request: Request) -> Response:
             scheme, _, given = request.headers.get("authorization", "").partition(" ")
             if scheme != "Bearer" or not self._token.fits(given):
-                return _refused(401, "read only: the token is missing or of another start")
+                return _refused(
+                    401,
+                    "this page is read-only: its token is missing or belongs "
+                    "to another start of the console; open the address that the console printed",
+                )
             kind = request.headers.get("content-type", "").partition(";")[0].strip()
             if kind != "application/json":
                 return _refused(415, "a command is JSON")
@@ -136,7 +140,10 @@ class Console:
                 message = json.loads(body)
                 page_key, number = message.pop("page"), message.pop("number")
             except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-                return _refused(400, "no command: page and number are needed")
+                return _refused(
+                    400,
+                    "the request is no command: it must be JSON with the fields page and number",
+                )
             if not isinstance(page_key, str) or type(number) is not int:
                 return _refused(400, "page must be a text, number a whole number")
             page = self._hub.controls.page(page_key)
@@ -167,7 +174,7 @@ class Console:
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         if page is None:
-            raise Refusal("this page has no contact with the console; wait until it has")
+            raise Refusal("this page is not connected to the console; wait until it is connected")
         before = self._hub.controls.holder
         self._hub.controls.take(page)
         if before is not None and before is not page:
@@ -190,13 +197,15 @@ class Console:
         self._require_controls(page)
         run = self._hub.runs.get(str(message.get("run")))
         if run is None or not run.over:
-            raise Refusal("there is no such run that has ended")
+            raise Refusal("no run with this key has ended; choose an ended run")
         if not run.closed:
-            raise Refusal("the program of the run still writes its page; wait a few seconds")
+            raise Refusal(
+                "the program of this run is still writing the page of the run; wait a few seconds"
+            )
         self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
         assert page is not None
         page.run = None
-        return {"words": "the run goes on at its first unfinished stage"}
+        return {"words": "the run continues at its first unfinished stage"}
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder
@@ -212,7 +221,7 @@ class Console:
             token = str(hello.get("token", ""))
         except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
             with suppress(RuntimeError):
-                await socket.close(1008, "a page begins with its token")
+                await socket.close(1008, "a page must send its token first")
             return
         page = self._hub.controls.open()
         if self._token.fits(token):

@@ -78,7 +78,10 @@ class Gate:
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
-            return "this address is not the console's own; use the address that it printed"
+            return (
+                "this address does not belong to the console; use the address that the "
+                "console printed"
+            )
         origin = headers.get("origin")
         reading = scope["type"] == "http" and scope["method"] in _READING
         if origin not in self._origins and not (reading and origin is None):

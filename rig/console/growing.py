@@ -119,5 +119,5 @@ def _decoded(samples: list[bytes]) -> dict[str, Array]:
         return {}
     size = len(samples[0])
     if size not in SAMPLE_SIZES or any(len(sample) != size for sample in samples):
-        raise DamageError(f"a sample of {size} bytes, which this program does not write")
+        raise DamageError(f"a sample has {size} bytes, a size that this program does not write")
     return decode_samples(b"".join(samples), size)

@@ -146,7 +146,7 @@ class Links:
             # The run's queue is full: it is busy, and is asked again later.
             return
         except OSError as error:
-            raise Unreachable(f"the program of the run is gone ({error.strerror})") from error
+            raise Unreachable(f"the program of the run has ended ({error.strerror})") from error
 
     def _read(self) -> None:
         while True:

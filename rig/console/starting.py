@@ -66,7 +66,7 @@ class Wish:
         if not isinstance(wish.realtime, bool) or not isinstance(wish.yes, bool):
             raise StartError("realtime and yes must be true or false")
         if wish.sequence.startswith("-") or wish.bench.startswith("-"):
-            raise StartError("a bench or sequence does not begin with a minus")
+            raise StartError("the name of a bench or sequence must not begin with a minus")
         return wish
 
 
@@ -119,7 +119,10 @@ class Starter:
             StartError: The bench is not one of this console's, or the dry run takes too long.
         """
         if wish.bench not in self.benches:
-            raise StartError(f"{wish.bench}: not a bench of this console; start it with that bench")
+            raise StartError(
+                f"{wish.bench}: this console was started without this bench; "
+                "start the console with this bench"
+            )
         try:
             bench = load_bench(wish.bench)
             digests = _digests(wish)
@@ -167,7 +170,7 @@ class Starter:
         """
         shown = self._shown.pop(key, None)
         if shown is None:
-            raise StartError("look at the dry run first; each is good for one start")
+            raise StartError("make a dry run first; each dry run permits one start")
         wish = shown.wish
         if shown.real and typed_bench.strip() != shown.name:
             self._shown[key] = shown
@@ -177,7 +180,9 @@ class Starter:
         except (InputError, OSError) as error:
             raise StartError(str(error)) from error
         if changed:
-            raise StartError("a file changed since the dry run; look at a new one")
+            raise StartError(
+                "the bench or sequence file has changed since the dry run; make a new dry run"
+            )
         name = Path(wish.sequence).stem
         folder = self.runs / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}"
         arguments = ["run", wish.sequence, "--bench", wish.bench, "--console", "--out", str(folder)]

@@ -37,10 +37,10 @@ SHAFT_SPREAD: Final = 1.3
 the motor encoder moves by only a few counts.
 """
 NO_TORQUE: Final = (
-    "the torque constant is not held against anything: the drive reports no torque beside its "
-    "current, no motor voltage that the motion shows, and the bench file states no rated torque "
-    "and current. Name servo.voltage_object, or state the rated values; an identification of this "
-    "bench shows a change of it"
+    "the torque constant cannot be compared with a measurement: the drive reports neither a "
+    "torque beside its current nor a usable motor voltage, and the bench file states no rated "
+    "torque and current. Set servo.voltage_object, or state the rated values; an "
+    "identification of this bench shows a change of the torque constant"
 )
 
 
@@ -103,14 +103,17 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
     changes = (sign,) if factor < 0.0 else ()
     if size < STANDS_STILL:
         changes = ()
-        remedy = "it stands still: check its coupling, and whether it is the encoder of this joint"
+        remedy = (
+            "the joint encoder stands still: check its coupling, and whether it is the "
+            "encoder of this joint"
+        )
     elif abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
-        remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
+        remedy = f"set {sign}, or reverse servo.sign if the drive counts in the opposite direction"
     elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
         changes = ()
         remedy = (
-            "both turn 1:1, so that one of the encoders is on the other's shaft: mount it there, "
-            "or set machine.gear_ratio: 1 where there is no gear"
+            "both encoders turn 1:1, so that both are on the same side of the gear: mount the "
+            "joint encoder on the joint, or set machine.gear_ratio: 1 if there is no gear"
         )
     else:
         ratio = Change("machine", "gear_ratio", float(f"{gear / size:.4g}"))
@@ -125,8 +128,8 @@ def wrong_sense(sense: float) -> Contradiction:
     """Return the contradiction if the current works against the motion."""
     words = (
         f"the current works against the motion in both directions ({sense:.2f} of its amount, "
-        f"must be above {-SENSE:g}), but friction takes work: its sign is wrong: set "
-        f"servo.current_sign: -1, or correct it with the maker's tool"
+        f"must be above {-SENSE:g}), but friction takes work, so that the sign of the current "
+        "is wrong: set servo.current_sign: -1, or correct the sign with the maker's tool"
     )
     return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))
 

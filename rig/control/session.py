@@ -110,7 +110,9 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         stages=stage_records(plan),
         operator=inputs.operator,
         calibrations=calibrations,
-        warnings=[f"{warning}; the results rest on it" for warning in overdue(calibrations)],
+        warnings=[
+            f"{warning}; the results depend on this value" for warning in overdue(calibrations)
+        ],
     )
 
 

@@ -60,7 +60,7 @@ def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str
     late = host - time > LATE_PERIODS * period
     if np.any(late):
         notes.append(
-            f"{100.0 * float(np.mean(late)):.2g} % of the answers came later than a period"
+            f"{100.0 * float(np.mean(late)):.2g} % of the answers came more than one period late"
         )
     for ours, theirs, words in (
         (time, drive, "drive's clock {} host's"),

@@ -182,7 +182,7 @@ def _mistake(
         machine["gear_ratio"] *= float(rng.choice(RATIOS))
         return right, ("machine.gear_ratio", motor["gear_ratio"]), "the joint encoder travels"
     if mistake == "shaft":
-        return _on_motor_shaft, None, "one of the encoders is on the other's shaft"
+        return _on_motor_shaft, None, "both are on the same side of the gear"
     if mistake == "torque constant":
         machine["torque_constant_N_m_A"] = motor["torque_constant_N_m_A"] * (2.0 if which else 0.5)
         true = motor["torque_constant_N_m_A"]

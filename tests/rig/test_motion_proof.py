@@ -105,7 +105,7 @@ def test_joint_against_motor_encoder(factor: float, changes: Any) -> None:
     if factor == 0.0:
         assert "it stands still" in proof.words
     elif changes == ():
-        assert "one of the encoders is on the other's shaft" in proof.words
+        assert "both are on the same side of the gear" in proof.words
 
 
 def test_play_twist_and_time_between_readings_are_no_ratio() -> None:

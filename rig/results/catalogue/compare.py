@@ -21,7 +21,7 @@ COMPARE_SCHEMA = "loadrig.compare/1"
 
 @dataclass(frozen=True)
 class Compared:
-    """A run that is compared.
+    """One run of a comparison.
 
     Attributes:
         run: Its folder, as given.
@@ -36,7 +36,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Difference:
-    """A constant of a later run less that of the first.
+    """Difference of a parameter of a later run from the same parameter of the first run.
 
     Attributes:
         name: Name of the constant.
@@ -55,14 +55,15 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference exceeds its uncertainty; None where that is not known."""
+        """Whether the difference exceeds its uncertainty; None if the uncertainty is not known."""
         if self.change is None or self.joint is None:
             return None
         return abs(self.change) > self.joint
 
 
 def require_comparable(runs: Sequence[Compared]) -> None:
-    """Check that every run has constants, of the same motion.
+    """Check that every run has identified parameters, and that all benches have the same kind of
+    motion.
 
     Raises:
         InputError: One has none, or they are of different motions.
@@ -78,7 +79,7 @@ def require_comparable(runs: Sequence[Compared]) -> None:
 
 
 def differences(first: Details, other: Details) -> list[Difference]:
-    """Return the difference of every constant of the first run."""
+    """Return the difference of every parameter of the first run."""
     return [_difference(name, each, other) for name, each in first.constants.items()]
 
 
@@ -92,7 +93,7 @@ def _difference(name: str, first: Constant, details: Details) -> Difference:
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
-    """Return a comparison of runs, each with the first, as a document."""
+    """Return a comparison of each later run with the first run, as a document."""
     first, *others = runs
     sections = [Section("", (_facts(runs),))]
     for other in others:
@@ -187,7 +188,7 @@ def _figures(first: Compared, other: Compared) -> SideBySide:
 
 
 def _stored(each: Compared) -> tuple[Block, ...]:
-    """Return the figures of a run's own report that are beside it."""
+    """Return the figures that each run's own report contains, if their files exist."""
     picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
     missing = Note(f"{each.run / FIGURE} is not there; `rig identify {each.run}` draws it", "aside")
     shown: list[Block] = [picture or missing]

@@ -96,7 +96,7 @@ def _word(course: Course) -> str:
 
 
 def _step_at(course: Course) -> int:
-    """Return the index, in the history, of the first run after a step."""
+    """Return the index of the first run after a step in the history."""
     assert course.change is not None
     assert course.change.start is not None
     return course.runs[course.change.start]

@@ -1,4 +1,4 @@
-"""Output of ``rig diagnose``: a diagnosis as a document."""
+"""Output of ``rig diagnose`` as a document."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
 
 
 def _if_any(cells: Table) -> tuple[Table, ...]:
-    """Return a table, or nothing if it has no rows."""
+    """Return a table; nothing if the table has no rows."""
     return (cells,) if cells.rows else ()
 
 

@@ -24,7 +24,7 @@ SEQUENCE_FILE = "split.yaml"
 
 
 class Export(NamedTuple):
-    """A file: its name, what it is for, and its text."""
+    """One file: name, purpose and text."""
 
     name: str
     use: str
@@ -32,7 +32,7 @@ class Export(NamedTuple):
 
 
 class Exports(NamedTuple):
-    """Files next to the report, and notes on what they lack and which could not be made."""
+    """Files next to the report, with notes on files that are incomplete or could not be made."""
 
     files: tuple[Export, ...]
     notes: tuple[str, ...]
@@ -65,7 +65,9 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
 def _models(
     name: str, base: Mapping[str, Any], outcome: Outcome, record: Mapping[str, Any]
 ) -> tuple[list[Export], list[str]]:
-    """Return the corrected model in all possible formats, and why others are not possible."""
+    """Return the corrected model in all possible formats, and the reasons why other formats are not
+    possible.
+    """
     files: list[Export] = []
     recordings = outcome.dataset.recordings
     first = recordings[0]

@@ -1,5 +1,5 @@
-"""Tables of an identification and the lines that explain them: fits, stages, recordings, other
-estimators, the ladder of friction models, transfer to other recordings.
+"""Tables of an identification with explanatory lines: fits, stages, recordings, other estimators,
+the ladder of friction models, transfer to other recordings.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ _FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
 def fit_table(results: Sequence[Identification]) -> Table:
-    """Return the error of each fit and on the recordings set aside, one row each."""
+    """Return one row for each fit: the error of the fit, and the error on the recordings with role
+    validate.
+    """
     rows = []
     for result in results:
         fit = result.fit
@@ -86,7 +88,7 @@ def stage_table(results: Sequence[Identification]) -> Table:
 
 
 def recording_table(recordings: Sequence[Recording]) -> Table:
-    """Return the identified recordings and the corrections on reading."""
+    """Return the identified recordings, and the corrections that were made on reading."""
     rows = tuple(
         (
             r.name,
@@ -105,7 +107,9 @@ def recording_table(recordings: Sequence[Recording]) -> Table:
 
 
 def comparison_table(contenders: Sequence[Contender]) -> Table:
-    """Return one row per estimator; the error column is omitted if the truth is unknown."""
+    """Return one row for each estimator; the error column is omitted if the true values are
+    unknown.
+    """
     known = any(c.true_error is not None for c in contenders)
     header = (
         "estimator",
@@ -135,8 +139,8 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
 
 
 def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """Return one row per rung: error of the fit, on the recordings set aside, and of the
-    simulated angle there.
+    """Return one row for each rung of the ladder: the error of the fit, the error on the recordings
+    with role validate, and the error of the simulated angle on these.
     """
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
@@ -188,8 +192,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
 
 
 def transfer_table(found: Transfer) -> Table:
-    """Return one row per parameter: both values, their difference, and whether it exceeds the
-    joint interval.
+    """Return one row for each parameter: its value from either source, the difference, and whether
+    the difference exceeds the joint interval.
     """
     rows = tuple(
         (
@@ -209,7 +213,7 @@ def transfer_table(found: Transfer) -> Table:
 
 
 def transfer_notes(found: Transfer) -> list[str]:
-    """Return the errors as text."""
+    """Return the errors of the transfer as text."""
     fit, own = found.fit, found.own
     line = (
         f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "

@@ -39,7 +39,7 @@ PRIORS_NOTE = (
     "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
 )
 _MOVED = 4
-"""Parameters named in a row of the constants."""
+"""Number of parameters that a row of the constants names."""
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
@@ -82,7 +82,7 @@ def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
 
 
 def profile_table(result: Identification) -> Table:
-    """Return one row per profile: its 90 % range and the interval."""
+    """Return one row for each profile: the 90 % range of the profile and the interval."""
     rows = [_profile_row(curve, result) for curve in result.profiles]
     return Table(
         ("parameter", "90 % interval", "profile", "skew", "scaled", "unit"),
@@ -109,7 +109,7 @@ def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
 
 
 def _open(curve: Profile) -> str:
-    """Return a range as text, with one or both ends beyond the scanned range."""
+    """Return a range as text; an end may be open if it lies beyond the scanned range."""
     low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
     high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
     return f"[{low}, {high}]"
@@ -130,7 +130,9 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
 
 
 def priors_table(result: Identification) -> Table:
-    """Return one row per prior: it, the recordings alone, and both together."""
+    """Return one row for each prior: the prior, the estimate from the recordings alone, and the
+    combined estimate.
+    """
     rows = tuple(
         (
             p.name,
@@ -145,7 +147,9 @@ def priors_table(result: Identification) -> Table:
 
 
 def constants_table(result: Identification) -> Table:
-    """Return one row per uncertain constant: what it is, and the parameter it moves most."""
+    """Return one row for each uncertain constant: value, uncertainty, and the parameters that it
+    changes most.
+    """
     rows = []
     for constant in result.known_constants:
         shares = {
@@ -166,7 +170,7 @@ def constants_table(result: Identification) -> Table:
 
 
 def bootstrap_table(result: Identification) -> Table:
-    """Return one row per parameter: the spread of its draws and the interval."""
+    """Return one row for each parameter: the spread of the bootstrap estimates and the interval."""
     rows = [_bootstrap_row(r, result) for r in result.resampled]
     return Table(
         ("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3)

@@ -39,7 +39,8 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model, and models with effects also without them.
+    """Predict every recording with every model; a model with effects also predicts without its
+    effects.
 
     Raises:
         RecordingError: A recording that cannot be brought to this bandwidth.

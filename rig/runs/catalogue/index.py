@@ -105,7 +105,7 @@ def list_runs(
     try:
         found = list(find_runs(root))
     except OSError as error:
-        raise InputError(f"{root}: cannot be looked into: {error.strerror}") from error
+        raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
     rows = _load(file, details)
     entries, fresh = [], []
@@ -189,7 +189,10 @@ def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str
         except (sqlite3.Error, UnicodeError) as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
             if again or code in _NOT_DAMAGED:
-                return f"{file}: the index is not written ({error}); every list reads all runs"
+                return (
+                    f"{file}: the index cannot be written ({error}); each list therefore "
+                    "reads all runs again"
+                )
         with contextlib.suppress(OSError):
             file.unlink()
     return ""

@@ -52,7 +52,9 @@ def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
     results = [_result(folder / name, notes) for name in RESULTS]
     identified, diagnosed, accepted = results
     if identified and identified["schema"] != IDENTIFY_SCHEMA:
-        notes.append(f"{IDENTIFY}: of the format {identified['schema']}, which is not read")
+        notes.append(
+            f"{IDENTIFY}: its format {identified['schema']} cannot be read by this version"
+        )
         identified = {}
     head = dataclasses.replace(
         _head(folder, record, benches),
@@ -136,7 +138,7 @@ def _result(path: Path, notes: list[str]) -> dict[str, Any]:
         notes.append(error.problems[0])
         return {}
     if not isinstance(found, dict) or not isinstance(found.get("schema"), str):
-        notes.append(f"{path}: no result file of this program")
+        notes.append(f"{path}: not a result file of this program")
         return {}
     return found
 

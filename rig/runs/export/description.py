@@ -85,7 +85,7 @@ class Described(BaseModel):
             averaged=frozenset(self.averaged),
             source=source,
             sha256=sha256,
-            notes=("as exported: stage, load and constants are the file's",),
+            notes=("stage, load and constants are taken from the exported file",),
             partial=self.partial,
             start=self.start,
             uncertainties=self.uncertainties,
@@ -142,4 +142,6 @@ def sidecar(path: Path) -> Path:
 
 def misfit(path: Path, error: RecordingError | str) -> InputError:
     """Return the error for a file whose numbers contradict its description."""
-    return InputError(f"{path}: does not fit its description ({error}); export it again")
+    return InputError(
+        f"{path}: the numbers contradict the description of this export ({error}); export it again"
+    )

@@ -122,7 +122,7 @@ class Session:
             try:
                 piece = self._tail.at(offset)
             except (DamageError, OSError) as error:
-                self._say(f"the recording cannot be read on: {error}")
+                self._say(f"the rest of the recording cannot be read: {error}")
                 self._at.clear()
                 continue
             if piece is None:
