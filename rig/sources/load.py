@@ -108,7 +108,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _exported(
     file: Path, section: RecordingSection, document: Document[Campaign], index: int
 ) -> Read:
-    """Read a file of ``rig export``, which describes itself.
+    """Read a file of ``rig export``, which contains its own description.
 
     Constants that the campaign states replace the file's, and so does the role.
 

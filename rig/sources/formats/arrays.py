@@ -1,4 +1,6 @@
-"""Named arrays: MATLAB .mat files (versions 4 to 7), numpy .npz archives and .npy arrays."""
+"""Readers of named arrays: MATLAB .mat files (versions 4 to 7), numpy .npz archives and .npy
+arrays.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class _Column(NamedTuple):
 
 
 class ArrayTable(Table):
-    """Arrays by name. A matrix counts as one column per series, named ``name[0]``, ``name[1]``, ...
+    """Named arrays as a table. Each series of a matrix is one column: ``name[0]``, ``name[1]``, ...
 
     The longer side of a matrix counts as time. Single numbers and text are not columns.
     """
@@ -68,7 +70,7 @@ class ArrayTable(Table):
         """Load whole variables by name."""
 
     def variable(self, column: int) -> str:
-        """Return the variable that a column is of."""
+        """Return the variable to which a column belongs."""
         return self._columns[column].variable
 
     def _series(self, column: _Column, array: np.ndarray) -> Array:
@@ -199,7 +201,7 @@ class NpzTable(ArrayTable):
             }
 
     def _members(self, archive: zipfile.ZipFile, member: str) -> dict[str, tuple[int, ...]]:
-        """Return name and shape of an array, or of each field of a structured one."""
+        """Return name and shape of an array; of a structured array those of each field."""
         name, shape, kind = _npy_header(archive, member)
         if kind.names is None:
             self._fields[name] = (name, None)

@@ -28,7 +28,7 @@ AMBIENT_C = 25.0
 TINY = 1e-9
 FAR_RAD = 50.0
 IMPEDANCE = 0.9999
-"""Greatest constraint impedance that MuJoCo accepts; the test ``stiction`` shows how firmly its
+"""Greatest constraint impedance that MuJoCo accepts; a test of stiction shows how firmly its
 friction then holds.
 """
 

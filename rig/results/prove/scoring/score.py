@@ -95,9 +95,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _beside(row: Row) -> float:
-    """Return the remaining strength of the weaker one of two effects, if the stronger effect is
-    known.
-    """
+    """Return the smaller remaining strength of two effects, each with the other effect known."""
     return (
         0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
     )

@@ -28,7 +28,7 @@ FORMATS: Mapping[str, str] = {
     "supply_voltage": "%.6g",
 }
 ANGLES = "%.9g"
-"""Number of digits of all other columns: one step of a 24-bit encoder is 4e-7 rad."""
+"""Format of all other columns; a step of a 24-bit encoder is 4e-7 rad."""
 
 
 def write_world(folder: Path, world: World, logged: Sequence[Columns]) -> Path:
