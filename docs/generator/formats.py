@@ -89,7 +89,7 @@ ROWS = (
         "npTDMS, extra `tdms`",
         "`group.channel`, `group.time` of a waveform; without the group where there is one",
         "waveforms with start and increment; scales; channels of time stamps; either byte order; a "
-        "file that was cut off, as far as all channels of a group go",
+        "file that was cut off: the rows that all channels of a group have",
         "scales that npTDMS does not know; text; groups without a common start together",
     ),
     _Row(

@@ -269,8 +269,8 @@ def _apart(name: str, channels: dict[str, Array]) -> str:
     for other, values in channels.items():
         if other != name and not np.any(known & np.isfinite(values)):
             return (
-                f"; it has no row in common with `{other}`: they belong to different topics, so "
-                "bring them to one time base first"
+                f"; it has no row in common with `{other}`: the two channels belong to "
+                "different topics, so bring both to one time base first"
             )
     return ""
 

@@ -125,8 +125,9 @@ def _exported(
         raise InputError(
             document.problem(
                 ("recordings", index),
-                f"no `channels`, and {file.name} is no file of `rig export`, which could go "
-                f"without (a CSV file needs {sidecar(file).name} beside it)",
+                "`channels` is missing; only a file of `rig export` needs none, and "
+                f"{file.name} is not such a file (an exported CSV file needs "
+                f"{sidecar(file).name} beside it)",
             )
         )
     unsure = given.uncertainties()

@@ -63,7 +63,8 @@ FOREIGN: Mapping[str, str] = {
     "xls": "a workbook; save its sheet as CSV",
     "ods": "a workbook; save its sheet as CSV",
     "lvm": "a text file of LabVIEW; name it .txt, and skip its head with read.skip_rows",
-    "dat": "of many makers; name a text file .csv, an MDF file .mdf",
+    "dat": "an extension that several programs use; rename a text file to .csv, and an MDF "
+    "file to .mdf",
     "pkl": "a pickle, which may run code when it is opened; save it as CSV, Parquet or npz",
     "feather": "an Arrow file; save it as Parquet",
     "nc": "netCDF; name one of version 4, which is HDF5, .h5",

@@ -24,10 +24,10 @@ WINDOW = 101
 """Number of neighbouring stamps over which the deviation from the grid is averaged."""
 SMOOTHER = 0.8
 """Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
-counts as right. Quantisation and noise are the same in both; the more of the jitter they hide, the
-smaller is the effect of the jitter.
+counts as right.
 
-Quantisation and noise are the same on both; the more they hide of the jitter, the less it matters.
+Quantisation and noise are the same in both; the more of the jitter they hide, the smaller is the
+effect of the jitter.
 """
 FAST, MOST = 0.25, 0.99
 """Share and quantile of the travel per sample: a sample is compared if its travel is at least this

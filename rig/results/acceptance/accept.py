@@ -69,7 +69,8 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
     limits = recorded_limits(folder)
     if not limits:
         raise InputError(
-            f"{folder}: its sequence states no `acceptance`; give the limits with --acceptance FILE"
+            f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
+            "--acceptance FILE"
         )
     return limits, _OF_THE_SEQUENCE
 

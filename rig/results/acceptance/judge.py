@@ -92,12 +92,16 @@ def _range(limit: Range, evidence: Evidence) -> Check:
         return Check(text, passed, f"{words}{more}", value, low, high, unit)
 
     if found.half_width is None or found.low is None or found.high is None:
-        return check(False, ", without an interval: it is not known to be inside")
+        return check(
+            False, ", without an interval, so that it is not known whether the true value is inside"
+        )
     words += f", 90 % interval {number(found.low)} to {number(found.high)}"
     if limit.low <= found.low and found.high <= limit.high:
         return check(True, "")
     if limit.low <= found.value <= limit.high:
-        return check(False, ": the value is inside, its interval is not; record more")
+        return check(
+            False, ": the value is inside the limits, but its interval is not; record more data"
+        )
     return check(False, ": outside")
 
 

@@ -71,7 +71,11 @@ def require_comparable(runs: Sequence[Compared]) -> None:
     bare = [str(each.run) for each in runs if not each.details.constants]
     if bare:
         raise InputError(
-            [f"{run}: has no constants; `rig identify {run}` finds them" for run in bare]
+            [
+                f"{run}: this run has no identified constants; identify it with `rig identify "
+                f"{run}`"
+                for run in bare
+            ]
         )
     motions = {each.details.motion for each in runs}
     if len(motions) > 1:
@@ -165,21 +169,22 @@ def _row(each: Difference) -> tuple[str, ...]:
 def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Iterator[Note]:
     moved = [each.name for each in found if each.moved]
     known = sum(each.moved is not None for each in found)
-    words = f"moved by more than their uncertainty: {', '.join(moved) or 'none'}"
+    words = f"changed by more than their uncertainty: {', '.join(moved) or 'none'}"
     yield Note(words)
     yield Note(
-        f"without any change, {0.1 * known:.2g} of {known} constants exceed it by chance (one in "
+        f"without any change, {0.1 * known:.2g} of {known} constants exceed their uncertainty "
+        "by chance (one in "
         "ten)",
         "aside",
     )
     for role, name in first.details.devices.items():
         now = other.details.devices.get(role, "none")
         if now != name:
-            yield Note(f"another {role}: {name} before, {now} now", "warning")
+            yield Note(f"the {role} was replaced: {name} before, {now} now", "warning")
     if first.entry.head.bench != other.entry.head.bench:
         yield Note("the runs are of different benches", "warning")
     if first.entry.head.digest and first.entry.head.digest == other.entry.head.digest:
-        yield Note("the second is a copy of the first", "warning")
+        yield Note("the second run is a copy of the first run", "warning")
 
 
 def _figures(first: Compared, other: Compared) -> SideBySide:
@@ -190,7 +195,9 @@ def _figures(first: Compared, other: Compared) -> SideBySide:
 def _stored(each: Compared) -> tuple[Block, ...]:
     """Return the figures that each run's own report contains, if their files exist."""
     picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
-    missing = Note(f"{each.run / FIGURE} is not there; `rig identify {each.run}` draws it", "aside")
+    missing = Note(
+        f"{each.run / FIGURE} does not exist; draw it with `rig identify {each.run}`", "aside"
+    )
     shown: list[Block] = [picture or missing]
     for file in sorted((each.run / "figures").glob("response_*.png"))[:4]:
         name = file.stem.removeprefix("response_")

@@ -79,7 +79,10 @@ def _advice(experiment: Experiment) -> str:
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
             "identified, so the sequence is proposed as it is; another --seed tries others"
         )
-    return f"{aim}; where another parameter comes out wider, run both and identify them together"
+    return (
+        f"{aim}; if another parameter gets a wider interval, run both sequences and "
+        "identify both runs together"
+    )
 
 
 def _drive(experiment: Experiment) -> str:

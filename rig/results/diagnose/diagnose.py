@@ -129,13 +129,13 @@ def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
     if constants:
         listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
         warnings.append(
-            f"the diagnosis takes known constants as exact: intervals do not hold the uncertainty "
-            f"of {listed}; those of rig identify do"
+            "the diagnosis takes known constants as exact: its intervals do not contain the "
+            f"uncertainty of {listed}; the intervals of rig identify do"
         )
     if dataset.model.priors:
         warnings.append(
-            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it fits "
-            f"them freely"
+            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it "
+            "fits these parameters freely"
         )
     recordings = tuple(dataclasses.replace(r, uncertainties={}) for r in dataset.recordings)
     model = dataclasses.replace(dataset.model, priors={})
@@ -257,7 +257,7 @@ def settled(found: Diagnosis) -> Diagnosis:
         if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
             parameters[static] = parameters[coulomb]
             notes.append(
-                f"{static} is not determined by these recordings; the corrected model has it equal "
-                f"to {coulomb}"
+                f"{static} is not determined by these recordings; the corrected model sets it "
+                f"equal to {coulomb}"
             )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))

@@ -182,7 +182,9 @@ def _maps(found: Diagnosis) -> list[Picture]:
 def _rivals(found: Diagnosis) -> list[Picture]:
     return [
         Picture.of(
-            f"rivals_{e.name}", f"{e.name} and what was considered instead", mismatch.rivals(e)
+            f"rivals_{e.name}",
+            f"{e.name} and the effects that were considered instead",
+            mismatch.rivals(e),
         )
         for e in found.effects
         if e.rivals
@@ -193,8 +195,8 @@ def _curve(found: Diagnosis) -> list[Picture]:
     if found.curve is None:
         return []
     caption = (
-        f"What is missing, as a smooth curve over {found.curve.coordinate}; a simulation "
-        f"can carry it"
+        f"The missing physics as a smooth curve over {found.curve.coordinate}; a simulation "
+        "can use this curve"
     )
     return [Picture.of("missing", caption, mismatch.curve(found.curve))]
 

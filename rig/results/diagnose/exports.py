@@ -58,7 +58,9 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
         if splitting is not None:
             files.append(splitting)
         else:
-            notes.append("no sequence splits this group; the experiment needs a hand on the bench")
+            notes.append(
+                "no sequence splits this group; the experiment needs a manual change of the bench"
+            )
     return Exports(tuple(files), tuple(notes))
 
 
@@ -74,7 +76,7 @@ def _models(
     try:
         model = model_of(record, [r.name for r in recordings], "the corrected model")
         files.append(Export(YAML_FILE, "the corrected model", yaml_text(model, first)))
-        use = "the corrected model as plain Python functions; needs numpy alone"
+        use = "the corrected model as plain Python functions; needs only numpy"
         files.append(Export(PYTHON_FILE, use, python_text(model, first, name)))
         bench, left_out = model_bench(base, model, first.bench)
         use = f"the corrected model as a simulated bench: rig run SEQUENCE --bench {BENCH_FILE}"

@@ -114,7 +114,8 @@ def model_bench(
     mock["effects"] = effects
     if model.curve is not None:
         notes.append(
-            "the empirical curve of what is missing is left out of the simulated bench, which has "
+            "the empirical curve of the missing physics is left out of the simulated bench, "
+            "which has "
             "no such term"
         )
     bench["name"] = f"{bench['name']}-corrected"

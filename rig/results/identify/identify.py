@@ -55,8 +55,7 @@ _FED = (
     "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
     "and breakaways are "
     "lost; static friction and Stribeck speeds may be off by tens of percent, outside their "
-    "intervals; identify a run "
-    "without it"
+    "intervals; identify a run without feed-forward"
 )
 
 

@@ -216,16 +216,18 @@ def transfer_notes(found: Transfer) -> list[str]:
     """Return the errors of the transfer as text."""
     fit, own = found.fit, found.own
     line = (
-        f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "
-        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; identified "
-        f"there it would by "
+        "on the other source, the error of the model with the parameters of this source is "
+        f"{number(fit.train_rms, 3)} {fit.unit} rms "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; with "
+        "parameters identified on the other source it is "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
     floor = found.floor
     if floor is None:
         return [
             line,
-            "the noise floor there is unknown: nothing is done twice under the same command",
+            "the noise floor of the other source is unknown: no motion is repeated under the "
+            "same command",
         ]
     ways = [
         f"{count} {what}"
@@ -234,10 +236,9 @@ def transfer_notes(found: Transfer) -> list[str]:
     ]
     return [
         line,
-        f"the noise floor there is {number(floor.rms, 3)} {fit.unit}, from {floor.samples} pairs "
-        f"of samples of "
-        f"{' and '.join(ways)} recordings: the error is {number(fit.train_rms / floor.rms, 3)} "
-        f"times that",
+        f"the noise floor of the other source is {number(floor.rms, 3)} {fit.unit}, from "
+        f"{floor.samples} pairs of samples of {' and '.join(ways)} recordings: the error is "
+        f"{number(fit.train_rms / floor.rms, 3)} times this floor",
     ]
 
 

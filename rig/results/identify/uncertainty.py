@@ -14,27 +14,26 @@ from rig.common.tables import interval, number
 from rig.results.document import Picture, Table
 
 PROFILE_NOTE = (
-    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what "
-    "the likelihood was "
-    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower "
-    "arm of the range."
+    "Profile: the range in which -2 log likelihood rises by at most 2.71, with all other "
+    "parameters optimised. Scaled: factor on the likelihood, because the scatter of the scores "
+    "contradicts its curvature. Skew: ratio of the upper to the lower arm of the range."
 )
 
 
 BOOTSTRAP_NOTE = (
     "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. It "
-    "assumes nothing of the noise but that the errors of segments are independent; with few "
+    "assumes only that the errors of different segments are independent; with few "
     "segments the ranges are somewhat narrow."
 )
 
 
 CONSTANTS_NOTE = (
-    "The 90 % intervals of the parameters hold the uncertainty (one standard deviation) of these "
-    "constants; values stay those of the constants as given. Floor, profiles and bootstrap do not "
-    "hold it."
+    "The 90 % intervals of the parameters contain the uncertainty (one standard deviation) of "
+    "these constants; the values are those for the constants as given. Floor, profiles and "
+    "bootstrap do not contain this uncertainty."
 )
 PRIORS_NOTE = (
-    "Prior and recordings are joined as independent; +- is one standard deviation, of the "
+    "Prior and recordings are combined as independent; +- is one standard deviation, of the "
     "recordings with the uncertainty of the constants. All other values and intervals follow by "
     "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
 )
@@ -76,8 +75,8 @@ def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
         f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
     )
     return (
-        f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and "
-        f"{beyond} rms beyond it"
+        f"noise estimated from the prediction errors: {torque}; encoder step {step}, and "
+        f"{beyond} rms in addition"
     )
 
 

@@ -17,7 +17,7 @@ from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
 INJECTED: Mapping[str, Mapping[str, object]] = {**CATALOGUE, **GAS_CATALOGUE}
-"""Effect to the parameters that a simulated machine accepts; a diagnosis does not give all of them."""
+"""Effect to the parameters that a simulated machine accepts; a diagnosis gives only some."""
 Axis = bool | float | str | None
 
 

@@ -26,8 +26,8 @@ SCHEMA = "loadrig.dry_run/1"
 PROMPT_S = 60.0
 """Assumed time for hanging a weight and answering the prompt, s."""
 NOT_PREDICTED = (
-    "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
-    "simulated benches that is up to a fifth."
+    "The peaks do not contain the torque that the drive's loops add when the joint breaks "
+    "away, or sticks and slips; on the simulated benches this is up to a fifth."
 )
 _FROM_PAPER = (
     "predicted from the paper's friction, which may differ from this bench's: run a small, slow "

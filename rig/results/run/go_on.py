@@ -14,8 +14,8 @@ NOT_READ_BACK = (
     "switch the main supply off, or make sure that the drive is off: that was not read back"
 )
 NEW_RUN = (
-    "where the bench or sequence file is changed for that, start a new run: a run goes on "
-    "with unchanged files only"
+    "if the bench or sequence file is changed for this, start a new run: a run can continue "
+    "only with unchanged files"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
 _BY_FILE = frozenset(
@@ -65,9 +65,7 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
     command = go_on_command(record, folder)
     lines += [f"note: {words}" for words in go_on_notes(record)]
     lines.append(
-        f"go on with: {command}"
-        if command
-        else "every stage is done; nothing is left to go on with"
+        f"go on with: {command}" if command else "every stage is done; there is no stage to resume"
     )
     return "\n".join(lines)
 

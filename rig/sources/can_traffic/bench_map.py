@@ -57,7 +57,9 @@ def messages_of_bench(path: Path) -> list[BusMessage]:
         elif isinstance(bench.servo, ServoSection) and getattr(bench.bus, "bitrate", None):
             found = list(_drive(document, bench.servo))
         else:
-            raise InputError(f"{path}: its drive is not on a CAN bus; name a DBC file instead")
+            raise InputError(
+                f"{path}: the drive of this bench is not on a CAN bus; name a DBC file instead"
+            )
         if isinstance(bench.encoder, EncoderSection):
             found += _encoder(document, bench.encoder)
     except ConfigurationError as error:
@@ -181,4 +183,4 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
 
 
 def _never_opened() -> NoReturn:
-    raise AssertionError("a bench whose map is read is not opened")
+    raise AssertionError("only the map of this bench is read, and its bus must not be opened")

@@ -123,7 +123,9 @@ def read_traffic(path: Path) -> Traffic:
     if remote:
         traffic.notes.append(f"{remote} remote frames left out")
     if lines.stamped > read + lines.errors:
-        traffic.notes.append(f"{lines.stamped - read - lines.errors} lines are no frames: left out")
+        traffic.notes.append(
+            f"{lines.stamped - read - lines.errors} lines that are not frames left out"
+        )
     if not stamps:
         raise InputError(f"{path}: holds no data frames" + "".join(f"; {n}" for n in traffic.notes))
     first = min(times[0] for times in stamps.values())
@@ -191,9 +193,10 @@ def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
     size = path.stat().st_size if path.suffix.lower() == ".blf" else reader.file_size
     if size < reader.file_size:
         lines.notes.append(
-            f"the file is cut off: {size} of {reader.file_size} bytes, read as far as it goes"
+            f"the file is cut off: {size} of {reader.file_size} bytes; the frames before the "
+            "cut are read"
         )
     elif not reader.file_size:
-        lines.notes.append("the file was not closed by its logger: read as far as it goes")
+        lines.notes.append("the logger did not close the file; its complete frames are read")
     if 0 < yielded < reader.object_count:
-        lines.notes.append(f"{reader.object_count - yielded} objects are no frames: left out")
+        lines.notes.append(f"{reader.object_count - yielded} objects that are not frames left out")

@@ -102,7 +102,9 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
             yield "no internal events logged\n"
         if head and re.search(r"timestamps\s+relative", text, re.IGNORECASE):
             relative = True
-            lines.notes.append("stamps since the event before: added up")
+            lines.notes.append(
+                "the time stamps count from the previous event: summed to times since the start"
+            )
         found = _STAMPED.fullmatch(text)
         if found is not None:
             lines.stamped += "Start of measurement" not in text

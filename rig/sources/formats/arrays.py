@@ -110,7 +110,8 @@ class MatTable(ArrayTable):
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
             raise InputError(
-                f"{path}: a MATLAB file of a version that is not read ({error}); save it in MATLAB "
+                f"{path}: a MATLAB file of a version that this program cannot read ({error}); "
+                "save it in MATLAB "
                 f"with save(..., '-v7')"
             ) from error
         except _DAMAGED as error:
@@ -139,7 +140,7 @@ class MatTable(ArrayTable):
             held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
             raise InputError(
                 f"{path}: holds no arrays of numbers, but {held}; of a timeseries or Dataset "
-                f"object save .Time and .Data as variables of their own"
+                "object, save .Time and .Data as separate variables"
             )
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:

@@ -91,8 +91,7 @@ class Hdf5Table(ArrayTable):
             raise InputError(
                 f"{path}: holds no arrays of numbers"
                 + (f" ({', '.join(self._left_out[:4])})" if self._left_out else "")
-                + "; of a timeseries or Dataset object save .Time and .Data as variables of their "
-                "own"
+                + "; of a timeseries or Dataset object, save .Time and .Data as separate variables"
             )
         stated = [units.get(self.variable(k), "") for k in range(len(self.names))]
         self.units = tuple(stated) if any(stated) else ()

@@ -172,7 +172,10 @@ class MdfTable(Table):
             for value in samples.tolist()
         ]
         if np.any(np.isfinite(numbers)):
-            self.note(f"`{name}` has labels between its numbers: read as missing values")
+            self.note(
+                f"`{name}` has text labels between its numbers; the labels are read as "
+                "missing values"
+            )
             return np.array(numbers)
         raw = np.asarray(
             mdf.get(

@@ -76,8 +76,8 @@ class Table(ABC):
         if len(bases) > 1:
             names = ", ".join(self.base_names[base] for base in bases)
             raise InputError(
-                f"{self.path}: columns of several time bases ({names}) share no rows; use those of "
-                f"one"
+                f"{self.path}: columns of several time bases ({names}) share no rows; use "
+                "columns of one time base"
             )
 
     def note(self, text: str) -> None:

@@ -88,7 +88,9 @@ class TdmsTable(Table):
                         unit = _unit(channel.properties)
                         found.append((_Column(base, channel.name), channel.name, unit))
             if file.file_status.incomplete_final_segment:
-                self.note("the file is cut off: read as far as all channels of a group go")
+                self.note(
+                    "the file is cut off; only the rows that all channels of a group have are read"
+                )
         if not found:
             raise InputError(f"{path}: holds no channels with samples")
         groups = {base.group for base in self._bases}

@@ -147,7 +147,10 @@ def score_all(
     """
     missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]
     if missing:
-        raise InputError(f"{proof.out}: not diagnosed yet: {', '.join(missing)}; truths stay shut")
+        raise InputError(
+            f"{proof.out}: not diagnosed yet: {', '.join(missing)}; the truths "
+            "are opened only after all rigs are diagnosed"
+        )
     rows = []
     for n, rig in enumerate(proof.rigs, start=1):
         file = proof.file(ROWS, rig)
