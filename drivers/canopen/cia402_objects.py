@@ -42,7 +42,7 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
     MODE_DISPLAY: "it shows whether that mode is active",
     POSITION: "the limits are checked against it",
 }
-"""Objects without which no drive can be used, and what for; the mode adds its own."""
+"""Object that every drive must have, to its purpose; the mode of operation adds further objects."""
 
 
 @dataclass(frozen=True)

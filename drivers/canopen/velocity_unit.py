@@ -64,8 +64,8 @@ def remedy(scales: ServoScales, factor: float) -> str:
 
 
 def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-    """Return the keys of the drive in the bench file, and their values, that correct it; none where
-    no key does.
+    """Return the keys in the bench file that correct the unit of the drive's speed, and their
+    values; none if no key corrects it.
     """
     if factor <= 0.0:
         return ()
@@ -77,8 +77,8 @@ def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float
 
 
 def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the known unit that is nearest to a rough one; that one where none is
-    within ``spread``.
+    """Return the factor of the known unit that is nearest to a rough factor; the rough factor if
+    none is within ``spread``.
     """
     if factor <= 0.0:
         return factor
@@ -92,7 +92,7 @@ def _units(scales: ServoScales) -> dict[str, float]:
 
 
 def _known(unit: float, scales: ServoScales, spread: float = KNOWN_SPREAD) -> str | None:
-    """Return the name of the nearest unit of speed; None for one without a name."""
+    """Return the name of the nearest unit of speed; None if the unit has no name."""
     known = _units(scales)
     name = min(known, key=lambda name: abs(math.log(unit / known[name])))
     return name if known[name] / spread <= unit <= known[name] * spread else None

@@ -88,7 +88,7 @@ def load_dbc(path: Path) -> Database:
 
 
 def read_dbc(path: Path) -> dict[str, Layout]:
-    """Read the messages of a DBC file that a drive can speak.
+    """Read the messages of a DBC file that a drive can send or receive.
 
     Returns:
         Message name to layout.
