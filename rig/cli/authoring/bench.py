@@ -47,17 +47,13 @@ def _real_can(answers: Mapping[str, Any]) -> bool:
 
 
 def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
-    """Return the default speed limit, deg/s: the speed that the supply permits, at most a useful
-    value.
-    """
+    """Return the default speed limit, deg/s: what the supply permits, up to a useful value."""
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
 
 
 def _rotor_inertia_kg_m2(answers: Mapping[str, Any]) -> float:
-    """Return the default inertia of the simulated rotor, in proportion to the inertia of the
-    joint.
-    """
+    """Return the default rotor inertia of a simulation, in proportion to the joint inertia."""
     machine, limits = {"gear_ratio": answers["gear_ratio"]}, {"torque_N_m": _torque_N_m(answers)}
     motor = derived({"machine": machine, "limits": limits})["motor"]
     assert isinstance(motor, dict)
