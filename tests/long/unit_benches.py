@@ -175,7 +175,7 @@ def _mistake(
     if mistake == "sign":
         if which == 0:
             spoil = lambda mock: setattr(mock.drive, "current_sign", -1)  # noqa: E731
-            return spoil, ("servo.current_sign", -1), "its sign is wrong"
+            return spoil, ("servo.current_sign", -1), "the sign of the current is wrong"
         (servo if which == 1 else encoder)["sign"] = -1
         return right, ("encoder.sign", -encoder.get("sign", 1)), "the joint encoder travels -"
     if mistake == "ratio":

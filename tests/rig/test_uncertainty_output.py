@@ -70,7 +70,7 @@ def test_notes_name_what_trades_off_bounds_and_starts() -> None:
 def test_the_encoder_of_a_linear_bench_is_in_micrometres() -> None:
     linear = replace(RESULT, motion="linear")
     (line,) = [text for text in uncertainty_notes(linear) if "encoder step" in text]
-    assert "encoder step 20 um, and 1 um rms beyond it" in line
+    assert "encoder step 20 um, and 1 um rms in addition" in line
 
 
 def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:
