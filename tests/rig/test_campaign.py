@@ -133,7 +133,7 @@ def test_negative_weight(tmp_path: Path) -> None:
         ),
         (
             "friction: coulomb_viscous, fixed: {Ms: 1}",
-            "model.fixed.Ms: friction coulomb_viscous does not rise",
+            "model.fixed.Ms: the friction model coulomb_viscous has no rise toward rest",
         ),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),

@@ -226,7 +226,7 @@ def _timing(timing: Mapping[str, Any]) -> Iterator[str]:
     )
     for name, words in (
         ("lateness", "How late cycles started"),
-        ("answer", "Age of a sample when it is judged"),
+        ("answer", "Age of a sample when the program checks it"),
     ):
         histogram = timing[name]
         counts, edges = histogram["counts"], [f"up to {edge}" for edge in histogram["edges_us"]]
