@@ -190,8 +190,8 @@ def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **g
 
     The command reports a drift, or a step from one run to the next, if it is larger than the
     scatter of the runs and their intervals explain. In at most one of 100 histories without change,
-    the command reports a parameter. For a step, the output names the devices that were replaced at
-    this run.
+    the command reports a parameter. If a parameter has a step at a run, the output names the
+    devices that were replaced at that run.
 
     \b
     Example:
