@@ -136,9 +136,9 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
     """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
 
-    Columns are read from the files, and guesses of what they hold are proposed with a scale to SI
-    where a name states a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on
-    the lever. On a linear bench read m for rad and N for N m.
+    The command reads the columns from the files and proposes a channel for each column, with a
+    scale to SI if a name states a unit. A mass in a file's name, such as log_5kg.csv, is used as
+    the mass on the lever. On a linear bench read m for rad and N for N m.
 
     \b
     Example:
