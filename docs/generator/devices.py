@@ -9,16 +9,16 @@ from drivers.canopen.device_data import SIMULATED, DeviceData, devices
 _INTRO = """\
 # Makers' drives
 
-Facts on drives where they differ from CiA 402, as far as their makers publish them. They are data,
-`drivers/canopen/devices/*.yaml`, and apply to a drive whose EDS file states the vendor (1018h:01h)
-and, where a vendor has several families, the objects of the third column. What the bench file
-states under `servo` comes first; `servo.device: none` switches the data off, and a name of the
-first column chooses others.
+Facts on drives where they differ from CiA 402, as far as their makers publish them. The facts are
+in `drivers/canopen/devices/*.yaml`. They apply to a drive whose EDS file states the vendor
+(1018h:01h) and, where a vendor has several families, the objects of the third column. Keys under
+`servo` in the bench file have priority; `servo.device: none` switches the data off, and a name of
+the first column selects the data of another drive.
 
-An object is used only where the EDS file has it, and in the cycle only where it can be process
-data. `rig check` says which facts are used, what is not monitored, and which limits only the
-program holds. No drive of these makers has been on a bench of this program: compare everything with
-the drive's manual before the first run."""
+The program uses an object only if the EDS file has it, and uses it in the cycle only if it can be
+process data. `rig check` states which facts are used, which values are not monitored, and which
+limits only the program holds. No drive of these makers has been on a bench of this program: compare
+everything with the drive's manual before the first run."""
 
 
 def _objects(data: DeviceData) -> str:

@@ -15,14 +15,14 @@ from identification.diagnosis.catalogue.entry import Entry
 
 _HIDDEN = {**CATALOGUE, **GAS_CATALOGUE}
 _INTRO = """\
-Each entry is one kind of physics that the nominal model leaves out. `rig diagnose` looks for all of
-them; `rig effects NAME` prints one.
+Each entry is one kind of physics that the nominal model leaves out. `rig diagnose` tests all
+entries; `rig effects NAME` prints one entry.
 
-On a simulated bench `mock.effects` of the bench file switches them on, for example
+On a simulated bench the key `mock.effects` of the bench file injects effects, for example
 `effects: {backlash: {gap_rad: 0.007}}`. *Plausible* is the range that a diagnosis accepts,
 *simulated* the range that a bench file accepts. A parameter without a plausible range is for the
-simulated bench only. Sizes are at the joint unless the name says otherwise; `recording` counts the
-power-ons of a simulated bench from 1."""
+simulated bench only. Sizes are at the joint unless the name states another place; `recording`
+counts the power-ons of a simulated bench from 1."""
 
 
 def page() -> str:

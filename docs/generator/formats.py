@@ -11,32 +11,35 @@ from rig.sources.readers import FOREIGN, FORMATS
 _HEAD = """\
 # File formats of recordings
 
-The formats that a [campaign file](campaign.md) names and `rig look` shows; the extension decides,
-and `.gz` behind it is allowed. What a file holds that is read differently than it stands there is
-said in a note of the recording; what cannot be read for certain is refused with the file, the row
-or line where there is one, and the remedy.
+A [campaign file](campaign.md) and `rig look` accept recordings in these formats. The extension of
+the file selects the format; the extension `.gz` may follow. If the program changes content while
+it reads a file, a note of the recording states the change. The program refuses content that it
+cannot read with certainty; the message names the file, the row or line, and the remedy.
 
-A column is named in full, by its last part where only one column ends in it, or by its index. A
-library that is not part of the program comes with the extra: `pip install 'loadrig[mdf]'`, or all
-of them with `loadrig[logs]`."""
+A campaign file names a column by its full name, by the last part of the name if only one column
+ends in it, or by its index. Some formats need a library from an extra of the program, for example
+`pip install 'loadrig[mdf]'`; the extra `loadrig[logs]` installs all these libraries."""
 _BASES = """\
 ## Several time bases
 
-Groups of MDF and TDMS, topics of MCAP and messages of CAN traffic have rows and stamps of their
-own. The channel `time` says whose rows a recording has: `time: Motion.time`. Channels of other
-groups are interpolated linearly at these stamps (`enabled` keeps its value), with a note that says
-both rates. Between samples that are more than five periods apart a value is missing; rows before
-the first or after the last sample of any channel are left out, with a note. Groups that share no
-clock cannot be used together, nor can a `rate` stand in for the time.
+Each group of an MDF or TDMS file, each topic of MCAP and each message of CAN traffic has its own
+rows and time stamps. The channel `time` selects the time stamps of the recording, for example
+`time: Motion.time`. Channels of other groups are interpolated linearly at these stamps (`enabled`
+keeps its last value), and a note states both rates. Where the samples of a channel are more than
+five periods apart, the interpolated value is missing. Rows before the first or after the last
+sample of any channel are left out, with a note. Groups without a common clock cannot be used
+together, and a `rate` cannot replace their time.
 
-Counters that pass their end are unwrapped before that, also where the file has scaled them."""
+Counters that overflow are unwrapped before the interpolation, even if the file contains scaled
+values."""
 _ALL = """\
 ## For every format
 
-Integers beyond 2^53 become differences to the first one; dates become seconds since the first.
-Text and complex numbers are no channels. A unit that the file states beside a scale of 1 is
-doubted, as are a speed that is not the change of the angle, a current without its sign, and a
-sample that lies far from all others; `rig look` says so before there is a campaign file."""
+Integers beyond 2^53 become differences from the first value, and dates become seconds since the
+first date. Text and complex numbers cannot be channels. A note reports a unit in the file beside a
+scale of 1, a speed that differs from the change of the angle, a current without its sign, and a
+sample that is far from all others; `rig look` reports these doubts before there is a campaign
+file."""
 _FOREIGN = "## Not read\n\n"
 
 
@@ -77,19 +80,19 @@ ROWS = (
     _Row(
         ("mf4", "mdf"),
         "asammdf, extra `mdf`",
-        "`group.channel`, `group.time`; without the group where there is one; `channel[0]` of an "
-        "array",
+        "`group.channel`, `group.time`; without the group name if there is one group; "
+        "`channel[0]` of an array",
         "versions 2, 3 and 4; conversions; either byte order; invalidation bits (missing samples); "
         "labels as raw numbers; groups at several rates; bus logging with `read.dbc` or "
         "`read.bench`",
-        "text; a master that is an angle or an index is no clock",
+        "text; an angle or an index as the master channel, which is no clock",
     ),
     _Row(
         ("tdms",),
         "npTDMS, extra `tdms`",
-        "`group.channel`, `group.time` of a waveform; without the group where there is one",
+        "`group.channel`, `group.time` of a waveform; without the group name if there is one group",
         "waveforms with start and increment; scales; channels of time stamps; either byte order; a "
-        "file that was cut off, as far as all channels of a group go",
+        "file that was cut off: the rows that all channels of a group have",
         "scales that npTDMS does not know; text; groups without a common start together",
     ),
     _Row(
@@ -103,7 +106,7 @@ ROWS = (
     _Row(
         ("json",),
         "Python",
-        "`field`, `field.inner`, `field[0]`; with its place where there are several tables",
+        "`field`, `field.inner`, `field[0]`; with the place of the table if there are several",
         "a list of objects, an object of lists, a list of lists, and pandas' `split`, `table`, "
         "`index` and `columns`, also inside an object; ISO dates; `null` as missing",
         "a key twice; rows of different lengths; columns of tables of different lengths together",

@@ -65,18 +65,19 @@ METADATA = (
     ("calibrations", "Device to certificate and last day, where the bench file has any."),
 )
 _INTRO = """\
-A run folder holds one recording for the run and one for each `rig resume`, in the format
-[MCAP](https://mcap.dev). PlotJuggler and Foxglove open it. All times are seconds since the start of
-the recording, stated as log time in nanoseconds.
+A run folder contains one recording for the run and one for each `rig resume`, in the format
+[MCAP](https://mcap.dev). PlotJuggler and Foxglove open such files. All times are seconds since
+the start of the recording, stated as log time in nanoseconds.
 
-A file whose writer died lacks its index and perhaps its last second; `rig recover` mends it."""
+If the program died while it wrote a file, the file lacks its index and perhaps its last second;
+`rig recover` repairs the file."""
 _SAMPLES = f"""\
-One message per control cycle, protobuf, schema `{mcap_layout.SAMPLE_SCHEMA}`. The schema is in the
-file. Every field is a 64-bit float. Angles, speeds and errors are at the joint, `motor_angle`,
-`current` and `voltage` at the motor. `current` and `voltage` are means over the cycle that ends at
-the sample.
+One message per control cycle, protobuf, schema `{mcap_layout.SAMPLE_SCHEMA}`. The file contains
+the schema. Every field is a 64-bit float. Angles, speeds and errors are at the joint,
+`motor_angle`, `current` and `voltage` at the motor. `current` and `voltage` are means over the
+cycle that ends at the sample.
 
-Fields are numbered in this order; recordings of earlier versions end earlier."""
+Fields are numbered in this order; recordings of earlier versions lack the last fields."""
 _FRAMES = f"""\
 One message per control cycle, and one for frames outside a cycle: every frame on the wire, packed
 without padding, little-endian, {mcap_layout.FRAME_BYTES} bytes each. Encoding:

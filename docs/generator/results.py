@@ -163,8 +163,8 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
 """Keys that are not written as literals in these functions."""
 _INTRO = """\
 Result files are JSON in SI units. `NAME` stands for a key that depends on the result, such as a
-parameter or a recording; `[]` for each item of a list. Values that JSON does not have (infinite,
-not a number) are `null`.
+parameter or a recording; `[]` stands for each item of a list. Values that JSON does not have
+(infinite, not a number) are `null`.
 
 On a linear bench read m for rad and N for N m."""
 

@@ -91,7 +91,7 @@ class Amt21Line:
         )
 
     def ask(self, offset: int = 0, *command: int) -> None:
-        """Send a request; the encoder latches its position when it hears it.
+        """Send a request; the encoder latches its position when it receives the request.
 
         Raises:
             LinkError: The line is gone.
@@ -117,7 +117,7 @@ class Amt21Line:
         self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
 
     def take_frames(self) -> list[RawFrame]:
-        """Return what has gone over the line since the last call, oldest first."""
+        """Return the bytes that passed over the line since the last call, oldest first."""
         frames = list(self._frames)
         self._frames.clear()
         return frames

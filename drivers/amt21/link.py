@@ -24,7 +24,7 @@ class EncoderLink(Link):
         self._line = encoder.line
 
     def open(self) -> None:
-        """Open both; if one cannot be opened, both are closed.
+        """Open the servo's link and the encoder's line; if one cannot be opened, both are closed.
 
         Raises:
             LinkError: One cannot be opened.
@@ -37,7 +37,7 @@ class EncoderLink(Link):
             raise
 
     def close(self) -> None:
-        """Close both; safe to call twice and after a failure. Raises nothing."""
+        """Close link and line; safe to call twice and after a failure. Raises nothing."""
         close_all(self._line.close, self._servo_link.close)
 
     def exchange(self) -> None:
@@ -52,6 +52,6 @@ class EncoderLink(Link):
         self._encoder.collect()
 
     def take_frames(self) -> list[RawFrame]:
-        """Return what has gone over both since the last call, in the order of time."""
+        """Return the frames of link and line since the last call, in the order of time."""
         frames = self._servo_link.take_frames() + self._line.take_frames()
         return sorted(frames, key=lambda frame: frame.time_ns)

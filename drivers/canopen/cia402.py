@@ -1,4 +1,8 @@
-"""State machine of CiA 402 drives, host side: states, commands, table of permitted commands.
+"""State machine of CiA 402 drives on the host's side: states, commands, table of permitted
+commands.
+
+States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
+that lead toward power.
 
 States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
 that lead toward power.

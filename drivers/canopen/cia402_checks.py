@@ -90,7 +90,7 @@ def lacks(
 def _replaced(
     channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float
 ) -> Iterator[str]:
-    """Yield what is not monitored, and what replaces a missing object."""
+    """Yield texts on the values that are not monitored, and on what replaces a missing object."""
 
     def place(address: ObjectAddress | None) -> str:
         if address is None:
@@ -133,8 +133,8 @@ def _replaced(
         (
             channel.describes(*objects.ON_ABORT) or None,
             "no reaction to a lost master (6007h), so that the drive counts as one without a "
-            "watchdog; servo.stops_alone: true where its manual says that it takes the power "
-            "off when the heartbeat of this program ends",
+            "watchdog; set servo.stops_alone: true if its manual states that it takes the "
+            "power off when the heartbeat of this program ends",
         ),
     ):
         if there is None:
@@ -167,7 +167,7 @@ def refusals(
 def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield refusals that mapping the process data does not detect."""
+    """Yield errors that mapping the process data does not detect."""
     if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
         yield ConfigurationError(
             f"vendor 1018h:01h: the drive says {channel.read(*VENDOR):X}h, its EDS file "

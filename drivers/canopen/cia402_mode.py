@@ -17,8 +17,8 @@ mode only when they are switched on.
 
 
 def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
-    """Return why the drive cannot be used in this mode (6502h); None where it can, or leaves it
-    open.
+    """Return the reason why the drive cannot be used in this mode (6502h); None if the drive
+    supports the mode or has no 6502h.
     """
     offered = None
     if channel.describes(*objects.MODES):
@@ -28,7 +28,7 @@ def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
         return None
     return StateError(
         f"the drive does not support mode {motion.mode}, {motion.words} (6502h reads "
-        f"{offered:08X}h, bit {bit} is 0): set servo.mode to one that it supports"
+        f"{offered:08X}h, bit {bit} is 0): set servo.mode to a mode that the drive supports"
     )
 
 
@@ -44,14 +44,14 @@ def select(channel: ProcessChannel, motion: Motion) -> None:
 
 
 def in_force(channel: ProcessChannel, motion: Motion) -> bool:
-    """Return whether the drive shows the mode (6061h)."""
+    """Return whether the drive shows the mode in 6061h."""
     return channel.read(*objects.MODE_DISPLAY) == motion.mode
 
 
 def not_shown(
     channel: ProcessChannel, motion: Motion, state: ServoState, waited_s: float
 ) -> StateError:
-    """Return the error of a drive that does not take the mode over."""
+    """Return the error of a drive that does not activate the mode."""
     return StateError(
         f"mode of operation 6061h still reads {channel.read(*objects.MODE_DISPLAY)} in state "
         f"'{state.value}', {waited_s:g} s after {motion.mode} ({motion.words}) was written to "

@@ -42,7 +42,7 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
     MODE_DISPLAY: "it shows whether that mode is active",
     POSITION: "the limits are checked against it",
 }
-"""Objects without which no drive can be used, and what for; the mode adds its own."""
+"""Object that every drive must have, to its purpose; the mode of operation adds further objects."""
 
 
 @dataclass(frozen=True)
@@ -127,8 +127,8 @@ def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
 def _beside(
     layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
 ) -> list[PdoLayout]:
-    """Return the layouts with the torque in the last one with room for it. It is held against the
-    current and not needed otherwise, so that it takes no frame of its own.
+    """Return the layouts with the torque in the last one that has room for it. The torque serves
+    only for a comparison with the current, and gets no PDO of its own.
     """
     for at in reversed(range(1, len(layouts))):
         if channel.fit_together([*layouts[at].objects, torque]):

@@ -99,7 +99,7 @@ class Cia402Servo(Servo):
         return read_identity(self._channel)
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield the numbers of 1018h that differ from the EDS file's."""
+        """Yield a text for each number of 1018h that differs from the EDS file."""
         yield from identity_doubts(self._channel)
 
     def state(self) -> ServoState:
@@ -111,7 +111,9 @@ class Cia402Servo(Servo):
         return servo_limits.read(self._channel, self._scales, self._held)
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return what the drive neither holds nor tells, according to its EDS. Sends nothing."""
+        """Return the limits and values that the drive does not have, according to its EDS. Nothing
+        is sent.
+        """
         return cia402_checks.lacks(self._channel, self._scales, self._told, self._motion, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
@@ -121,7 +123,7 @@ class Cia402Servo(Servo):
         return velocity_unit.remedy(self._scales, factor)
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the nearest known unit to a rough factor."""
+        """Return the factor of the known unit that is nearest to a rough factor."""
         return velocity_unit.nearest_factor(self._scales, factor, spread)
 
     def speed_settings(self, factor: float) -> tuple[tuple[str, str | float | None], ...]:
@@ -176,9 +178,10 @@ class Cia402Servo(Servo):
         )
         if self._motion.needs_watch and self.watch_s is None:
             yield ConfigurationError(
-                f"mode {self._motion.words} needs a drive that takes the power off when it hears "
-                f"nothing of this program any more, as its last command would go on: it has no "
-                f"6007h; set servo.stops_alone: true where its manual says that it does"
+                f"mode {self._motion.words} needs a drive that takes the power off when it "
+                "receives no message of this program any more, because its last command would "
+                "continue; this drive has no 6007h: set servo.stops_alone: true if its manual "
+                "states that it takes the power off"
             )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
@@ -352,7 +355,7 @@ class Cia402Servo(Servo):
         await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> bool:
-        """Select the mode and wait for it; returns whether it came."""
+        """Select the mode and wait for it; return whether the drive activated the mode."""
         cia402_mode.select(self._channel, self._motion)
         for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             if cia402_mode.in_force(self._channel, self._motion):

@@ -69,7 +69,7 @@ class CyclicValues:
         return statusword, position
 
     def observed(self) -> Observed:
-        """Return what a loop in this program needs of the last exchange."""
+        """Return the values of the last exchange that a position loop in this program needs."""
         channel, scales = self._channel, self._scales
         values: list[int] = []
         for number in self._numbers:
@@ -131,7 +131,9 @@ class CyclicValues:
 
 
 def read_once(channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> ServoReadings:
-    """Read each value of a drive outside the cycle; NaN for values that the drive does not have."""
+    """Read each value of a drive outside the control cycle; NaN for values that the drive does not
+    have.
+    """
     counts, speed, current, supply, temperature = (
         _read_or_nan(channel, address)
         for address in (

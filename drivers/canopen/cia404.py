@@ -11,7 +11,7 @@ from drivers.interfaces import Identity, PressureSample, PressureTransmitter
 from drivers.objects import VENDOR, PdoLayout, ProcessChannel, read_identity, refusal
 
 FRAMES: Final = ((5, 1),)
-"""Time-out as for the drive."""
+"""Data bytes of the PDO and its period in cycles."""
 PASCALS: Final = {0x22: 1.0, 0x4E: 1e5, 0xAB: 6894.757293168}
 """Unit codes of CiA 303-2 (bits 16 to 23 of 6131h): pascal, bar, psi."""
 
@@ -112,7 +112,8 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return the unit of an integer process value in Pa, or None if it is no pressure.
+    """Return the unit of an integer process value in Pa; None if the unit is not a unit of
+    pressure.
 
     Args:
         code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.

@@ -22,7 +22,7 @@ from drivers.units import EncoderScales, Unwrapper, nearest
 
 _POSITION: Final = 1
 FRAMES: Final = ((8, 1),)
-"""Time-out as for the drive."""
+"""Data bytes of the PDO and its period in cycles."""
 _US: Final = 1e-6
 _RESOLUTION: Final = ((0x6001, 0), (0x6501, 0))
 """Objects with the steps per turn: as configured (class 2), and of the disc (class 1)."""
@@ -56,11 +56,11 @@ class Cia406Encoder(Encoder):
         return read_identity(self._channel)
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield the numbers of 1018h that differ from the EDS file's."""
+        """Yield a text for each number of 1018h that differs from the EDS file."""
         yield from identity_doubts(self._channel)
 
     def reading(self) -> float:
-        """Read the position (6004h); NaN where the encoder refuses it."""
+        """Read the position (6004h); NaN if the encoder refuses it."""
         try:
             counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):

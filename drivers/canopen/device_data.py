@@ -1,7 +1,8 @@
-"""What is known of drives of certain makers, as data: ``devices/*.yaml``, matched by identity.
+"""Known data of drives of certain makers, in ``devices/*.yaml``, matched by the identity of a
+drive.
 
-A file states objects and units where they differ from CiA 402, as far as its maker publishes them.
-What the bench file states comes first.
+A file states objects and units that differ from CiA 402, as far as the maker publishes them.
+Statements of the bench file have priority over these data.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from drivers.objects import VENDOR
 FOLDER: Final = Path(__file__).with_name("devices")
 PRODUCT: Final = (0x1018, 2)
 SIMULATED: Final = "loadrig_simulated"
-"""Name of the simulated drive's own data."""
+"""Name of the data of the simulated drive."""
 
 _Index = Annotated[int, Field(ge=0, le=0xFFFF)]
 _Subindex = Annotated[int, Field(ge=0, le=0xFF)]
@@ -34,7 +35,7 @@ VelocityUnit = Literal["counts_per_s", "rpm"]
 
 
 class DeviceData(BaseModel):
-    """Facts on a family of drives. Fields without value are as in CiA 402, or not known.
+    """Data of a family of drives. A field without a value is as in CiA 402, or is not known.
 
     Attributes:
         name: Maker and family.
@@ -96,7 +97,7 @@ class DeviceData(BaseModel):
 
     @property
     def words(self) -> str:
-        """Return what it states on units and objects, for the operator."""
+        """Return the stated units and objects as text for the operator."""
         stated = self.model_dump(
             exclude={"name", "source", "vendor_id", "product_codes", "has", "remarks"},
             exclude_none=True,
@@ -105,7 +106,7 @@ class DeviceData(BaseModel):
         return ", ".join(shown) or "nothing that differs from CiA 402"
 
     def fits(self, vendor_id: int, product_code: int | None, dictionary: ObjectDictionary) -> bool:
-        """Return whether these facts are about a device with this identity and these objects."""
+        """Return whether these data apply to a device with this identity and these objects."""
         return (
             vendor_id == self.vendor_id
             and (not self.product_codes or product_code in self.product_codes)
@@ -121,14 +122,14 @@ def _shown(value: object) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Refuses keys that appear twice, and reads numbers as YAML 1.2 does."""
+    """Loader that refuses keys that appear twice, and reads numbers as YAML 1.2 does."""
 
     yaml_implicit_resolvers: dict[str, Any] = {  # noqa: RUF012 - the base class owns this attribute
         first: list(found) for first, found in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        """Return a mapping.
+        """Return a mapping; a key that appears twice is an error.
 
         Raises:
             ValueError: A key appears twice.
@@ -160,15 +161,15 @@ def parse(text: str) -> DeviceData:
 
 @lru_cache(maxsize=1)
 def devices() -> Mapping[str, DeviceData]:
-    """Return all packaged data: file name without ending to its data."""
+    """Return all packaged data: file name without extension to its data."""
     return {
         path.stem: parse(path.read_text(encoding="utf-8")) for path in sorted(FOLDER.glob("*.yaml"))
     }
 
 
 def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
-    """Return vendor and product code as a device's EDS states them; None for what it leaves
-    open.
+    """Return vendor and product code in a device's EDS; None for a number that the EDS does not
+    state.
     """
     found = (dictionary.get_variable(*address) for address in (VENDOR, PRODUCT))
     vendor, product = (
@@ -180,7 +181,7 @@ def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
 
 
 def match(dictionary: ObjectDictionary) -> DeviceData | None:
-    """Return the data of the drive that an EDS describes; None where there are none."""
+    """Return the data of the drive that an EDS describes; None if there are no such data."""
     vendor, product = identity(dictionary)
     if vendor is None:
         return None

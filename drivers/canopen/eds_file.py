@@ -113,7 +113,7 @@ class _Reader:
                 self._members.setdefault(index, {})[int(match[2], 16)] = section
 
     def dictionary(self) -> Described:
-        """Return the objects that can be used, and the faults of the others."""
+        """Return the objects that can be used, and the faults of the other objects."""
         described = Described()
         described.identity = self._header("VendorNumber"), self._header("ProductNumber")
         for index in sorted({*self._heads, *self._members}):

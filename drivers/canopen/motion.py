@@ -1,4 +1,6 @@
-"""Modes of operation of a CiA 402 drive (6060h), and what is sent in each to follow a position."""
+"""Modes of operation of a CiA 402 drive (6060h), and the commands that each mode sends to follow a
+position.
+"""
 
 from __future__ import annotations
 
@@ -33,17 +35,21 @@ PROFILE_SPEED: Final = (0x6081, 0)
 PROFILE_ACCELERATION: Final = (0x6083, 0)
 PROFILE_DECELERATION: Final = (0x6084, 0)
 STALE_CYCLES: Final = 3
-"""Exchanges without a whole answer after which a speed or torque of 0 is commanded."""
+"""Number of exchanges without a complete answer after which a speed or torque of 0 is commanded."""
 SPEED_OVER: Final = 2
-"""Exchanges over which the loop takes the speed from positions."""
+"""Number of exchanges over which the position loop computes the speed from positions."""
 COARSE: Final = 0.05
-"""Share of the torque limit from which one count of that speed is too coarse for the loop."""
+"""Share of the torque limit above which one count of the computed speed is too coarse for the
+position loop.
+"""
 _INT16: Final = range(-(1 << 15), 1 << 15)
 _INT32: Final = range(-(1 << 31), 1 << 31)
 
 
 class Observed(NamedTuple):
-    """The drive at the last exchange: statusword, joint angle and speed, whether complete."""
+    """State of the drive at the last exchange: statusword, joint angle and speed, and whether the
+    answer was complete.
+    """
 
     statusword: int
     angle_rad: float
@@ -79,28 +85,28 @@ class Motion(ABC):
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that travel with the controlword."""
+        """Objects that are sent with the controlword."""
         return (self.target,)
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Objects without which it cannot be used, and what for."""
+        """Object that the mode needs, to its purpose."""
         return {self.target: "it carries the command of a run"}
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
-        """Yield objects and values to be set with the limits."""
+        """Yield objects and values that are written with the limits."""
         yield from ()
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Take limits that this program holds; NaN leaves one as it is."""
+        """Store the limits that this program enforces; NaN leaves a limit as it is."""
         del limits  # the drive holds them
 
     def begin(self, cycle_s: float) -> None:
-        """Begin with a control cycle."""
+        """Prepare the mode for a control cycle."""
         self._cycle_s = cycle_s
 
     def reset(self) -> None:
-        """Forget the motion so far, before power.
+        """Clear the state of the motion, before the drive gets power.
 
         Raises:
             StateError: It lacks something without which it must not begin.
@@ -111,7 +117,7 @@ class Motion(ABC):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage what the next exchange sends.
+        """Stage the command of the next exchange.
 
         Args:
             channel: The drive.
@@ -138,7 +144,7 @@ class CyclicPosition(Motion):
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that travel with the controlword."""
+        """Objects that are sent with the controlword."""
         return (self.target, TORQUE_OFFSET) if self.takes_offset else (self.target,)
 
     def stage(
@@ -165,8 +171,8 @@ class _HostLoop(Motion):
 
     needs_watch = True
     remarks = (
-        "this program closes the position loop, and alone holds the limits of angle and "
-        "following error",
+        "this program closes the position loop, and only this program enforces the limits of "
+        "angle and following error",
     )
     unheld = frozenset(
         {servo_limits.POSITION_MIN, servo_limits.POSITION_MAX, servo_limits.FOLLOWING_WINDOW}
@@ -188,12 +194,12 @@ class _HostLoop(Motion):
         self._passed: deque[tuple[int, float]] = deque(maxlen=SPEED_OVER + 1)
 
     def begin(self, cycle_s: float) -> None:
-        """Derive the gains from the cycle."""
+        """Derive the gains of the loop from the cycle."""
         self._cycle_s = cycle_s
         self._gains = derived(cycle_s, self._inertia, self._stated)
 
     def take_limits(self, limits: ServoLimits) -> None:
-        """Take the limits, which the loop holds itself."""
+        """Store the limits, which the position loop in this program enforces."""
         held = self._limits
         fields = {
             "angle_min_rad": limits.angle_min_rad,
@@ -210,10 +216,13 @@ class _HostLoop(Motion):
             self._limits = LoopLimits(**found)
 
     def reset(self) -> None:
-        """Forget the motion so far; raises :class:`StateError` where the limits are not known."""
+        """Clear the state of the motion; raise :class:`StateError` if the limits have not been
+        set.
+        """
         if self._limits is None:
             raise StateError(
-                f"mode {self.words} holds the limits in this program, and none are written yet"
+                f"in mode {self.words} this program, and not the drive, enforces the limits, and "
+                "no limits have been set; set the limits before the reset"
             )
         self._state = self._before = AT_REST
         self._stepped_in = -1
@@ -223,7 +232,9 @@ class _HostLoop(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage controlword and the loop's command; 0 unless the drive is to run."""
+        """Stage the controlword and the command of the position loop; the command is 0 unless the
+        drive may run.
+        """
         value = 0
         if word == cia402.ENABLE_OPERATION:
             value = self._value(channel.cycle, self._scales.joint_angle_rad(counts), observe())
@@ -250,8 +261,9 @@ class _HostLoop(Motion):
         return self._units(speed, torque)
 
     def _speed(self, seen: Observed, torque_N_m: float) -> float:
-        """Return the joint speed from the change of the position, which needs no unit of the speed
-        to be right. Where one count of it would be too much torque, the drive's own speed counts.
+        """Return the joint speed from the change of the position, which does not depend on the unit
+        of the drive's speed. If one count of this speed would cause too much torque, return the
+        drive's own speed.
         """
         then, before = self._passed[0] if self._passed else (0, 0.0)
         now, angle = self._passed[-1] if self._passed else (0, 0.0)
@@ -264,11 +276,13 @@ class _HostLoop(Motion):
 
     @abstractmethod
     def _units(self, speed_rad_s: float, torque_N_m: float) -> int:
-        """Return the command in the drive's units."""
+        """Return the command in the units of the drive."""
 
 
 class CyclicSpeed(_HostLoop):
-    """Cyclic synchronous velocity: the drive has the speed loop, this program the position loop."""
+    """Cyclic synchronous velocity: the drive closes the speed loop, and this program the position
+    loop.
+    """
 
     mode = 9
     words = "cyclic synchronous velocity"
@@ -280,15 +294,16 @@ class CyclicSpeed(_HostLoop):
 
 
 class CyclicTorque(_HostLoop):
-    """Cyclic synchronous torque: this program has position and speed loop."""
+    """Cyclic synchronous torque: this program closes the position loop and the speed loop."""
 
     mode = 10
     words = "cyclic synchronous torque"
     target = TARGET_TORQUE
     unheld = _HostLoop.unheld | {servo_limits.MAX_SPEED}
     remarks = (
-        "this program closes the position and speed loops, and alone holds the limits of angle, "
-        "following error and speed, but for what the drive is said to limit by itself",
+        "this program closes the position and speed loops, and only this program enforces the "
+        "limits of angle, following error and speed, except a speed limit that the bench file "
+        "states for the drive",
     )
 
     def _units(self, speed_rad_s: float, torque_N_m: float) -> int:
@@ -305,8 +320,8 @@ def _within(units: int, allowed: range, target: ObjectAddress) -> int:
 
 
 class ProfilePosition(Motion):
-    """Profile position: each new set-point replaces the one before it at once (bits 4 and 5 of the
-    controlword, bit 12 of the statusword). The drive's profile stops at the last one.
+    """Profile position: each new set-point immediately replaces the previous one (bits 4 and 5 of
+    the controlword, bit 12 of the statusword). The drive's profile stops at the last set-point.
 
     Args:
         scales: Units of the drive.
@@ -333,7 +348,7 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Objects without which it cannot be used, and what for."""
+        """Object that the mode needs, to its purpose."""
         return {
             **super().needed,
             PROFILE_SPEED: "it limits the speed of the profile",
@@ -350,14 +365,16 @@ class ProfilePosition(Motion):
                 yield address, max(1, round(self._acceleration / unit))
 
     def reset(self) -> None:
-        """Begin with a set-point that is not new."""
+        """Clear the state of the motion; the next set-point is not announced as new."""
         self._raised = False
         self._staged_in = -1
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the set-point; it is new in every other exchange, once the last was taken over."""
+        """Stage the set-point. It is announced as new in every other exchange, after the drive has
+        accepted the last one.
+        """
         if word == cia402.ENABLE_OPERATION:
             if channel.cycle != self._staged_in:
                 self._staged_in = channel.cycle

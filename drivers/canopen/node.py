@@ -89,7 +89,7 @@ class CanopenNode:
 
     @property
     def latches(self) -> bool:
-        """The values of an exchange are those of the SYNC."""
+        """The values of an exchange are sampled at the SYNC."""
         return True
 
     @property
@@ -240,13 +240,17 @@ class CanopenNode:
             self._then.pop(identifier, None)
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Set the values of RPDO ``number`` for the next exchange, and those after it."""
+        """Set the values of RPDO ``number`` for the next exchange, and the values for the exchanges
+        after it.
+        """
         identifier, packing = self._staged[number]
         self.outputs[identifier] = packing.pack(*values)
         self._then[identifier] = packing.pack(*then)
 
     def sent(self) -> None:
-        """Note that the outputs went out: values that were staged for once give way."""
+        """Register that the outputs were sent: values for one exchange are replaced by the
+        following values.
+        """
         if self._then:
             self.outputs.update(self._then)
             self._then.clear()
@@ -280,8 +284,9 @@ class CanopenNode:
     def _disarm(self) -> None:
         """Deactivate a heartbeat consumer that a former program left active when it ended.
 
-        A heartbeat is sent first, because a device that lost its master waits for it. Without the
-        deactivation, the heartbeat before the start of the node would start the time-out again.
+        The host sends a heartbeat first, because a device that has noticed the loss of its master
+        waits for a heartbeat of the master. Without the deactivation, the heartbeat before the
+        start of the node would start the time-out again.
         """
         if optional(self.read, *_CONSUMER):
             self._wire.heartbeat()

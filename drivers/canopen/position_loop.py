@@ -1,7 +1,7 @@
-"""The host's own position loop, for drives that take a speed or a torque only. Pure functions.
+"""Position loop in this program, for drives that accept only a speed or a torque. Pure functions.
 
-A cascade as in a drive: position P with feed-forward of the commanded speed, then, for a torque,
-speed PI. All values are at the joint, in SI units.
+The loop is a cascade as in a drive: position P with feed-forward of the commanded speed and, for a
+torque command, speed PI. All values are at the joint, in SI units.
 """
 
 from __future__ import annotations
@@ -13,20 +13,22 @@ from typing import Final, NamedTuple
 from drivers.errors import ConfigurationError
 
 FASTEST_1_S: Final = 60.0
-"""Greatest position gain that is derived, 1/s; that of common drives."""
+"""Greatest derived position gain, 1/s; common drives have this gain."""
 GAIN_CYCLES: Final = 0.06
-"""Position gain times cycle that is derived: a sample is two cycles old when its command acts, so
-that 0.12 rad (7 deg) of phase are lost at the loop's own frequency.
+"""Product of position gain and cycle for a derived gain. A sample is two cycles old when its
+command acts, so that the loop loses 0.12 rad (7 deg) of phase at its own frequency.
 """
 SPEED_CYCLES: Final = 0.15
-"""Bandwidth of the speed loop times cycle that is derived: 0.3 rad (17 deg) of phase."""
+"""Product of speed-loop bandwidth and cycle for a derived gain; the loop loses 0.3 rad (17 deg) of
+phase.
+"""
 RATIO: Final = 0.4
-"""Greatest ratio that is derived of the position gain to the bandwidth of the speed loop."""
+"""Greatest ratio of a derived position gain to the bandwidth of the speed loop."""
 
 
 @dataclass(frozen=True)
 class LoopGains:
-    """Gains of the cascade.
+    """Gains of the position loop and the speed loop.
 
     Attributes:
         position_1_s: Speed command per position error.
@@ -41,7 +43,7 @@ class LoopGains:
 
 @dataclass(frozen=True)
 class LoopLimits:
-    """Limits of what is commanded.
+    """Limits of the command that the loop computes.
 
     Attributes:
         angle_min_rad: Lower end of the joint angle.
@@ -59,7 +61,7 @@ class LoopLimits:
 
 
 class LoopState(NamedTuple):
-    """What the loop remembers: the last target, rad (NaN for none), and the integral, N m."""
+    """State of the loop: the last target, rad (NaN for none), and the integral, N m."""
 
     target_rad: float = math.nan
     integral_N_m: float = 0.0
@@ -71,7 +73,7 @@ AT_REST: Final = LoopState()
 def derived(
     cycle_s: float, inertia_kg_m2: float | None, wanted: LoopGains | None = None
 ) -> LoopGains:
-    """Return gains for a cycle; those of ``wanted`` that are not 0 are kept.
+    """Return the gains for a cycle; gains of ``wanted`` that are not 0 are kept.
 
     Args:
         cycle_s: Control cycle, s.
@@ -139,7 +141,7 @@ def step(
 
 
 def _stopping(distance_rad: float, limits: LoopLimits) -> float:
-    """Return the greatest speed towards an end at this distance, rad/s."""
+    """Return the greatest speed towards an end of the angle range at this distance, rad/s."""
     if distance_rad <= 0.0:
         return 0.0
     return min(limits.speed_rad_s, math.sqrt(2.0 * limits.deceleration_rad_s2 * distance_rad))

@@ -43,7 +43,7 @@ def await_state(
 
 
 def exchanges(link: Link, cycle_ns: int, timeout_s: float) -> Iterator[bool]:
-    """Exchange process data once per cycle; yield after each exchange whether time is left."""
+    """Exchange process data once per cycle; yield after each exchange whether time remains."""
     clock = link.clock
     due = clock.now_ns()
     deadline = due + timeout_s * NS

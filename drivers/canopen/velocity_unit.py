@@ -77,8 +77,8 @@ def remedy(scales: ServoScales, factor: float) -> str:
 
 
 def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float | None], ...]:
-    """Return the keys of the drive in the bench file, and their values, that correct it; none where
-    no key does.
+    """Return the keys in the bench file that correct the unit of the drive's speed, and their
+    values; none if no key corrects it.
     """
     if factor <= 0.0:
         return ()

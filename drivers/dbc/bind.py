@@ -33,7 +33,9 @@ def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
 
 
 class _Binder:
-    """Binds a map part by part, and collects the problems, so that all are reported together."""
+    """Binds a map part by part, and collects the problems, so that all problems are reported
+    together.
+    """
 
     def __init__(self, spec: DbcMap, layouts: Mapping[str, Layout]) -> None:
         self._spec = spec

@@ -43,8 +43,8 @@ class Feedback:
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
     def unasked(self, *names: str) -> list[float]:
-        """Return quantities from their next valid frames; NaN if the drive sends the frames only in
-        answer to a command, and for a quantity that the drive does not report.
+        """Return quantities from their next valid frames; NaN for a quantity that the drive does
+        not report, or that the drive sends only in answer to a command.
         """
         slots = {name: self._reads[name][0] for name in names if name in self._reads}
         heard = {

@@ -104,7 +104,7 @@ def _fault(message: Message) -> str:
 
 
 def read_dbc(path: Path) -> dict[str, Layout]:
-    """Read the messages of a DBC file that a drive can speak.
+    """Read the messages of a DBC file that a drive can send or receive.
 
     Returns:
         Message name to layout.

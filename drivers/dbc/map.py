@@ -64,10 +64,10 @@ class Inputs:
     Attributes:
         position: Motor angle, rad.
         velocity: Motor speed, rad/s.
-        temperature: Temperature of the drive, deg C; left out if the drive reports none, and then
-            no limit is checked.
-        supply_voltage: Supply voltage, V; left out if the drive reports none, and then no limit is
-            checked.
+        temperature: Temperature of the drive, deg C; left out if the drive reports none. Without it
+            the program does not check the temperature limit.
+        supply_voltage: Supply voltage, V; left out if the drive reports none. Without it the
+            program does not check the limits of the supply voltage.
         current: Motor current, A.
         torque: Motor torque, N m.
         voltage: Motor voltage, V; if it is left out, the recording contains NaN.

@@ -151,7 +151,7 @@ class _Images:
         self._page: dict[str, Signal] = {}
 
     def begin(self, layout: Layout) -> None:
-        """Start a frame of zeros."""
+        """Start a frame in which all bits are zero."""
         self.frames.setdefault(layout.name, bytes(layout.size))
 
     def covered(self, layout: Layout) -> int:
@@ -159,7 +159,7 @@ class _Images:
         return self._covered.get(layout.name, 0)
 
     def other_page(self, layout: Layout, signal: Signal) -> bool:
-        """Return whether the order has chosen a page without this signal."""
+        """Return whether the order has selected a page that does not contain this signal."""
         selector = signal.selector
         if selector is None or not self.covered(layout) & selector.covers:
             return False

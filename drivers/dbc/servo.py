@@ -36,7 +36,7 @@ _UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
 
 
 class DbcServo(Servo):
-    """A drive with its own frames. No method but :meth:`enable` leads toward power.
+    """A drive with its own frames. Only :meth:`enable` leads toward power.
 
     Args:
         link: The link to the drive.
@@ -119,8 +119,8 @@ class DbcServo(Servo):
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield an error for each limit that does not fit its signal or exceeds the one set with
-        the maker's tool.
+        """Yield an error for each limit that does not fit its signal, or that exceeds the limit set
+        with the maker's tool.
         """
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))

@@ -65,8 +65,8 @@ LAST: Final = 0x02
 
 
 def crc(words: bytes) -> int:
-    """Return the CRC-16 (polynomial 1021h, start 0) over 16-bit words, from opcode and length
-    on.
+    """Return the CRC-16 (polynomial 1021h, initial value 0) of the 16-bit words of a frame,
+    beginning with the word that contains opcode and length.
     """
     swapped = bytearray(len(words))
     swapped[0::2], swapped[1::2] = words[1::2], words[0::2]

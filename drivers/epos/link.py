@@ -189,7 +189,7 @@ class EposSerialLink(Link):
         )
 
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
-        """Send a frame and return the data of its answer; None without a reliable answer in
+        """Send a frame and return the data of its answer; None if no reliable answer arrives in
         time.
         """
         if not self._in_step and not self._find_step(deadline_ns):
@@ -253,7 +253,7 @@ class EposSerialLink(Link):
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
 
     def _receive(self, deadline_ns: int) -> list[Frame]:
-        """Return the next received frames; none if none comes by the deadline."""
+        """Return the next received frames; none if no frame arrives before the deadline."""
         port = self._opened()
         clock = self.clock
         while True:

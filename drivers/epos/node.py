@@ -43,7 +43,7 @@ class _Output:
         self.value = 0
 
     def request(self) -> bytes:
-        """Return the frame that writes it."""
+        """Return the frame that writes the object."""
         return encode(
             Opcode.WRITE_OBJECT, self.head + self.layout.pack(self.value).ljust(VALUE_BYTES, b"\0")
         )

@@ -28,7 +28,7 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Takes the power off if this program dies or hangs; the drive has no watchdog of its own."""
+    """Switches the power off if this program dies or hangs, because the drive has no watchdog."""
 
     def arm(self, limit_s: float) -> None:
         """Arm the guard; it acts if it is not fed for this time, s.

@@ -55,8 +55,8 @@ class CorrectedModel:
     curve: Curve | None = None
 
     def numbers(self, recording: Recording) -> dict[str, float]:
-        """Return the nominal parameters and the bench constants by the names that the functions
-        use; unknown ones are 0.
+        """Return the nominal parameters and the bench constants by the names that the model
+        functions use; unknown ones are 0.
         """
         bench = recording.bench
         known = {name: float(self.parameters.get(name, 0.0)) for name in PARAMETERS}

@@ -1,4 +1,9 @@
-"""What the motion asks of the drive: eq. 15, and what each effect adds to it."""
+"""Torques of the corrected model: the torque that the motion requires (eq. 15), and what each
+effect adds to it, N m at the joint.
+
+``s`` holds the signals of a recording by name (:mod:`identification.corrected.signals`), ``m`` the
+nominal parameters and the bench constants by name.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +31,7 @@ def load_level(speed: Array, m: Any, alpha: float) -> Array:
 
 
 def gear_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return what multiplies a declared weight's torque where load-dependent friction is
+    """Return the factor on the torque of a declared weight, if load-dependent friction is
     declared.
     """
     fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
@@ -34,8 +39,8 @@ def gear_level(speed: Array, m: Any, alpha: float) -> Array:
 
 
 def borne(s: Any, m: Any) -> Array:
-    """Return the magnitude of the torque that turns with the joint, declared and found, N m: the
-    gear bears it.
+    """Return the magnitude of the torque of declared and identified loads that turn with the joint,
+    N m; the gear transmits this torque.
     """
     found = m["load_sine"] * np.sin(s["angle"]) + m["load_cosine"] * np.cos(s["angle"])
     return np.asarray(
@@ -44,7 +49,7 @@ def borne(s: Any, m: Any) -> Array:
 
 
 def dry_level(s: Any, m: Any, alpha: float) -> Array:
-    """Return all friction but the viscous, without its sign, N m."""
+    """Return the magnitude of all friction except the viscous part, N m."""
     system = friction_level(s["velocity"], m, alpha) + borne(s, m) * gear_level(
         s["velocity"], m, alpha
     )
@@ -67,27 +72,31 @@ def nominal_torque(s: Any, m: Any) -> Array:
 
 
 def asymmetric_coulomb(s: Any, m: Any, torque_Nm: float) -> Array:
-    """Mc, Ms + d one way and - d the other."""
+    """Direction-dependent Coulomb friction: Mc and Ms are greater by d in one direction and smaller
+    by d in the other.
+    """
     return np.full(len(s["time"]), torque_Nm)
 
 
 def asymmetric_viscous(s: Any, m: Any, coefficient_Nms_rad: float) -> Array:
-    """sigma_2 + d one way and - d the other."""
+    """Direction-dependent viscous friction: sigma_2 is greater by d in one direction and smaller by
+    d in the other.
+    """
     return np.asarray(coefficient_Nms_rad * np.abs(s["velocity"]))
 
 
 def quadratic_drag(s: Any, m: Any, coefficient_Nms2_rad2: float) -> Array:
-    """c omega |omega|."""
+    """Quadratic drag c omega |omega|."""
     return np.asarray(coefficient_Nms2_rad2 * s["velocity"] * np.abs(s["velocity"]))
 
 
 def stribeck_shape(s: Any, m: Any, alpha: float) -> Array:
-    """Another exponent of both Stribeck curves."""
+    """Stribeck curves with another exponent."""
     return np.asarray(s["sense"] * (dry_level(s, m, alpha) - dry_level(s, m, m["alpha"])))
 
 
 def friction_memory(s: Any, m: Any, time_s: float, of_speed: float = 0.0) -> Array:
-    """The dry level lags, or the speed that it follows."""
+    """Friction with memory: either the dry level lags, or the speed on which it depends."""
     level = dry_level(s, m, m["alpha"])
     if of_speed:
         late = dry_level({**s, "velocity": lagged(s["velocity"], s["time"], time_s)}, m, m["alpha"])
@@ -97,8 +106,8 @@ def friction_memory(s: Any, m: Any, time_s: float, of_speed: float = 0.0) -> Arr
 
 
 def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:
-    """Ms grows with the time at rest; a little sliding wears it off, so that motion has none of
-    it.
+    """Static friction Ms that grows with the time at rest; a little sliding removes the growth, so
+    that it has no effect in motion.
     """
     still = np.asarray(s["still"])
     ends = np.concatenate(([False], still[:-1] & ~still[1:]))
@@ -108,8 +117,8 @@ def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Ar
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Dahl's friction in place of a sign, which begins as the drive's torque over the first 20 ms
-    says.
+    """Dahl friction instead of a friction with a sign; its start value follows from the drive's
+    torque over the first 20 ms.
     """
     level = dry_level(s, m, m["alpha"])
     begin = slice(0, max(2, round(0.02 / (s["time"][1] - s["time"][0]))))
@@ -123,38 +132,42 @@ def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
 def position_dependent_friction(
     s: Any, m: Any, torque_Nm: float, center_rad: float, width_rad: float
 ) -> Array:
-    """A worn patch."""
+    """Friction of a worn patch, which depends on the angle."""
     return np.asarray(
         s["sense"] * torque_Nm * np.exp(-0.5 * ((s["angle"] - center_rad) / width_rad) ** 2)
     )
 
 
 def viscous_thermal_drift(s: Any, m: Any, fraction: float, time_s: float) -> Array:
-    """sigma_2 falls with running time."""
+    """Viscous friction sigma_2 that falls with running time."""
     return np.asarray(
         -m["sigma_2"] * fraction * (1.0 - np.exp(-s["run_time"] / time_s)) * s["velocity"]
     )
 
 
 def coulomb_drift(s: Any, m: Any, rate_Nm_s: float, time_s: float = 1e6) -> Array:
-    """Mc, Ms + r T (1 - exp(-t_run / T))."""
+    """Coulomb friction that drifts with running time: Mc and Ms grow by r T (1 - exp(-t_run /
+    T)).
+    """
     return np.asarray(-s["sense"] * rate_Nm_s * time_s * np.expm1(-s["run_time"] / time_s))
 
 
 def gravity_imbalance(s: Any, m: Any, torque_Nm: float, zero_rad: float) -> Array:
-    """M sin(theta - zero)."""
+    """Torque of an imbalance: M sin(theta - zero)."""
     return np.asarray(torque_Nm * np.sin(s["angle"] - zero_rad))
 
 
 def return_spring(s: Any, m: Any, stiffness_Nm_rad: float, rest_rad: float) -> Array:
-    """k (theta - rest)."""
+    """Torque of a spring: k (theta - rest)."""
     return np.asarray(stiffness_Nm_rad * (s["angle"] - rest_rad))
 
 
 def end_stop(
     s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float, other_rad: float = 0.0
 ) -> Array:
-    """k (theta - a) beyond a, on the side of a's sign; with another stop b: above a and below b."""
+    """Torque of an end stop: k (theta - a) beyond a, on the side of a's sign; with another stop b,
+    above a and below b.
+    """
     if other_rad != 0.0:
         beyond = np.maximum(s["angle"] - angle_rad, 0.0) + np.minimum(s["angle"] - other_rad, 0.0)
         return np.asarray(stiffness_Nm_rad * beyond)
@@ -163,18 +176,18 @@ def end_stop(
 
 
 def load_exponent(s: Any, m: Any, exponent: float) -> Array:
-    """Load friction proportional to F_P^p, as it is at 3000 N."""
+    """Load friction proportional to F_P^p, with the nominal value at 3000 N."""
     force = np.maximum(s["moment"] / m["L1"], 1e-9)
     return np.asarray(load_torque(s, m) * ((force / 3000.0) ** (exponent - 1.0) - 1.0))
 
 
 def load_position_dependence(s: Any, m: Any, slope_per_rad: float) -> Array:
-    """F_P (1 + s theta)."""
+    """Contact force that depends on the angle: F_P (1 + s theta)."""
     return np.asarray(load_torque(s, m) * slope_per_rad * s["angle"])
 
 
 def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
-    """Another mass than the label's on one recording, counted from 1."""
+    """Mass that differs from the label in one recording; recordings count from 1."""
     if s["number"] != round(recording) or s["mass"] <= 0.0:
         return np.zeros_like(s["time"])
     turning = (
@@ -184,7 +197,7 @@ def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
 
 
 def load_swing(s: Any, m: Any, fraction: float, frequency_Hz: float, decay_s: float) -> Array:
-    """F_P (1 + f cos(2 pi nu t) exp(-t / T))."""
+    """Contact force of a swinging weight: F_P (1 + f cos(2 pi nu t) exp(-t / T))."""
     t = s["time"] - s["time"][0]
     return np.asarray(
         load_torque(s, m) * fraction * np.cos(2.0 * np.pi * frequency_Hz * t) * np.exp(-t / decay_s)
@@ -192,17 +205,17 @@ def load_swing(s: Any, m: Any, fraction: float, frequency_Hz: float, decay_s: fl
 
 
 def load_inertia(s: Any, m: Any, inertia_kgm2: float) -> Array:
-    """Inertia in proportion to the mass hung."""
+    """Inertia proportional to the mass on the lever."""
     return np.asarray(inertia_kgm2 * s["mass"] / 30.6 * s["acceleration"])
 
 
 def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
-    """Coulomb friction under any weight."""
+    """Coulomb friction of the lever's pivot, which acts under any weight."""
     return np.asarray(s["sense"] * torque_Nm * (s["moment"] != 0.0))
 
 
 def load_dependent_friction(s: Any, m: Any, coefficient: float) -> Array:
-    """Friction in proportion to the torque of a weight that turns with the joint."""
+    """Friction proportional to the torque of a weight that turns with the joint."""
     return np.asarray(s["sense"] * coefficient * borne(s, m))
 
 
@@ -231,4 +244,4 @@ TORQUE: Mapping[str, Callable[..., Array]] = {
         load_dependent_friction,
     )
 }
-"""Effect to what it adds to the torque that the motion asks for."""
+"""Effect name to its function, which returns an addition to the torque that the motion requires."""

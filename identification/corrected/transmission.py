@@ -1,4 +1,10 @@
-"""Effects in the transmission: motor_angle / i - angle, which is constant by assumption 5."""
+"""Transmission effects of the corrected model: each function returns what an effect adds to the
+difference motor_angle / i - angle, rad.
+
+Without effects this difference is constant (assumption 5). ``s`` holds the signals of a recording
+by name (:mod:`identification.corrected.signals`), ``m`` the nominal parameters and the bench
+constants by name.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +23,14 @@ def backlash(s: Any, m: Any, gap_rad: float) -> Array:
 
 
 def compliance(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Elastic twist M / k."""
+    """Elastic twist of the transmission: M / k."""
     return np.asarray(s["drive"] / stiffness_Nm_rad)
 
 
 def gear_mesh_ripple(
     s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
 ) -> Array:
-    """Periodic error A sin(n theta + p)."""
+    """Periodic error of the gear mesh: A sin(n theta + p)."""
     return np.asarray(amplitude_rad * np.sin(per_turn * s["angle"] + phase_rad))
 
 
@@ -45,7 +51,7 @@ def encoder_eccentricity(s: Any, m: Any, amplitude_rad: float, phase_rad: float)
 
 
 def encoder_slip(s: Any, m: Any, angle_rad: float, at_s: float, recording: float) -> Array:
-    """A single slip of the joint encoder, in one recording, counted from 1."""
+    """Single slip of the joint encoder in one recording; recordings count from 1."""
     late = s["time"] - s["time"][0] >= at_s
     return np.where(late & (s["number"] == round(recording)), -angle_rad, 0.0)
 

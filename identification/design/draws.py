@@ -134,7 +134,7 @@ class Draws:
 
     @property
     def _reach(self) -> float:
-        """The greatest amplitude, rad."""
+        """Return the greatest amplitude, rad."""
         return 0.5 * MARGIN * (self.bounds.angle_max - self.bounds.angle_min)
 
     def _any(self) -> tuple[float, float]:

@@ -19,7 +19,9 @@ Tone = tuple[float, float]
 
 @dataclass(frozen=True)
 class Ramps:
-    """Repeated ramps: constant speed, rad/s, away from the centre for a time, s, and back."""
+    """Repeated ramps: the joint moves away from the centre at constant speed (rad/s) for a given
+    time (s), and back.
+    """
 
     speed: float
     away: float

@@ -31,7 +31,7 @@ _LEAST_SHARED = 30000.0
 """Number of integration steps above which a second thread saves time."""
 
 COST_OF_SENSITIVITIES = 3
-"""Time of a pass with sensitivities, in passes without."""
+"""Computing time of a pass with sensitivities, in passes without sensitivities."""
 
 _Part = list[tuple[int, slice]]
 """A subset of the segments: pairs of the number of a recording and rows of the table of its

@@ -130,8 +130,8 @@ def expected_friction(
 
 
 def stribeck_shape(velocity: Array, omega_s: float, alpha: float) -> Array:
-    """Return sgn(omega) exp(-|omega/omega_s|^alpha), the falling part of eq. 9, shape of
-    ``velocity``.
+    """Return sgn(omega) exp(-|omega/omega_s|^alpha), the part of eq. 9 that falls with speed; an
+    array of the shape of ``velocity``.
     """
     return np.asarray(np.sign(velocity) * np.exp(-(np.abs(velocity / omega_s) ** alpha)))
 

@@ -1,16 +1,16 @@
-"""Tests whether values of a history change beyond their scatter: a drift, or one step.
+"""Tests whether values of a history change beyond their scatter: by a drift, or by one step.
 
 For values x_i with standard errors s_i and weights w_i = 1 / s_i^2, a pattern p_i (a line, or a
-step before run k) fits with the weighted least-squares size a; Z = a sqrt(sum w_i (p_i - p)^2), p
-the weighted mean of the pattern, is its size over its standard error. What the pattern leaves has
-the scatter c^2 = sum w_i r_i^2 / (n - 2), one where the standard errors are right. The statistics
-are T = |Z| / max(c, 1) of the line, and the greatest T of the steps; the p value is twice the
-lesser of theirs.
+step before run k) is fitted by weighted least squares with the amplitude a. The ratio of the
+amplitude to its standard error is Z = a sqrt(sum w_i (p_i - p)^2), where p is the weighted mean of
+the pattern. The residuals r_i have the scatter c^2 = sum w_i r_i^2 / (n - 2), which is one if the
+standard errors are right. The statistics are T = |Z| / max(c, 1) of the line, and the greatest T of
+all steps; the p value is twice the smaller of the two p values.
 
-Their distributions without change are simulated for the same weights and patterns with T = |Z| / c,
-which does not depend on the scale of the scatter and is never less. So the stated rate of false
-alarms holds whether the runs scatter as their intervals say or more (as temperature and lubricant
-make them), and holds with room where they scatter less.
+The distributions without change are simulated for the same weights and patterns with T = |Z| / c,
+which does not depend on the scale of the scatter and is never less. So the stated false-alarm rate
+holds if the runs scatter as their intervals state, and if they scatter more (because of temperature
+and lubricant); if the runs scatter less, the rate is below the stated one.
 """
 
 from __future__ import annotations
@@ -23,20 +23,22 @@ import numpy as np
 from identification.numerics.arrays import Array
 
 LEAST_RUNS = 6
-"""Fewest values that are tested: with fewer, four or less degrees of freedom are left."""
+"""Least number of values for a test; with fewer values, at most four degrees of freedom remain."""
 _LEAST_SIDE = 2
-"""Fewest values before and after a step."""
+"""Least number of values before and after a step."""
 _MOST_STEPS = 40
-"""Most places where a step is sought; in a longer history they are spread evenly."""
+"""Greatest number of places at which a step is sought; in a longer history the places are spread
+evenly.
+"""
 _DRAWS = 100_000
 _FLOOR = 1.0 / 3.0
-"""Least standard error, over their median: one value does not outweigh all others."""
+"""Least standard error relative to the median, so that one value does not outweigh all others."""
 _TWO_SIDED_90 = 1.6448536269514722
 
 
 @dataclass(frozen=True)
 class Change:
-    """The change that fits a history best.
+    """Change that fits a history best.
 
     Attributes:
         start: Index of the first value after the step; None for a drift.
@@ -112,14 +114,15 @@ def step_starts(count: int) -> Array:
 
 
 def _patterns(count: int, starts: Array) -> Array:
-    """Return a line that rises by one, then the steps of one; shape (patterns, count)."""
+    """Return a line that rises by one, then all steps of height one; shape (patterns, count)."""
     index = np.arange(count)
     steps = (index[None, :] >= starts[:, None]).astype(np.float64)
     return np.vstack((index / (count - 1.0), steps))
 
 
 def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
-    """Return size over standard error, and scatter of what is left; shapes (histories, patterns).
+    """Return the ratio of amplitude to standard error, and the scatter of the residuals; shapes
+    (histories, patterns).
 
     Args:
         white: Values over their errors, shape (histories, count).
@@ -133,8 +136,8 @@ def _fitted(white: Array, unit: Array, mean: Array) -> tuple[Array, Array]:
 
 
 def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Return the statistics of histories without change in rising order: of the line, and the
-    greatest of the steps; shapes (draws,).
+    """Return sorted statistics of histories without change: those of the line, and the greatest of
+    the steps; shapes (draws,).
     """
     lines, steps = [], []
     block = max(1, 2_000_000 // count)
@@ -148,6 +151,6 @@ def _null(count: int, unit: Array, mean: Array, rng: np.random.Generator) -> tup
 
 
 def _chance(null: Array, statistic: float) -> float:
-    """Return the share of a sorted null distribution that is not below a statistic."""
+    """Return the share of a sorted null distribution that is at least as great as a statistic."""
     above = len(null) - int(np.searchsorted(null, statistic))
     return (1.0 + above) / (1.0 + len(null))

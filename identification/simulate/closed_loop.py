@@ -183,6 +183,9 @@ def replay(
     inputs = inputs_of(recording)
     measured = joint_angle(recording)
     if measured is None or recording.controller is None:
-        raise RecordingError(f"{recording.name}: a simulation needs an angle to start from")
+        raise RecordingError(
+            f"{recording.name}: the recording has no angle channel, and a simulation starts from "
+            "the measured angle; add a channel `angle` or `motor_angle`"
+        )
     loop = loop_of(recording.controller, recording)
     return simulate(body_of(values, recording, alpha), loop, inputs, float(measured[0]), 0.0, step)

@@ -83,7 +83,10 @@ def compare(prepared: Prepared, response: Response) -> Sums:
     """
     angle = joint_angle(prepared.recording)
     if angle is None:
-        raise RecordingError(f"{prepared.recording.name}: no angle to compare with")
+        raise RecordingError(
+            f"{prepared.recording.name}: the recording has no angle channel, "
+            "with which the simulated angle is compared; add a channel `angle` or `motor_angle`"
+        )
     off = response.angle - angle
     error = simulated_torque(prepared, response) - prepared.drive_torque
     return Sums(

@@ -1,4 +1,4 @@
-"""Acceptance on the command line: of ``rig runs accept``, and at the end of a run."""
+"""Acceptance in the command line: of ``rig runs accept``, and at the end of a run."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def accept_run(
     folder: Path, limits: Sequence[Limit], source: str, junit_file: Path | None
 ) -> Acceptance:
-    """Judge a run, print the outcome, and write the JUnit file where asked to.
+    """Judge a run, print the outcome, and write the JUnit file if one is requested.
 
     Raises:
         InputError: The folder is no run, or a file cannot be written.
@@ -36,7 +36,7 @@ def accept_run(
 
 
 def accept_at_the_end(folder: Path, file: Path | None, junit_file: Path | None) -> int:
-    """Judge a run that has just been completed; returns the exit status.
+    """Judge a run that has just been completed; return the exit status.
 
     Nothing is judged where neither a file nor the sequence states limits.
 
@@ -52,6 +52,6 @@ def accept_at_the_end(folder: Path, file: Path | None, junit_file: Path | None) 
     try:
         found = accept_run(folder, limits, source, junit_file)
     except KeyboardInterrupt:
-        click.echo(f"not judged; `rig runs accept {folder}` does that", err=True)
+        click.echo(f"not judged; judge the run with `rig runs accept {folder}`", err=True)
         raise
     return DONE if found.accepted else BAD_VERDICT

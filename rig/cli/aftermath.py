@@ -80,7 +80,9 @@ def conclude(
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
-    """Record the stages whose measured mass differs from their label; returns their number."""
+    """Record the stages whose measured mass differs from the label; return the number of these
+    stages.
+    """
     record = folder.record
     if reference is None and not _worth_reading(record):
         return 0
@@ -114,7 +116,8 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
 
 
 def seal_folder(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
-    """Record the digests of the run's record and recordings, or print why that is not possible.
+    """Write the digests of the run's record and recordings, or print the reason why that is not
+    possible.
 
     Never raises.
     """

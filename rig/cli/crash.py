@@ -1,4 +1,8 @@
-"""Report on a defect of this program: message to the operator, and file for the traceback.
+"""Report on a defect of this program: message to the operator, and file with the traceback.
+
+The necessary information for the operator is attached to the exception as notes: the code that made
+the drive safe adds the final state of the drive, and the code that opened the run folder adds its
+path.
 
 What the operator must know is attached to the exception as notes: the final state of the drive, by
 the code that made it safe, and the run folder, by the code that opened it.
@@ -19,12 +23,14 @@ from typing import Final
 from rig.common.provenance import utc_now, versions
 
 RUN_FILE: Final = "run.json"
-"""Same as in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by 0.1 s."""
+"""Same value as in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by 0.1 s."""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog", "commission"})
 _LONGEST: Final = 300
-"""Number of characters of an exception's message that are shown; the traceback has all."""
+"""Number of characters of an exception's message that are shown; the traceback contains the whole
+message.
+"""
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _NOT_KNOWN: Final = (
     "how the drive was left is not known; switch the main supply of a real bench "
@@ -40,7 +46,7 @@ def note_drive(error: BaseException, words: str) -> None:
 
 
 def drive_words(error: BaseException) -> str | None:
-    """Return the latest noted final state of the drive, of an exception or of its causes.
+    """Return the latest noted final state of the drive, from an exception or from its causes.
 
     An attribute ``safe`` with a ``message`` (a :class:`rig.wiring.teardown.SafeState`) counts as a
     note.
@@ -57,7 +63,9 @@ def drive_words(error: BaseException) -> str | None:
 
 @contextmanager
 def noting_folder(folder: Path) -> Iterator[None]:
-    """Attach a run folder to every passing exception, so that its traceback is written there."""
+    """Attach a run folder to every exception that passes, so that its traceback is written into
+    this folder.
+    """
     try:
         yield
     except BaseException as error:
@@ -66,7 +74,7 @@ def noting_folder(folder: Path) -> Iterator[None]:
 
 
 def storage_words(error: OSError) -> str | None:
-    """Return a message for a full or read-only disk, or None for other operating system errors."""
+    """Return a message for a full or read-only disk; None for other operating system errors."""
     if error.errno not in _STORAGE:
         return None
     place = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
@@ -140,7 +148,9 @@ def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
 
 
 def _quietly(ask: Callable[[], str]) -> str:
-    """Return an answer, or an empty text if it fails: the report itself must not fail."""
+    """Return the result of a function, or an empty text if the function fails, because the report
+    itself must not fail.
+    """
     try:
         return ask()
     except Exception:  # noqa: BLE001 - the defect may affect this as well
@@ -163,7 +173,9 @@ def _folders(error: BaseException, arguments: Sequence[str]) -> Iterator[Path]:
 
 
 def _keep(page: str, folders: Iterable[Path]) -> Path | None:
-    """Write the file into the first writable folder; return its path, or None."""
+    """Write the file into the first writable folder; return its path, or None if no folder is
+    writable.
+    """
     stamp = f"{utc_now():%Y%m%dT%H%M%SZ}"
     content = page.encode("utf-8", "backslashreplace")
     for folder in folders:

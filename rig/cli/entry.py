@@ -86,7 +86,7 @@ repeatedly: a tenth of a second in every command.
 """
 
 DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
-"""Exit statuses; 4 also if a file cannot be written."""
+"""Exit statuses. Status 4 is also used if a file cannot be written."""
 
 
 class _HiddenError(Exception):
@@ -229,7 +229,7 @@ def status(arguments: list[str]) -> int:
 
 
 def _broke_down(error: BaseException, arguments: list[str]) -> int:
-    """Report an unexpected exception, or a full disk as a storage error. Returns the status."""
+    """Report an unexpected exception, or a full disk as a storage error. Return the exit status."""
     words = crash.storage_words(error) if isinstance(error, OSError) else None
     if words is not None:
         return _ended(error, f"storage error: {words}", DEVICE_FAILED)
@@ -238,7 +238,8 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Reports errors in other threads, or where nothing can be raised, without a traceback.
+    """Reports errors without a traceback that occur in other threads or where no error can be
+    raised.
 
     Attributes:
         broken: Whether a thread failed, so that its result is missing.
@@ -255,7 +256,7 @@ class _Threads:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Restore them."""
+        """Restore the hooks of the interpreter."""
         threading.excepthook, sys.unraisablehook = threading.__excepthook__, sys.__unraisablehook__
 
     def _in_thread(self, failure: threading.ExceptHookArgs) -> None:
@@ -268,7 +269,9 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Print why a command ended and, if known, the final state of the drive; returns the status."""
+    """Print why a command ended and, if known, the final state of the drive; return the exit
+    status.
+    """
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

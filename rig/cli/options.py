@@ -58,7 +58,7 @@ def partial(command: Any) -> Any:
     return click.option(
         "--partial",
         is_flag=True,
-        help="Also take what was recorded of excitations that a run stopped in.",
+        help="Also use the recorded part of the unfinished excitations of a stopped run.",
     )(command)
 
 
@@ -88,7 +88,7 @@ def operator_name(command: Any) -> Any:
         "operator_name",
         metavar="NAME",
         type=valid,
-        help="Who runs it; kept with the recording.",
+        help="Name of the operator; stored with the recording.",
     )(command)
 
 
@@ -97,8 +97,8 @@ def identification(command: Any) -> Any:
     return click.option(
         "--identification",
         type=click.Path(path_type=Path),
-        help="Accepted result of `rig identify --json` on this bench; the weights are checked by "
-        "it.",
+        help="Accepted result of `rig identify --json` on this bench; the weight check uses "
+        "its friction.",
     )(command)
 
 
@@ -108,7 +108,7 @@ def acceptance(command: Any) -> Any:
         "--acceptance",
         metavar="FILE",
         type=click.Path(path_type=Path, dir_okay=False),
-        help="Limits that a complete run is accepted by. [default: those of the sequence]",
+        help="File of the acceptance limits for a complete run. [default: those of the sequence]",
     )(command)
 
 
@@ -142,5 +142,5 @@ def reset_fault(more: str = "") -> Decorator:
     return click.option(
         "--reset-fault",
         is_flag=True,
-        help="Clear a fault that the drive is in; its cause must be removed first." + more,
+        help="Clear a fault of the drive; remove the cause of the fault first." + more,
     )

@@ -1,5 +1,5 @@
-"""A whole commissioning: step after step, and again with a corrected bench file where one finds a
-wrong value.
+"""A whole commissioning: performs all steps, and starts again with a corrected bench file if a step
+finds a wrong value.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
 @dataclass(frozen=True)
 class Step:
-    """One step.
+    """One step of a commissioning.
 
     Attributes:
         name: Short name.
@@ -49,9 +49,9 @@ class Step:
 
 
 STEPS: Final = (
-    Step("identity", f"Reads who the devices are. {STILL}", still.identity, asks=False),
+    Step("identity", f"Reads the identities of the devices. {STILL}", still.identity, asks=False),
     Step("readings", f"Reads values, state and settings. {STILL}", still.readings, asks=False),
-    Step("zero", f"Holds both angles against the true one. {STILL}", still.zero, asks=False),
+    Step("zero", f"Compares both angles with the true angle. {STILL}", still.zero, asks=False),
     Step("limits", f"Writes low limits into the drive and reads them back. {STILL}", still.limits),
     Step(
         "hold",
@@ -61,14 +61,14 @@ STEPS: Final = (
     ),
     Step(
         "watchdog",
-        "The drive is energised and holds, then this program is silent until the drive has taken "
-        "the power off by itself. The joint stands still.",
+        "The drive is energised and holds, then this program sends nothing until the drive has "
+        "switched the power off by itself. The joint stands still.",
         moving.watchdog,
     ),
     Step(
         "small move",
         f"The joint turns by {moving.SMALL_DEG:g} deg at {moving.SLOW_DEG_S:g} deg/s and back, "
-        f"twice; where it does not follow, further, up to {moving.LARGE_DEG:g} deg.",
+        f"twice; if it does not follow, the joint turns further, up to {moving.LARGE_DEG:g} deg.",
         moving.small_move,
     ),
     Step(
@@ -89,7 +89,7 @@ STEPS: Final = (
 
 @dataclass
 class Commissioning:
-    """The result.
+    """The result of a commissioning.
 
     Attributes:
         ending: How it ended; `done` where every step was good or could not be tried.
@@ -136,7 +136,7 @@ def commission(
     record_in: Callable[[int], Recorder],
     fastest_deg_s: float = FASTEST_DEG_S,
 ) -> Commissioning:
-    """Go through a bench. Raises only what a connection raises before anything is energised.
+    """Commission a bench. Raises only the errors of a connection, before the drive is energised.
 
     Args:
         document: The bench file.
@@ -163,7 +163,7 @@ def commission(
             break
         changes = tuple(c for c in wrong.changes if patched(result.text, (c,)) != result.text)
         if len(result.sessions) > MOST_CORRECTIONS or set(changes) <= set(result.changes):
-            result.words += "; the same was corrected before: look at the bench itself"
+            result.words += "; this value was already corrected once: check the bench itself"
             break
         if not _agreed(interview, changes, result):
             break
@@ -192,7 +192,9 @@ def _session(
     record_in: Callable[[int], Recorder],
     result: Commissioning,
 ) -> WrongError | None:
-    """Go through the steps on one connection; returns the error of the step that found one."""
+    """Perform the steps on one connection; return the error of the step that found a wrong
+    value.
+    """
     steps: list[StepRecord] = []
     result.sessions.append(steps)
     wrong: WrongError | None = None
@@ -215,7 +217,7 @@ def _session(
 
 
 def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
-    """Carry the steps out until one is wrong; sets how that ended."""
+    """Perform the steps until one finds an error; store how the session ended."""
     for step in STEPS:
         record = StepRecord(step.name, step.announced)
         steps.append(record)
@@ -245,7 +247,7 @@ def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> Wron
 
 
 def _one(setup: Setup, step: Step, record: StepRecord) -> None:
-    """Announce a step, ask for it, and carry it out.
+    """Announce a step, ask for consent, and perform the step.
 
     Raises:
         OperatorStopError: It was not agreed to; the steps after it rest on it.
@@ -253,7 +255,7 @@ def _one(setup: Setup, step: Step, record: StepRecord) -> None:
     setup.interview.tell(f"Step {step.name}. {step.announced}")
     if step.asks:
         if not setup.interview.agrees("Go on with this step?"):
-            raise OperatorStopError("not agreed to, and the steps after it rest on it")
+            raise OperatorStopError("not agreed to; the following steps depend on this step")
         record.consent = setup.interview.how
     try:
         step.do(setup, record)

@@ -10,7 +10,7 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 
 
 class Interview(Protocol):
-    """Whoever stands at the bench."""
+    """Interface to the person at the bench."""
 
     how: str
 
@@ -32,7 +32,7 @@ class Interview(Protocol):
 
 
 class AutomaticInterview:
-    """Agrees to everything (``--yes``, simulated benches only).
+    """Agrees to every step (``--yes``, simulated benches only).
 
     Args:
         screen: Where messages go.
@@ -60,7 +60,7 @@ class AutomaticInterview:
 
 
 class TypedInterview:
-    """Asks at the terminal.
+    """Asks the operator at the terminal.
 
     Args:
         screen: Where messages go.

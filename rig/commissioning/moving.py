@@ -33,7 +33,7 @@ STOP_S: Final = 1.0
 
 
 def hold(setup: Setup, step: StepRecord) -> None:
-    """Energise and hold; then look whether the joint stays without power.
+    """Energise the drive and hold the joint; then check that the joint stays at rest without power.
 
     Raises:
         WrongError: The joint moves.
@@ -61,7 +61,8 @@ def hold(setup: Setup, step: StepRecord) -> None:
 
 
 def watchdog(setup: Setup, step: StepRecord) -> None:
-    """Be silent while the drive holds, until it has taken the power off by itself.
+    """Send nothing while the drive holds the joint, until the drive has switched the power off by
+    itself.
 
     Raises:
         SkippedError: The drive has no watchdog.
@@ -87,19 +88,20 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
         else:
             raise WrongError(
                 f"the drive is still in state {state.value!r} {silent_s:.3g} s after this program "
-                f"went silent, must be off after {servo.watch_s:g} s: it would go on when the "
-                f"program dies. Set its reaction (6007h, 1016h) with the maker's tool, or set "
+                f"went silent, must be off after {servo.watch_s:g} s: the drive would continue "
+                "if the program died. Set its reaction (6007h, 1016h) with the maker's tool, "
+                "or set "
                 f"servo.stops_alone: false, which cuts the limits"
             )
     step.measure("power off within", silent_s, "s")
     step.measure("state", state.value)
     setup.clear()
-    step.words = "the drive takes the power off when this program is silent"
+    step.words = "the drive switches the power off when this program sends nothing"
 
 
 def small_move(setup: Setup, step: StepRecord) -> None:
-    """Move a little both ways, and hold all reports against each other; more where the joint does
-    not follow.
+    """Move the joint a little both ways and compare all reports; move further if the joint does not
+    follow.
 
     Raises:
         WrongError: Units, signs, ratio or constants are wrong.
@@ -118,7 +120,7 @@ def small_move(setup: Setup, step: StepRecord) -> None:
 
 
 def large_move(setup: Setup, step: StepRecord) -> None:
-    """Move further, for a closer look at the ratio.
+    """Move the joint further, to measure the ratio more accurately.
 
     Raises:
         WrongError: As for :func:`small_move`.
@@ -129,7 +131,7 @@ def large_move(setup: Setup, step: StepRecord) -> None:
 
 
 def stop(setup: Setup, step: StepRecord) -> None:
-    """Stop in the middle of a slow move.
+    """Stop the drive in the middle of a slow move.
 
     Raises:
         WrongError: The drive does not stop.
@@ -169,13 +171,13 @@ def stop(setup: Setup, step: StepRecord) -> None:
     allowed = 2.0 * math.degrees(speed) * max(took_s, 0.05) + DRIFT_DEG
     if way > allowed:
         raise WrongError(
-            f"the joint went on for {way:.3g} deg after the stop, must be at most {allowed:.3g} deg"
+            f"the joint moved by {way:.3g} deg after the stop, limit {allowed:.3g} deg"
         )
     step.words = "the drive stops and is off"
 
 
 def _fastest_deg_s(setup: Setup) -> float:
-    """Return the speed of the larger moves: half the limit, for breaking away."""
+    """Return the speed of the larger moves: half the limit, which lets the joint break away."""
     return min(0.5 * math.degrees(setup.limits.speed), 0.5 * FASTEST_DEG_S)
 
 
@@ -189,7 +191,7 @@ def _way(setup: Setup, here: float, size_deg: float) -> float:
 def _move(
     setup: Setup, step: StepRecord, size_deg: float, speed_deg_s: float, tolerance: float
 ) -> bool:
-    """Move away and back, twice; returns False where the joint did not move enough.
+    """Move the joint away and back, twice; return False if the joint did not move enough.
 
     Raises:
         WrongError: Reports contradict each other or the bench file.

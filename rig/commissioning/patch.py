@@ -1,4 +1,6 @@
-"""Sets values in the text of a bench file and leaves everything else, comments too, as it is."""
+"""Sets values in the text of a bench file and leaves all other text, including comments,
+unchanged.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,7 @@ from rig.control.motion_words import Change
 
 
 def patched(text: str, changes: tuple[Change, ...]) -> str:
-    """Return the text with these values set; a value of None removes its key.
+    """Return the text of a bench file with these values set; a value of None removes its key.
 
     Raises:
         InputError: A section is no mapping, so that nothing can be set in it.

@@ -1,4 +1,4 @@
-"""What the steps of a commissioning found."""
+"""Records of the steps of a commissioning, and of their findings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from rig.control.motion_words import Change
 
 
 class Verdict(Enum):
-    """How a step ended."""
+    """Verdict of a step."""
 
     GOOD = "good"
     WRONG = "wrong"
@@ -34,7 +34,7 @@ class Measured:
 
 @dataclass
 class StepRecord:
-    """One step.
+    """Record of one step.
 
     Attributes:
         name: Short name.
@@ -55,7 +55,7 @@ class StepRecord:
     changes: tuple[Change, ...] = ()
 
     def measure(self, name: str, value: object, unit: str = "") -> None:
-        """Note a value; floats are shown to four digits."""
+        """Store a value; floats are shown with four digits."""
         shown = f"{value + 0.0:.4g}" if isinstance(value, float) else str(value)
         self.measured.append(Measured(name, shown, unit))
 
@@ -76,7 +76,7 @@ class StepRecord:
 
 
 class WrongError(Exception):
-    """A step found something wrong.
+    """A step found a wrong value or reaction.
 
     Args:
         words: Finding and remedy.
@@ -89,4 +89,4 @@ class WrongError(Exception):
 
 
 class SkippedError(Exception):
-    """A step cannot be tried, or was not agreed to; the message says why."""
+    """A step cannot be performed, or the operator did not agree; the message states the reason."""

@@ -32,7 +32,7 @@ REST_S: Final = 0.2
 
 
 def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
-    """Return the limits of a commissioning: those of the bench, with less speed, torque and
+    """Return the limits of a commissioning: the bench's limits, with reduced speed, torque and
     current.
     """
     limits = bench_limits(bench)
@@ -109,8 +109,8 @@ class Setup:
 
     @contextmanager
     def power(self, what: str) -> Iterator[float]:
-        """Energise, hold, and take the power off at the end, whatever happens; yields the joint
-        angle that is held, rad.
+        """Energise the drive, hold the joint, and switch the power off at the end in any case;
+        yields the joint angle that is held, rad.
 
         Raises:
             WrongError: It could not be verified that the power is off.
@@ -142,22 +142,22 @@ class Setup:
             raise WrongError(self.safe.message)
 
     def rest(self, angle: float, seconds: float = REST_S) -> None:
-        """Hold an angle."""
+        """Hold the joint at an angle."""
         self.cycle.follow([angle] * max(1, round(seconds / self.bench.cycle_s)), 0, "hold")
 
     def go(self, start: float, end: float, speed: float) -> None:
-        """Go to an angle at a peak speed, rad/s, and rest."""
+        """Move the joint to an angle with a peak speed, rad/s, and rest there."""
         self.cycle.follow(approach(start, end, speed, self.bench.cycle_s).tolist(), 0, "move")
         self.rest(end)
 
     def clear(self) -> None:
-        """Clear a fault that a step has provoked; the drive stays off."""
+        """Clear a fault that a step has caused; the drive stays off."""
         servo = self.devices.servo
         if servo.state() is ServoState.FAULT:
             servo.reset_fault()
 
     def give_back(self) -> tuple[BaseException, ...]:
-        """Restore the drive's own limits once it is verified off."""
+        """Restore the drive's own limits after the drive was verified off."""
         if self.own is None or (self.safe is not None and not self.safe.verified):
             return ()
         return give_back(self.devices.servo, self.own, self.safe or SafeState(True, "off"))

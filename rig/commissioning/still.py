@@ -1,4 +1,4 @@
-"""Steps in which nothing moves and nothing is energised: identity, readings, zero, limits."""
+"""Steps without motion and without power: identity, readings, zero, limits."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from rig.wiring.drive_limits import compare, show
 from rig.wiring.preflight import device_findings
 
 ZERO_TOLERANCE_DEG: Final = 0.1
-"""Difference of a reading from the true angle that is left as it is."""
+"""Greatest difference of a reading from the true angle that needs no correction."""
 
 
 def identity(setup: Setup, step: StepRecord) -> None:
-    """Read who the devices are, and hold that against their EDS files.
+    """Read the identities of the devices, and compare them with their EDS files.
 
     Raises:
         WrongError: A device does not answer, is another one, or was not confirmed.
@@ -67,11 +67,11 @@ def readings(setup: Setup, step: StepRecord) -> None:
     problems = [item.text for item in found if item.refused]
     if problems:
         raise WrongError("; ".join(problems))
-    step.words = "state, settings and readings are such that a run would start"
+    step.words = "state, settings and readings allow a run to start"
 
 
 def zero(setup: Setup, step: StepRecord) -> None:
-    """Hold both angles against the true one, or against each other where that is not known.
+    """Compare both angles with the true angle, or with each other if the true angle is unknown.
 
     Raises:
         WrongError: They differ; with the offsets to be set where the true angle is known.
@@ -128,6 +128,6 @@ def limits(setup: Setup, step: StepRecord) -> None:
         if row.field not in lacks.limits:
             step.measure(f"{row.name}, {row.objects}", show(row.field, row.first))
     only = sorted(lacks.limits)
-    step.words = "the drive holds what was written" + (
+    step.words = "the drive holds the limits as written" + (
         f"; held by this program alone: {', '.join(only)}" if only else ""
     )

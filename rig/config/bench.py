@@ -339,8 +339,8 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
     """Set by the EDS file whether the drive stops by itself, if the bench file does not state it.
 
-    An EDS file that cannot be read, or is not that of a drive, is rejected later with all its
-    faults.
+    A later check rejects an EDS file that cannot be read or is not that of a drive, and reports all
+    its faults.
     """
     bench = document.value
     servo = bench.servo

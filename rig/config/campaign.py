@@ -150,7 +150,8 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
             yield (
                 ("model", "fixed", name),
-                f"friction {campaign.model.rung} does not rise toward rest; remove the parameter",
+                f"the friction model {campaign.model.rung} has no rise toward rest and so no "
+                f"parameter {name}; remove {name}",
             )
     # A term may be declared without a declared load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
@@ -158,8 +159,9 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     ):
         yield (
             ("model",),
-            f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording "
-            f"to fit has `gravity` or another known load",
+            f"friction {campaign.model.friction} grows with the torque of a pendulum, but no "
+            "recording with role fit has `gravity` or another known load; declare the load, or "
+            "choose another `friction`",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):
@@ -248,7 +250,7 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
         for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
             yield (
                 (name,),
-                f"no `channels`, which only a file of `rig export` may lack, and that states its "
+                "without `channels` the file must be one of `rig export`, which states its "
                 f"{name} itself; add `channels`, or remove `{name}`",
             )
         return
@@ -292,7 +294,7 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
 
 
 _BESIDE_EXPORT = {"file", "role", "channels"}
-"""Keys of a recording that may stand where the file is one of `rig export`."""
+"""Keys that a recording may state for a file of `rig export`."""
 _UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (
@@ -322,8 +324,7 @@ def _check_known_load(
         if amperes and getattr(recording, name):
             yield (
                 (name,),
-                "a known torque enters a balance of torques, and this one is in amperes; add "
-                "bench.torque_constant",
+                "a known torque, in N m, has no use in a fit in amperes; add bench.torque_constant",
             )
 
 
@@ -364,7 +365,8 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
     ):
         yield (
             ("stage",),
-            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; state one of "
+            "the stage is loaded, but weight_mass is 0 kg and there is no `load_force` "
+            "channel; state one of "
             "them, or for a hot firing `pressure` and bench.gas_generator",
         )
     if loaded and bench.moment_arm is None and recording.moment_arm is None:

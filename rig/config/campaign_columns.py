@@ -26,10 +26,11 @@ class ReadSection(Schema):
             no header.
         decimal: Decimal separator.
         dbc: DBC file of recorded CAN traffic, or a list of them, relative to the campaign file.
-        bench: Bench file instead, whose map of the drive's and encoder's frames is used: its
-            columns are channels in SI units. Relative to the campaign file, or the name of a
-            packaged bench.
-        bus: The bus whose frames are used, as the file names it (`can0`, `1`); all where left out.
+        bench: Bench file in place of `dbc`, relative to the campaign file, or the name of a
+            packaged bench. The bench's map of drive and encoder frames is used, and the columns are
+            channels in SI units.
+        bus: The bus whose frames are used, as the file names it (`can0`, `1`); all buses if it is
+            left out.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)

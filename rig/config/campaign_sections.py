@@ -296,7 +296,8 @@ class RecordingSection(Schema):
             the reference of file formats; all may be gzipped.
         stage: The load condition.
         weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
-        moment_arm: Radius L1 at which this contact force acts, m; that of the bench if not stated.
+        moment_arm: Radius L1 at which the contact force acts, m; `bench.moment_arm` if it is left
+            out.
         gravity: A known weight that turns with the joint.
         hoisted: A known mass that hangs on the joint by a rope.
         constant_torque: Known torque on the joint that is the same at every angle, N m; a positive
@@ -312,8 +313,8 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`. Left out for a file of `rig export` (csv, mat, mcap, parquet): it
-            states channels, stage, masses, loads and constants itself.
+            `{column: ...}`. May be left out for a file of `rig export` (csv, mat, mcap, parquet),
+            because such a file states channels, stage, masses, loads and constants itself.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]

@@ -18,7 +18,7 @@ from rig.config.configuration import Positive, Schema, nearest
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
 NO_DEVICE: Final = "none"
-"""Name in place of the device data's, for none."""
+"""Value of ``device`` that selects no maker's data."""
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 
@@ -38,7 +38,7 @@ class Bus(Schema):
 
 
 class PositionLoopSection(Schema):
-    """The position loop of this program, for drives that take a speed (`csv`) or torque (`cst`).
+    """The position loop of this program, for drives that accept a speed (`csv`) or torque (`cst`).
 
     Gains that are null follow from the cycle and, for a torque, from the inertia.
 
@@ -49,7 +49,7 @@ class PositionLoopSection(Schema):
         inertia_kg_m2: Inertia at the joint, identified or from the drawings; `cst` needs it.
         drive_limits_speed: Whether the drive itself limits the speed in torque mode, to
             `limits.speed_deg_s` or less, as set with the maker's tool (for example 6080h). `cst`
-            needs it, as a torque that is left standing for the time-out of the drive's watchdog
+            needs it, because a torque command that persists until the drive's watchdog acts
             accelerates the joint.
     """
 
@@ -64,55 +64,58 @@ class ServoSection(Schema):
     """A CiA 402 drive on CANopen, and the scales that convert its units to SI. A run checks the
     section against the device before it starts.
 
-    Keys that are null are taken from the [data of the drive's maker](devices.md), where the program
-    has them, and otherwise are as in CiA 402.
+    Keys that are null are taken from the [data of the drive's maker](devices.md). If the program
+    has no such data, the values of CiA 402 apply.
 
     Attributes:
         kind: The protocol of the drive.
         node: CANopen node number.
-        device: Name of the maker's data; null for those that the identity in the EDS file leads
-            to, `none` for none.
+        device: Name of the maker's data. Null selects the data by the identity in the EDS file;
+            `none` selects no data.
         counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
         sign: 1 if the drive counts up for a positive joint angle, else -1.
         offset_deg: Joint angle at which the drive's position reads zero.
-        current_sign: -1 where the drive's current is negative while it drives its own count up,
+        current_sign: -1 if the drive reports a negative current while it drives its own count up,
             else 1.
         rated_current_A: Rated motor current; the unit of the drive's current objects is a
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
             of it (6076h).
         velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
-            drive has it, and against the position as soon as the joint moves. Null for
-            `velocity_unit_rad_s`.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. Where neither this
-            nor the data of the maker say it, one count per second.
+            drive has it, and against the position as soon as the joint moves. Null if
+            `velocity_unit_rad_s` or the maker's data state the unit.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. If neither this key
+            nor the maker's data state it, the unit is one count per second.
         voltage_object: Index and subindex of the motor voltage; CiA 402 has none.
-        voltage_unit_V: Voltage of one unit of that object; 0.01 unless stated.
+        voltage_unit_V: Voltage of one unit of `voltage_object`; 0.01 unless stated.
         temperature_object: Index and subindex of the drive's temperature; CiA 402 has none.
-        temperature_unit_C: Temperature of one unit of that object; 0.1 unless stated.
+        temperature_unit_C: Temperature of one unit of `temperature_object`; 0.1 unless stated.
         supply_object: Index and subindex of the supply voltage; 6079h in CiA 402.
-        supply_unit_V: Voltage of one unit of that object; 0.001 unless stated.
-        current_object: Index and subindex of the maker's own object of the motor current; in CiA
-            402 6078h or, where the drive has none, the torque 6077h.
-        current_unit_A: Current of one unit of that object, 0.001 unless stated; not used for 6078h
-            and 6077h of CiA 402, whose unit follows from the rated values.
+        supply_unit_V: Voltage of one unit of `supply_object`; 0.001 unless stated.
+        current_object: Index and subindex of the maker's own object of the motor current. In CiA
+            402 the object is 6078h or, if the drive lacks it, the torque 6077h.
+        current_unit_A: Current of one unit of `current_object`, 0.001 unless stated; not used for
+            6078h and 6077h of CiA 402, whose unit follows from the rated values.
         rated_current_object: Index and subindex of the rated motor current; 6075h in CiA 402.
-        rated_current_object_unit_A: Current of one unit of that object; 0.001 unless stated.
+        rated_current_object_unit_A: Current of one unit of `rated_current_object`; 0.001 unless
+            stated.
         rated_torque_object: Index and subindex of the rated motor torque; 6076h in CiA 402.
-        rated_torque_object_unit_N_m: Torque of one unit of that object; 0.001 unless stated.
-        mode: How the drive is commanded. `csp` sends positions in every cycle. `csv` and `cst` send
-            speeds and torques: this program closes the position loop, and the drive must notice a
-            silent program by itself. `pp` sends set-points, between which the drive moves in ramps;
-            for slow motions. Null for the mode of the maker's data, else `csp`.
+        rated_torque_object_unit_N_m: Torque of one unit of `rated_torque_object`; 0.001 unless
+            stated.
+        mode: Mode of operation of the drive. In `csp` the program sends a position in every cycle.
+            In `csv` and `cst` it sends speeds and torques and closes the position loop; the drive
+            must detect by itself that the program is silent. In `pp` the program sends set-points,
+            and the drive moves from one to the next in ramps; suitable for slow motions. Null
+            selects the mode of the maker's data, or `csp` if there is none.
         position_loop: The position loop of `csv` and `cst`.
         profile_acceleration_deg_s2: Acceleration of the ramps of `pp`, at the joint (6083h, 6084h).
-        stops_alone: Whether the drive takes the power off by itself when it hears nothing of this
-            program any more; null where its EDS file shows it (6007h). False cuts the limits, as
-            for every drive without a watchdog.
+        stops_alone: Whether the drive switches the power off by itself when it receives nothing
+            from this program. Null reads this from the EDS file (6007h). False reduces the limits,
+            as for every drive without a watchdog.
         eds: The device's own EDS file, relative to the bench file; the simulated drive needs none,
-            and shows only the objects of the file if one is named.
-        quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
-            off, 6 brakes and stays in the state quick stop active.
+            and has only the objects of the file if a file is named.
+        quick_stop_option: Reaction of the drive to a quick stop (605Ah). 2: the drive brakes and
+            switches the power off; 6: the drive brakes and stays in the state quick stop active.
         quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
     """
 
@@ -171,13 +174,13 @@ class ServoSection(Schema):
     def _known(cls, name: str | None) -> str | None:
         names = [NO_DEVICE, *devices()]
         if name is not None and name not in names:
-            raise ValueError(f"there are no such device data; {nearest(name, names)}")
+            raise ValueError(f"the program has no data of that name; {nearest(name, names)}")
         return name
 
     def device_data(self, folder: Path) -> DeviceData | None:
-        """Return what is known of drives of this maker; None for nothing.
+        """Return the maker's data of the drive; None if the program has none.
 
-        An EDS file that cannot be read leads to nothing here; it is refused elsewhere.
+        The result for an unreadable EDS file is None; another check refuses such a file.
 
         Args:
             folder: Folder of the bench file.
@@ -192,7 +195,7 @@ class ServoSection(Schema):
             return None
 
     def commanded(self, data: DeviceData | None) -> ModeName:
-        """Return the mode of operation, as stated here, by the maker's data, or else `csp`."""
+        """Return the mode of the section, else that of the maker's data, else `csp`."""
         return self.mode or (data.mode if data is not None else None) or "csp"
 
     def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:

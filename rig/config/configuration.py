@@ -65,7 +65,9 @@ class Document(Generic[M]):
         return _format(self.path, mark, _dotted(loc), message, value)
 
     def other_files(self) -> list[Path]:
-        """Return the other files from which values of the tree were read."""
+        """Return the files, other than the file of the document itself, from which values were
+        read.
+        """
         found: dict[Path, None] = {}
         waiting = [self._root]
         while waiting:

@@ -74,26 +74,26 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("bus", "error_frames"): Kind("the host receives error frames", counted=True),
     ("line", "lost"): Kind("messages of the drive's serial line are lost", counted=True),
     ("line", "byte_lost"): Kind(
-        "one byte of a message vanishes", "byte", 5, counted=True, integer=True
+        "one byte of a message is lost", "byte", 5, counted=True, integer=True
     ),
     ("line", "corrupt"): Kind(
-        "one bit inverted: a CRC error", "bit", 37, counted=True, integer=True
+        "one bit is inverted: a CRC error", "bit", 37, counted=True, integer=True
     ),
     ("line", "stuffing"): Kind("a byte 90h is not doubled", counted=True),
     ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
     ("line", "repeated"): Kind("messages arrive twice", counted=True),
     ("line", "refused"): Kind("requests are answered with an error code", counted=True),
-    ("line", "cut"): Kind("unplugged; for good without a value", "s"),
+    ("line", "cut"): Kind("the line is unplugged; permanently if there is no value", "s"),
     ("encoder_line", "lost"): Kind("messages of the encoder's serial line are lost", counted=True),
     ("encoder_line", "byte_lost"): Kind(
-        "one byte of a message vanishes", "byte", 1, counted=True, integer=True
+        "one byte of a message is lost", "byte", 1, counted=True, integer=True
     ),
     ("encoder_line", "corrupt"): Kind(
-        "one bit inverted: check bits wrong", "bit", 3, counted=True, integer=True
+        "one bit is inverted: the check bits are wrong", "bit", 3, counted=True, integer=True
     ),
     ("encoder_line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
     ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
-    ("encoder_line", "cut"): Kind("unplugged; for good without a value", "s"),
+    ("encoder_line", "cut"): Kind("the line is unplugged; permanently if there is no value", "s"),
     ("drive", "emcy"): Kind(
         "the drive sends an emergency message without a reaction", "code", 0x2310, integer=True
     ),
@@ -109,7 +109,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
         "one bit of the position is inverted", "bit", 13, counted=True, integer=True
     ),
     ("encoder", "jump"): Kind("the position shifts permanently", "deg", 5.0),
-    ("encoder", "frozen"): Kind("the position stays constant, time stamps continue"),
+    ("encoder", "frozen"): Kind("the position stays constant, but the time stamps continue"),
     ("encoder", "reversed"): Kind("the encoder counts in the opposite direction"),
     ("host", "killed"): Kind(
         "the program is killed (SIGKILL) after the devices have run for this time", "s", 1.0
@@ -145,8 +145,8 @@ class Frames(Schema):
     """The frames that a bus fault affects; all frames if nothing is stated.
 
     Attributes:
-        device: Frames of this device only. On a serial line `host` means the requests, and the
-            device means its answers.
+        device: Frames of this device only. On a serial line `host` selects the requests, and
+            `drive` or `encoder` selects the device's answers.
         function: Frames of this CANopen function only.
     """
 
@@ -226,7 +226,7 @@ class FaultRow(Schema):
         if len(triggers) != 1:
             given = " and ".join(triggers) or "none"
             raise ValueError(
-                f"give exactly one of time_s, phase and state to say when the fault comes, found "
+                f"state exactly one of time_s, phase and state as the start of the fault, found "
                 f"{given}"
             )
         names = sorted(name for target, name in FAULTS if target == self.target)

@@ -208,7 +208,7 @@ class Sequence(Schema):
         stages: The stages, in the order in which they are run.
         limits: Limits of this sequence.
         first_pass: `auto`: a first pass on a real bench and none on a simulated bench.
-        acceptance: Limits that a complete run is accepted by, such as `Mc: 6.5..7.1`,
+        acceptance: Limits that a complete run must keep to be accepted, such as `Mc: 6.5..7.1`,
             `nothing missing`, `weight check passed`, `p99 lateness < 1 ms` or
             `tracking error rms < 0.05 deg`.
     """

@@ -1,4 +1,8 @@
-"""What an operator sees in a browser: a page that watches runs and commands one of them.
+"""Console: a page in the browser that shows runs and sends commands to them, and the process that
+serves the page.
+
+The process is separate from the processes of the runs. It reads run folders, and exchanges messages
+with a run only through the control socket of that run.
 
 A process of its own. It reads run folders, and speaks to a run only through the run's control
 socket.

@@ -1,4 +1,8 @@
-"""The routes of the console.
+"""HTTP and WebSocket routes of the console.
+
+A reading request needs no token. A command is a POST request with the token in its header and JSON
+as its content; the JSON contains the number of the command, and each command of a page has a higher
+number than the previous one.
 
 Reading needs no token. Commands are POST requests with the token in their header, JSON as their
 content and a number that rises from one command of a page to the next.
@@ -39,13 +43,13 @@ _KINDS: Final = {
     ".svg": "image/svg+xml",
 }
 _PUSH_EVERY: Final = 2
-"""Ticks between two messages to a page."""
+"""Number of ticks between two messages to a page."""
 _COMMANDS: Final = {command.value: command for command in Command}
 _LONGEST_WINDOW_S: Final = 86_400.0
 
 
 class Console:
-    """The application.
+    """The web application of the console.
 
     Args:
         hub: The runs and the pages.
@@ -112,12 +116,18 @@ class Console:
     def _posted(
         self, act: Callable[[Page | None, Mapping[str, Any]], Awaitable[dict[str, Any]]]
     ) -> Callable[[Request], Awaitable[Response]]:
-        """Return the endpoint of a command: checks token, content and number, then acts."""
+        """Return the endpoint of a command. The endpoint checks token, content and number, then
+        calls ``act``.
+        """
 
         async def endpoint(request: Request) -> Response:
             scheme, _, given = request.headers.get("authorization", "").partition(" ")
             if scheme != "Bearer" or not self._token.fits(given):
-                return _refused(401, "read only: the token is missing or of another start")
+                return _refused(
+                    401,
+                    "this page is read-only: its token is missing or belongs "
+                    "to another start of the console; open the address that the console printed",
+                )
             kind = request.headers.get("content-type", "").partition(";")[0].strip()
             if kind != "application/json":
                 return _refused(415, "a command is JSON")
@@ -130,7 +140,10 @@ class Console:
                 message = json.loads(body)
                 page_key, number = message.pop("page"), message.pop("number")
             except (ValueError, KeyError, AttributeError, TypeError, RecursionError):
-                return _refused(400, "no command: page and number are needed")
+                return _refused(
+                    400,
+                    "the request is no command: it must be JSON with the fields page and number",
+                )
             if not isinstance(page_key, str) or type(number) is not int:
                 return _refused(400, "page must be a text, number a whole number")
             page = self._hub.controls.page(page_key)
@@ -144,7 +157,9 @@ class Console:
         return endpoint
 
     async def _command(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Send a command to a run. A stop needs no controls, and no open page."""
+        """Send a command to a run. The command `stop` needs neither the controls nor an open
+        page.
+        """
         command = _COMMANDS.get(str(message.get("command")))
         if command is None:
             raise Refusal(f"unknown command; known are {', '.join(_COMMANDS)}")
@@ -159,7 +174,7 @@ class Console:
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
         if page is None:
-            raise Refusal("this page has no contact with the console; wait until it has")
+            raise Refusal("this page is not connected to the console; wait until it is connected")
         before = self._hub.controls.holder
         self._hub.controls.take(page)
         if before is not None and before is not page:
@@ -182,13 +197,15 @@ class Console:
         self._require_controls(page)
         run = self._hub.runs.get(str(message.get("run")))
         if run is None or not run.over:
-            raise Refusal("there is no such run that has ended")
+            raise Refusal("no run with this key has ended; choose an ended run")
         if not run.closed:
-            raise Refusal("the program of the run still writes its page; wait a few seconds")
+            raise Refusal(
+                "the program of this run is still writing the page of the run; wait a few seconds"
+            )
         self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
         assert page is not None
         page.run = None
-        return {"words": "the run goes on at its first unfinished stage"}
+        return {"words": "the run continues at its first unfinished stage"}
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder
@@ -197,14 +214,14 @@ class Console:
             raise Refusal(f"{who} holds the controls; take them first")
 
     async def _live(self, socket: WebSocket) -> None:
-        """Send a page what it shows, until it is closed."""
+        """Send the state and the charts to a page until the page is closed."""
         await socket.accept()
         try:
             hello = await asyncio.wait_for(socket.receive_json(), HELLO_S)
             token = str(hello.get("token", ""))
         except (WebSocketDisconnect, TimeoutError, ValueError, KeyError, AttributeError):
             with suppress(RuntimeError):
-                await socket.close(1008, "a page begins with its token")
+                await socket.close(1008, "a page must send its token first")
             return
         page = self._hub.controls.open()
         if self._token.fits(token):
@@ -220,7 +237,9 @@ class Console:
             self._hub.controls.close(page)
 
     async def _push(self, socket: WebSocket, page: Page, reading: asyncio.Task[None]) -> None:
-        """Send state and charts every few ticks. A page that takes nothing holds up only itself."""
+        """Send state and charts to a page every few ticks. A page that does not read its messages
+        delays only its own messages.
+        """
         view = View(self._hub, page)
         while not reading.done():
             await _send(socket, {"state": view.state()})
@@ -232,7 +251,9 @@ class Console:
 
 
 async def _read_views(socket: WebSocket, page: Page) -> None:
-    """Take what a page wants to see, until it is closed or sends what no page sends."""
+    """Read which run and charts a page asks for, until the page is closed or sends an invalid
+    message.
+    """
     while True:
         try:
             message = dict(await socket.receive_json())
@@ -251,5 +272,7 @@ def _refused(status: int, words: str) -> Response:
 
 
 async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:
-    """Send a JSON message in ASCII, which also bears text that is no valid Unicode."""
+    """Send a JSON message in ASCII; the escapes of ASCII can also encode text that is not valid
+    Unicode.
+    """
     await socket.send_text(json.dumps(message))

@@ -1,4 +1,4 @@
-"""Channels that the page shows, in the units of an operator."""
+"""Channels that the page shows, with their units of display."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DEG = 180.0 / math.pi
 
 
 class Channel(NamedTuple):
-    """One chart.
+    """Channel of one chart.
 
     Attributes:
         name: Name in the recording, or of a derived value.
@@ -43,7 +43,7 @@ CHANNELS = (
     Channel("temperature", "Temperature of the drive", "deg C"),
     Channel("pressure", "Chamber pressure", "MPa", 1e-6),
 )
-"""In the order of the page."""
+"""Channels in the order in which the page shows them."""
 FIELDS = (
     "time",
     "command",
@@ -59,11 +59,11 @@ FIELDS = (
     "segment",
     "statusword",
 )
-"""Fields of a sample that the channels need."""
+"""Fields of a sample from which the channels are computed."""
 
 
 def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
-    """Return the channels of samples, shape (channels, n), in the units that are shown.
+    """Return the values of the channels in their units of display, shape (channels, n).
 
     Args:
         samples: Field to array, shape (n,).
@@ -78,7 +78,7 @@ def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
 
 
 def channel_records(about: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the channels with their limits in the shown units, JSON values only."""
+    """Return the channels with their limits in the units of display, as JSON values."""
     limits = {row["channel"]: row for row in about["limits"]}
     return [
         {

@@ -1,4 +1,4 @@
-"""Which page holds the controls, and which commands of a page were received before."""
+"""Registers which page holds the controls, and which commands of a page have been received."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Page:
 
 
 class Controls:
-    """All open pages. At most one of them holds the controls.
+    """All open pages. At most one page holds the controls.
 
     Attributes:
         holder: The page with the controls, or None.
@@ -42,16 +42,16 @@ class Controls:
         self.holder: Page | None = None
 
     def open(self) -> Page:
-        """Note a new page."""
+        """Register a new page."""
         self._count += 1
         page = Page(f"page {self._count}")
         self._pages[page.key] = page
         return page
 
     def close(self, page: Page) -> None:
-        """Note that a page is gone. Its controls go to the other page with the token, such as the
-        same one that was loaded again, if there is only one; else they are free. Nothing else
-        changes.
+        """Remove a page that was closed. If it held the controls and only one other page has the
+        token, that page gets them, for example the same page after a reload; otherwise no page
+        holds the controls.
         """
         self._pages.pop(page.key, None)
         if self.holder is page:
@@ -59,21 +59,25 @@ class Controls:
             self.holder = able[0] if len(able) == 1 else None
 
     def admit(self, page: Page) -> None:
-        """Note that a page has the token; the first such page gets the controls."""
+        """Register that a page has the token; the first such page gets the controls."""
         page.may = True
         if self.holder is None:
             self.holder = page
 
     def take(self, page: Page) -> None:
-        """Give the controls to a page, whoever has them: that page may be frozen."""
+        """Give the controls to a page even if another page holds them, because the other page may
+        be frozen.
+        """
         self.holder = page
 
     def page(self, key: str) -> Page | None:
-        """Return an open page."""
+        """Return the open page with this key; None if there is none."""
         return self._pages.get(key)
 
     def replayed(self, page: Page, number: int) -> bool:
-        """Return whether a command of this or a later number was received before, and note it."""
+        """Return whether a command with this number or a higher one was received before, and
+        register the number.
+        """
         if number <= page.last:
             return True
         page.last = number

@@ -1,5 +1,7 @@
-"""Minimum and maximum of every channel over intervals of 2^k cycles, kept up to date as samples
-arrive.
+"""Minimum and maximum of every channel over intervals of 2^k cycles, updated as samples arrive.
+
+A page draws one interval per pixel or two, so that a peak remains visible however many samples fall
+on one pixel.
 
 A page draws one interval per pixel or two, so that no peak is lost however many samples a pixel
 stands for.
@@ -15,13 +17,13 @@ import numpy as np
 from identification.recording import Array
 
 KEPT = 4096
-"""Intervals of each length that can be read back."""
+"""Number of intervals that are kept of each length."""
 _ROOM = 2 * KEPT
 
 
 @dataclass(frozen=True)
 class Slice:
-    """Consecutive intervals.
+    """Consecutive intervals of one length.
 
     Attributes:
         level: Each is 2^level cycles long.
@@ -37,7 +39,7 @@ class Slice:
 
 
 class Decimation:
-    """Intervals of all lengths.
+    """Minima and maxima over intervals of every length.
 
     Args:
         channels: Number of channels.
@@ -81,14 +83,16 @@ class Decimation:
             level.add(cycles >> number, values)
 
     def since(self, level: int, first: int) -> Slice:
-        """Return the intervals of a level from number ``first`` on, as far as they are kept."""
+        """Return the intervals of a level from number ``first`` on; intervals that were dropped are
+        missing.
+        """
         if level >= len(self._levels):
             empty = np.empty((self._channels, 0))
             return Slice(level, first, empty, empty)
         return self._levels[level].since(level, first)
 
     def _grow(self) -> None:
-        """Add the next level, from the intervals of the one below."""
+        """Add a level with intervals of twice the length, computed from the last level."""
         grown = _Level(self._channels)
         if self._levels:
             below = self._levels[-1].since(0, 0)

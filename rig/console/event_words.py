@@ -1,4 +1,4 @@
-"""Events of a recording as text for the operator."""
+"""Texts of recorded events for the operator."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
 
 
 def event_words(event: Mapping[str, Any]) -> str:
-    """Return an event with its time as one line; unknown events by their name and details."""
+    """Return an event with its time as one line of text; for an unknown event, its name and
+    details.
+    """
     name = str(event.get("event"))
     try:
         words = _WORDS[name](event)

@@ -1,4 +1,6 @@
-"""One run as the console follows it: what it states of itself, its record and its recording."""
+"""State of one run that the console follows: its answers on the control socket, its record and its
+recording.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ from rig.runs.run_record import RUN_FILE, RunRecord
 EVENTS: Final = 200
 """Events that are shown."""
 SILENT_S: Final = 1.0
-"""Time without an answer after which a run counts as silent."""
+"""Time without an answer after which a run counts as silent, s."""
 DRIVE_STATES: Final = {
     0x00: "not ready",
     0x40: "off (switch on disabled)",
@@ -81,23 +83,23 @@ class Followed:
 
     @property
     def silent(self) -> bool:
-        """Whether the run has not answered for a while, though its program is there."""
+        """Whether the run has not answered for a while."""
         return time.monotonic() - self.heard_s > SILENT_S
 
     @property
     def over(self) -> bool:
-        """Whether the run has ended, in order or not."""
+        """Whether the run has ended, regularly or not."""
         return self.gone or bool(self.status and self.status["ended"])
 
     @property
     def closed(self) -> bool:
-        """Whether the program of the run has ended: after the run it still writes its page."""
+        """Whether the program of the run has ended; after the end of the run, the program still
+        writes the page of the run.
+        """
         return self.gone or not os.path.exists(self.path)
 
     def parts(self) -> dict[str, tuple[object, Any]]:
-        """Return what a page shows of the run: name of the part to its version and its JSON
-        value.
-        """
+        """Return what a page shows of the run: name of a part to its version and its JSON value."""
         return {
             "about": (self.key, {key: v for key, v in self.about.items() if key != "run"}),
             "channels": (self.key, self._channels),
@@ -119,12 +121,14 @@ class Followed:
         }
 
     def hear(self, status: dict[str, Any]) -> None:
-        """Take the state that the run tells."""
+        """Store the state that the run reports."""
         self.status, self.heard_s = status, time.monotonic()
         self._answers += 1
 
     def read(self) -> bool:
-        """Read what is new in the run folder; return whether there is more to read at once."""
+        """Read the new content of the run folder; return whether more content can be read
+        immediately.
+        """
         self._read_record()
         return self._read_recording()
 
@@ -177,7 +181,7 @@ class Followed:
 
 
 def _shown_record(record: RunRecord) -> dict[str, Any]:
-    """Return what a page shows of ``run.json``."""
+    """Return the part of ``run.json`` that a page shows."""
     held = record.parts[-1].devices.get("limits")
     return {
         "state": record.state,

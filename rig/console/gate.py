@@ -1,9 +1,11 @@
-"""Who may talk to the console: host and origin of every request, and the token of this start.
+"""Gate of the console: checks host and origin of every request, and the token that permits
+commands.
 
-A page of another site cannot command a run, as its origin differs; nor after its name was made to
-point to this computer (DNS rebinding), as the host then differs. The token is in the fragment of
-the printed address, which a browser never sends by itself; the page sends it in a header. There is
-no cookie, as those are shared by all ports of a computer.
+A page of another site cannot command a run, because its origin differs. DNS rebinding, which makes
+the name of that site point to this computer, does not help, because the Host header differs. The
+address that the console prints has the token in its fragment, which a browser never sends by
+itself; the page sends the token in a header. The console uses no cookie, because all ports of a
+computer share cookies.
 """
 
 from __future__ import annotations
@@ -28,23 +30,24 @@ HEADERS: Final = {
     "X-Frame-Options": "DENY",
     "Cache-Control": "no-store",
 }
-"""Sent with every answer that does not state the same header itself."""
+"""Headers of every answer that does not state these headers itself."""
 _READING: Final = frozenset({"GET", "HEAD"})
 
 
 class Token:
-    """The token of this start."""
+    """Random text that permits commands until this console ends."""
 
     def __init__(self) -> None:
         self.text = secrets.token_urlsafe(24)
 
     def fits(self, given: str) -> bool:
-        """Return whether a text is the token; takes equally long whatever it is."""
+        """Return whether a text is the token; the comparison takes equally long for every text."""
         return secrets.compare_digest(given.encode(), self.text.encode())
 
 
 class Gate:
-    """Lets requests pass whose host and origin are this console's own.
+    """Middleware that passes requests whose host and origin are this console, and refuses all
+    others.
 
     Args:
         app: What they pass to.
@@ -57,7 +60,7 @@ class Gate:
         self._origins = frozenset(f"http://{host}" for host in self._hosts)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, or refuse it."""
+        """Pass a request to the application, or refuse the request."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -71,11 +74,14 @@ class Gate:
             await answer(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> str | None:
-        """Return why a request is refused, or None."""
+        """Return the reason why a request is refused; None if it is passed."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0] not in self._hosts:
-            return "this address is not the console's own; use the address that it printed"
+            return (
+                "this address does not belong to the console; use the address that the "
+                "console printed"
+            )
         origin = headers.get("origin")
         reading = scope["type"] == "http" and scope["method"] in _READING
         if origin not in self._origins and not (reading and origin is None):

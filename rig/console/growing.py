@@ -1,4 +1,4 @@
-"""Reads a recording while it is being written, in blocks."""
+"""Reads a recording in blocks while the run still writes it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from rig.runs.mcap.stream import chunk_messages
 from rig.runs.mcap.writer import MAGIC
 
 READ_BYTES = 1 << 19
-"""Most bytes read at a time, so that a long recording does not hold up everything else."""
+"""Greatest number of bytes that one call reads, so that a long recording does not block the
+console.
+"""
 _SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
 _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 
@@ -48,7 +50,7 @@ class Growing:
         self._offset = 0
 
     def read(self) -> News:
-        """Read what was added since the last call, up to :data:`READ_BYTES`.
+        """Read the bytes that were added since the last call, at most :data:`READ_BYTES`.
 
         Raises:
             OSError: The file cannot be read.
@@ -74,7 +76,7 @@ class Growing:
         return News(_decoded(samples), tuple(events), used > 0 and len(data) >= READ_BYTES)
 
     def _begins(self, magic: bytes) -> bool:
-        """Return whether the first bytes are written.
+        """Return whether the file has the complete first bytes of a recording.
 
         Raises:
             DamageError: They are not those of a recording.
@@ -85,7 +87,8 @@ class Growing:
 
 
 def _records(data: bytes, samples: list[bytes], events: list[Mapping[str, Any]]) -> int:
-    """Sort the messages of whole records; return the number of bytes that these take.
+    """Sort the messages of complete records into samples and events; return the length of these
+    records, bytes.
 
     Raises:
         DamageError: A record is damaged.
@@ -116,5 +119,5 @@ def _decoded(samples: list[bytes]) -> dict[str, Array]:
         return {}
     size = len(samples[0])
     if size not in SAMPLE_SIZES or any(len(sample) != size for sample in samples):
-        raise DamageError(f"a sample of {size} bytes, which this program does not write")
+        raise DamageError(f"a sample has {size} bytes, a size that this program does not write")
     return decode_samples(b"".join(samples), size)

@@ -1,4 +1,6 @@
-"""Follows all runs of this user, and carries the commands of pages to them."""
+"""Follows all runs of the user who started the console, and passes the commands of pages to the
+runs.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,18 @@ from rig.terminal.control_messages import VERSION, Command
 TICK_S: Final = 0.1
 _LOOK_S: Final = 0.5
 _ENDED: Final = 5
-"""Runs that are kept after their end."""
+"""Number of runs that are kept after their end."""
 _READS: Final = 4
-"""Blocks of a recording that are read in one tick."""
+"""Greatest number of blocks of a recording that are read in one tick."""
 _NOTES: Final = 20
 
 
 class Refusal(Exception):
-    """A command is refused; the message states why."""
+    """A command is refused; the message states the reason."""
 
 
 class Hub:
-    """The runs and the pages.
+    """The followed runs, and the open pages.
 
     Args:
         starter: Starts runs.
@@ -53,7 +55,7 @@ class Hub:
         self._noted = 0
 
     async def follow(self) -> None:
-        """Follow the runs until cancelled."""
+        """Follow the runs until the task is cancelled."""
         self._links.open()
         try:
             while True:
@@ -72,14 +74,14 @@ class Hub:
 
     @property
     def scope(self) -> str:
-        """Whose runs are shown, in words."""
+        """Description of the runs that are shown, by user and bench."""
         if self._only:
             return f"live runs of your user on {', '.join(sorted(self._only))}"
         return "live runs of your user on any bench"
 
     def run_of(self, page: Page) -> Followed | None:
-        """Return the run that a page shows: the one that was chosen, else the newest that goes on,
-        else the newest.
+        """Return the run that a page shows: the run that the user chose, else the newest run in
+        progress, else the newest run.
         """
         if page.run in self.runs:
             return self.runs[page.run]
@@ -89,7 +91,7 @@ class Hub:
     async def command(
         self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""
     ) -> str:
-        """Send a command to a run; return what the run answered.
+        """Send a command to a run; return the answer of the run.
 
         Raises:
             Refusal: The run refused it, did not answer, or is over.
@@ -121,7 +123,7 @@ class Hub:
             self.note(words)
 
     def _look(self) -> None:
-        """Find new runs, and forget the oldest that have ended."""
+        """Find new runs, and remove the oldest runs that have ended."""
         for path in self._links.runs():
             if path not in self._by_path and path not in self._ignored:
                 try:
@@ -139,7 +141,7 @@ class Hub:
             run.gone = True
 
     def _heard(self, path: str, message: dict[str, Any]) -> None:
-        """Take a message from a run."""
+        """Process a message of a run."""
         known = self._by_path.get(path)
         about = message.get("about")
         if known is None and isinstance(about, dict):

@@ -1,4 +1,4 @@
-"""The runs that are recorded in the folder of this console, and the pages in their folders."""
+"""Serves the list of runs in the folder of this console, and the pages in these run folders."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ from rig.runs.catalogue.entry import Entry
 from rig.runs.catalogue.index import list_runs
 
 SHOWN: Final = 30
-"""Most runs of the list, the latest."""
+"""Greatest number of runs in the list; the list has the latest runs."""
 _FRESH_S: Final = 3.0
-"""Seconds for which a list is reused."""
+"""Time for which a list is reused, s."""
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
 _POLICY: Final = (
     "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
 )
-"""A page of a run folder may show its own pictures, and may run nothing and reach nothing."""
+"""Content security policy of a page from a run folder: the page may show its own pictures, but
+cannot run scripts or load other content.
+"""
 
 
 class Recorded:
-    """Lists the runs of a folder, and gives out the pages in their folders, read only.
+    """Lists the runs of a folder, and serves the pages in the run folders, read only.
 
     Args:
         root: The folder.

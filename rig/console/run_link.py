@@ -27,16 +27,16 @@ from rig.terminal.control_messages import (
 )
 
 REPLY_S: Final = 0.25
-"""How long an answer to a command is waited for before it is sent again."""
+"""Time after which a command without an answer is sent again, s."""
 ATTEMPTS: Final = 4
 
 
 class Unreachable(Exception):
-    """The program of a run is gone, or does not take messages."""
+    """The program of a run has ended, or does not answer."""
 
 
 class Links:
-    """One socket for all runs of this user.
+    """Socket through which the console exchanges messages with all runs of this user.
 
     Args:
         heard: Called with the path of a run's socket and each message from there.
@@ -57,7 +57,7 @@ class Links:
         self._last = 0
 
     def open(self) -> None:
-        """Take messages in the running event loop."""
+        """Receive messages in the running event loop."""
         asyncio.get_running_loop().add_reader(self._socket, self._read)
 
     def close(self) -> None:
@@ -69,7 +69,7 @@ class Links:
             self._path.unlink()
 
     def runs(self) -> list[str]:
-        """Return the sockets of all runs of this user."""
+        """Return the paths of the control sockets of all runs of this user."""
         found: list[str] = []
         for folder in socket_folders():
             with suppress(OSError):
@@ -79,7 +79,7 @@ class Links:
         return sorted(found)
 
     def ask(self, path: str, what: str) -> None:
-        """Ask a run for its ``status`` or ``about``; the answer goes to ``heard``.
+        """Ask a run for its ``status`` or ``about``; the answer is passed to ``heard``.
 
         Raises:
             Unreachable: The program is gone.
@@ -89,7 +89,7 @@ class Links:
     async def command(
         self, path: str, run: str, command: Command, who: str, prompt: int = 0, text: str = ""
     ) -> dict[str, Any]:
-        """Send a command until the run has answered.
+        """Send a command to a run, repeatedly, until the run has answered.
 
         It is sent again under the same number, so that the run carries it out once. Where another
         program's command came in between, it gets a new number.
@@ -114,12 +114,12 @@ class Links:
             else:
                 order = self._order(run, command, who, prompt, text)
         raise Unreachable(
-            f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; it takes the command when it "
-            "goes on"
+            f"the run did not answer within {ATTEMPTS * REPLY_S:g} s; it will carry out the "
+            "command as soon as it responds again"
         )
 
     async def _once(self, path: str, order: Order) -> dict[str, Any] | None:
-        """Send a command once; return the answer, or None if there is none in time.
+        """Send a command once; return the answer, or None if no answer arrives in time.
 
         Raises:
             Unreachable: The program is gone.
@@ -146,7 +146,7 @@ class Links:
             # The run's queue is full: it is busy, and is asked again later.
             return
         except OSError as error:
-            raise Unreachable(f"the program of the run is gone ({error.strerror})") from error
+            raise Unreachable(f"the program of the run has ended ({error.strerror})") from error
 
     def _read(self) -> None:
         while True:

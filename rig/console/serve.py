@@ -19,7 +19,7 @@ HOST = "127.0.0.1"
 def serve(
     starter: Starter, only: frozenset[str], port: int, announce: Callable[[str], None]
 ) -> None:
-    """Serve until SIGINT or SIGTERM.
+    """Serve the console until SIGINT or SIGTERM.
 
     Args:
         starter: Starts runs.

@@ -1,4 +1,4 @@
-"""Starts runs: first the dry run is shown, then the same files are run."""
+"""Starts runs from the console: shows the dry run first, then starts a run with the same files."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from rig.config.packaged import names, resolve
 
 COMMAND: Final = (sys.executable, "-c", "from rig.cli.entry import main; main()")
 DRY_RUN_S: Final = 180.0
-"""Longest time of a dry run."""
+"""Longest time of a dry run, s."""
 _SHOWN: Final = 4000
-"""Characters of a failed start that are shown."""
+"""Number of characters of output that are shown of a run that failed to start."""
 _NOT_STARTABLE: Final = frozenset({0, 1})
 _KEPT: Final = 20
 
 
 class StartError(Exception):
-    """A run cannot be started; the message states why and what to do."""
+    """A run cannot be started; the message states the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class Wish:
-    """A run as it was asked for.
+    """Run that a page asks for: bench, sequence, operator and options.
 
     Attributes:
         bench: Bench, as given on the command line or packaged.
@@ -51,7 +51,7 @@ class Wish:
 
     @staticmethod
     def of(message: Mapping[str, Any]) -> Wish:
-        """Read a wish.
+        """Return the run that the message of a page asks for.
 
         Raises:
             StartError: A field is missing or of the wrong type.
@@ -66,13 +66,13 @@ class Wish:
         if not isinstance(wish.realtime, bool) or not isinstance(wish.yes, bool):
             raise StartError("realtime and yes must be true or false")
         if wish.sequence.startswith("-") or wish.bench.startswith("-"):
-            raise StartError("a bench or sequence does not begin with a minus")
+            raise StartError("the name of a bench or sequence must not begin with a minus")
         return wish
 
 
 @dataclass(frozen=True)
 class Shown:
-    """A dry run that was shown.
+    """Dry run whose result was shown to the operator.
 
     Attributes:
         wish: The run.
@@ -89,7 +89,7 @@ class Shown:
 
 @dataclass
 class Starter:
-    """Starts runs on some benches.
+    """Starts runs on the benches of this console.
 
     Attributes:
         benches: Benches that may be chosen.
@@ -109,7 +109,7 @@ class Starter:
         self.choices = {"benches": list(self.benches), "sequences": names("sequences")}
 
     async def dry_run(self, wish: Wish) -> dict[str, Any]:
-        """Run ``rig run --dry-run`` and keep the files' digests for the start.
+        """Run ``rig run --dry-run``, and store the digests of the files for the start.
 
         Returns:
             ``shown``, the key that a start needs, or None where nothing can be started; ``words``,
@@ -119,7 +119,10 @@ class Starter:
             StartError: The bench is not one of this console's, or the dry run takes too long.
         """
         if wish.bench not in self.benches:
-            raise StartError(f"{wish.bench}: not a bench of this console; start it with that bench")
+            raise StartError(
+                f"{wish.bench}: this console was started without this bench; "
+                "start the console with this bench"
+            )
         try:
             bench = load_bench(wish.bench)
             digests = _digests(wish)
@@ -156,7 +159,7 @@ class Starter:
         }
 
     def start(self, key: str, typed_bench: str) -> Path:
-        """Start the run of a dry run that was shown; return its folder.
+        """Start the run whose dry run was shown; return the run folder.
 
         Args:
             key: Of the dry run.
@@ -167,7 +170,7 @@ class Starter:
         """
         shown = self._shown.pop(key, None)
         if shown is None:
-            raise StartError("look at the dry run first; each is good for one start")
+            raise StartError("make a dry run first; each dry run permits one start")
         wish = shown.wish
         if shown.real and typed_bench.strip() != shown.name:
             self._shown[key] = shown
@@ -177,7 +180,9 @@ class Starter:
         except (InputError, OSError) as error:
             raise StartError(str(error)) from error
         if changed:
-            raise StartError("a file changed since the dry run; look at a new one")
+            raise StartError(
+                "the bench or sequence file has changed since the dry run; make a new dry run"
+            )
         name = Path(wish.sequence).stem
         folder = self.runs / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}"
         arguments = ["run", wish.sequence, "--bench", wish.bench, "--console", "--out", str(folder)]
@@ -189,7 +194,7 @@ class Starter:
         return folder
 
     def resume(self, about: Mapping[str, Any], typed_bench: str) -> None:
-        """Go on with a run that stopped, into the same folder, with the prompts on the page.
+        """Continue a run that stopped, in the same folder, with the prompts on the page.
 
         Args:
             about: What the run stated of itself.
@@ -203,7 +208,7 @@ class Starter:
         self._spawn(["resume", str(about["folder"]), "--console"])
 
     def failures(self) -> list[str]:
-        """Return the last words of started runs that have ended with bad input or a crash."""
+        """Return the last output of started runs that have ended with invalid input or a crash."""
         words = []
         for child, log in list(self._children):
             status = child.poll()
@@ -217,7 +222,7 @@ class Starter:
         return words
 
     def _spawn(self, arguments: list[str]) -> None:
-        """Start ``rig`` in a session of its own: it goes on when this console ends."""
+        """Start ``rig`` in its own session, so that the run continues when this console ends."""
         handle, name = tempfile.mkstemp(prefix="loadrig-console-", suffix=".log")
         with open(handle, "wb") as log:
             child = subprocess.Popen(
@@ -231,7 +236,7 @@ class Starter:
 
 
 def _digests(wish: Wish) -> tuple[str, str]:
-    """Return the SHA-256 of bench and sequence file.
+    """Return the SHA-256 of the bench file and of the sequence file.
 
     Raises:
         InputError: There is no such file.

@@ -1,4 +1,4 @@
-"""Torque against speed of the excitations, as they are recorded, and the curve of the newest
+"""Torque against speed of the recorded excitations, and the friction curve of the newest
 identification of the bench.
 """
 
@@ -19,9 +19,9 @@ from rig.runs.run_file import recorded_bench
 from rig.runs.run_record import RunRecord
 
 BLOCK = 10
-"""Samples that a point is the mean of."""
+"""Number of samples whose mean is one point."""
 MOST = 3000
-"""Points that are kept; beyond, every second one is dropped."""
+"""Greatest number of points; beyond this number, every second point is dropped."""
 _SPEEDS = 121
 
 
@@ -41,7 +41,7 @@ class TorqueSpeed:
         self._rest: Array = np.empty((0, 3))
 
     def add(self, samples: Mapping[str, Array], torque_per_ampere: float) -> None:
-        """Add the samples of excitations.
+        """Add samples; samples outside an excitation are ignored.
 
         Args:
             samples: Field to array, shape (n,).
@@ -71,8 +71,8 @@ class TorqueSpeed:
 
 
 def curves(record: RunRecord, folder: Path) -> dict[str, Any] | None:
-    """Return friction against speed as the newest identification of this bench states it, with the
-    contact moment of each mass that was confirmed; None where nothing was identified.
+    """Return friction against speed by the newest identification of this bench, for the contact
+    moment of each confirmed mass; None without an identification.
 
     Args:
         record: The run.

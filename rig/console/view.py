@@ -1,4 +1,6 @@
-"""What one page is sent: state as JSON, only what changed, and the new part of its charts."""
+"""Messages to one page: the parts of the state that changed, as JSON, and the new intervals of the
+charts.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,7 @@ _HEAD: Final = struct.Struct("<I")
 
 
 class View:
-    """What a page has been sent so far.
+    """Record of what one page has received.
 
     Args:
         hub: The runs.
@@ -36,7 +38,7 @@ class View:
         self._points = (0, 0)
 
     def state(self) -> dict[str, Any]:
-        """Return the state, without the parts that are as they were sent last."""
+        """Return the parts of the state that changed since the last message."""
         hub, page = self._hub, self._page
         run = hub.run_of(page)
         key = None if run is None else run.key
@@ -68,7 +70,7 @@ class View:
         return changed
 
     def _add_new(self, changed: dict[str, Any], run: Followed | None) -> None:
-        """Add events, notes and points that the page does not have yet."""
+        """Add the events, notes and points that the page has not received."""
         if notes := [words for number, words in self._hub.notes if number > self._notes]:
             changed["notes"] = notes
             self._notes = self._hub.notes[-1][0]
@@ -89,7 +91,7 @@ class View:
         self._points = (version, len(found.points))
 
     def charts(self) -> bytes | None:
-        """Return the new intervals of the charts, or None.
+        """Return the new intervals of the charts; None if there are none.
 
         A header of JSON after its length, then for each channel the minima and the maxima as 32-bit
         floats. The last interval of each message is sent again with the next one, as it may not
@@ -140,5 +142,5 @@ def _listed(run: Followed) -> dict[str, Any]:
 
 
 def _same(value: Any) -> tuple[object, Any]:
-    """Return a small part, whose content is its version."""
+    """Return a part whose value also serves as its version, because the value is small."""
     return value, value

@@ -1,4 +1,6 @@
-"""Checks that a person confirms the weights on a real bench before a run starts."""
+"""Steps before a run: rejects a run whose weights no person would confirm, and opens the bench so
+that a stop signal interrupts the opening.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from rig.wiring.devices import Devices
 
 
 def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
-    """Reject a run with weights if no person would be asked for the hung mass.
+    """Reject a run that hangs weights on a real bench if no person would confirm their mass.
 
     Args:
         plan: The planned run.
@@ -51,8 +53,8 @@ def connected(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop signal interrupts the
-    opening, because nothing is energised yet.
+    """Open a bench with :func:`rig.wiring.connect.connect`; a stop signal interrupts the opening,
+    because no drive is energised yet.
 
     Raises:
         KeyboardInterrupt: The operator stopped it.

@@ -1,4 +1,7 @@
-"""Reads identities, values and limits of a bench, and judges if a run would start (``rig check``).
+"""Reads identities, values and limits of a bench, and judges whether a run would start (``rig
+check``).
+
+The module writes nothing to the devices, and neither energises nor moves the drive.
 
 The module writes nothing to the devices, and energises and moves nothing.
 """
@@ -27,7 +30,7 @@ from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
 STATED = "*"
-"""Mark of a limit that is stated in the bench file and not read from the drive."""
+"""Mark of a limit that the bench file states and that is not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
 """Greatest value that counts as a limit; a drive without a configured limit reports the end of its
 range.
@@ -50,7 +53,7 @@ def require_connectable(document: Document[Bench]) -> list[Finding]:
 def examine(
     document: Document[Bench], devices: Devices, seed: int, found: list[Finding]
 ) -> tuple[dict[str, Any], Readings]:
-    """Read all values that can be read without a motion or a change.
+    """Read all values that can be read without a motion or a write to a device.
 
     Args:
         document: The bench.
@@ -152,8 +155,8 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return a table of the limits of drive and bench file; a limit that the drive does not report
-    is as the bench file states it.
+    """Return a table of the limits of drive and bench file; for a limit that the drive does not
+    report, the value of the bench file.
     """
     held = found["limits"]
     note = ["* stated under servo.held, not read from the drive"] * bool(found["limits_stated"])

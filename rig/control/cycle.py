@@ -135,8 +135,8 @@ class Cycle:
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
-        """Use these limits for all further samples, except limits on values that the drive does not
-        report.
+        """Set the limits of all further samples; limits on values that the drive does not report
+        are left out.
         """
         self._limits = self._checkable(limits)
 
@@ -241,7 +241,7 @@ class Cycle:
             self._servo.set_torque_offset(0.0)
 
     def watch(self) -> None:
-        """Run one cycle without a command or a limit check, while the drive brakes by itself.
+        """Run one cycle without a command and without a limit check, while the drive brakes.
 
         Raises:
             DeviceError: A device or the bus failed.

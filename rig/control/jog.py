@@ -79,8 +79,8 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
 
 
 def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
-    """Return a text on the limits of the jog that only this program checks; None if the drive has
-    all of them.
+    """Return a text on the limits of the jog that only this program checks; None if the drive
+    checks all of them.
 
     Raises:
         DeviceError: The drive does not answer.

@@ -1,8 +1,8 @@
-"""Factors between what a drive and a joint encoder report in a motion: speed, travel, work, torque
-constant.
+"""Ratios between the reports of a drive and of a joint encoder in a motion: of speed, travel, work
+and torque constant.
 
-Pure functions of the samples. Work along the path is used where it can be, as noise averages out in
-it and the inertia's share cancels.
+Pure functions of the samples. Where possible, work along the path is compared, because noise
+averages out in the work and the part of the inertia cancels.
 """
 
 from __future__ import annotations
@@ -17,28 +17,36 @@ from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
 
 BLOCK_S: Final = 0.02
-"""Time over which samples are averaged; at least two of them, and no stage of a first pass is so
-quick that it would show.
+"""Time over which samples are averaged, s; at least two samples. The motion of a first pass is too
+slow to change noticeably within it.
 """
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, at the joint."""
 HINT_COUNTS: Final = 4
 """Least number of different positions of an encoder on which words about a trip rest."""
 SENSE: Final = 0.3
-"""Least share of the work that may be negative: friction takes work in both directions."""
+"""Relative work of the current against the motion above which the sign of the current counts as
+wrong, because friction takes work in both directions.
+"""
 _JUMP_SHARE: Final = 0.7
-"""Share of a travel in one sample from which it is a jump."""
+"""Share of a travel within one sample above which the travel counts as a jump."""
 _COLLINEAR: Final = 1e-9
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
-"""First part of a travel that is left out: play and twist are taken up there."""
+"""First share of a travel, which is not evaluated: the joint then crosses the play and takes up the
+twist.
+"""
 _SAME_EMF: Final = 0.15
-"""Logarithm of the ratio up to which a back-EMF constant is the stated one."""
+"""Logarithm of the ratio of shown to stated back-EMF constant up to which the stated constant is
+confirmed.
+"""
 _LEAST_EMF: Final = 0.55
-"""Least ratio of back-EMF to torque constant: 1 / sqrt(3) and some, line to line against phase."""
+"""Least ratio of back-EMF constant to torque constant: somewhat above 1 / sqrt(3), which results if
+one is stated between lines and the other per phase.
+"""
 _EMF_CERTAINTY: Final = 0.08
 _EMF_INFLATION: Final = 3.0
-"""Factor on its standard error, as neighbouring blocks are not independent."""
+"""Factor on the standard error, because neighbouring blocks are not independent."""
 
 
 @dataclass(frozen=True)
@@ -66,13 +74,15 @@ class Motion:
     @classmethod
     def of(cls, rows: Array) -> Motion:
         """Return the motion of an array of shape (n, 7), whose columns are the attributes in order;
-        rows whose time, angles, speed or current are not finite are left out.
+        rows in which time, an angle, speed or current is not finite are left out.
         """
         return cls(*rows[np.isfinite(rows[:, :5]).all(axis=1)].T)
 
 
 def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
-    """Return reported speed over the change of the position; NaN for too little travel."""
+    """Return the ratio of the reported speed to the change of the position; NaN if the travel is
+    too short.
+    """
     if len(motion.time) < 2:
         return math.nan
     size = _block(motion)
@@ -87,7 +97,8 @@ def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
 
 
 def shaft_factor(motion: Motion) -> float:
-    """Return travel of the joint encoder over that of the motor encoder; NaN for too little travel.
+    """Return the ratio of the joint encoder's travel to the motor encoder's travel; NaN if the
+    travel is too short.
 
     Least squares over all travels in one direction, with an offset for each, which takes play and
     twist, and with a term in the speed, which takes the time between the two readings.
@@ -142,7 +153,7 @@ def early_factor(motion: Motion) -> float:
 
 
 def turn_alike(motion: Motion, nominal: Nominal) -> bool:
-    """Whether both encoders may turn 1:1, within one count of the motor encoder.
+    """Return whether both encoders may turn 1:1, within one count of the motor encoder.
 
     A position that jumped in one sample is no turn.
     """
@@ -156,7 +167,9 @@ def turn_alike(motion: Motion, nominal: Nominal) -> bool:
 
 
 def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
-    """Return first and last index of each travel in one direction of at least ``least``, rad."""
+    """Return the first and the last index of each travel in one direction of at least ``least``,
+    rad.
+    """
     found: list[tuple[int, int]] = []
     low = high = begin = 0
     way = 0
@@ -179,8 +192,8 @@ def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
 
 
 def current_sense(motion: Motion) -> float:
-    """Return the work of the current over the sum of its amounts, from -1 to 1; NaN unless the
-    joint moved in both directions.
+    """Return the work of the current divided by the sum of its magnitudes, from -1 to 1; NaN unless
+    the joint moved in both directions.
     """
     way = np.diff(motion.motor)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
@@ -194,8 +207,8 @@ def current_sense(motion: Motion) -> float:
 
 
 def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
-    """Return the torque constant that the motion shows, N m/A, and what it rests on; NaN where
-    nothing shows it.
+    """Return the torque constant that the motion shows, N m/A, and the channels that it is computed
+    from; NaN if the motion does not show the constant.
 
     In order: the drive's torque against its current; the voltage that the motion induces, which is
     the same number in SI units; the rated values of the drive, unless an uncertain voltage is on
@@ -219,7 +232,9 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
 
 
 def _nearer(value: float, first: float, second: float) -> bool:
-    """Whether a value, NaN for none, is nearer to the first of two by its ratio to them."""
+    """Return whether a value is nearer to the first of two others by its ratio to them; NaN stands
+    for no value.
+    """
     if math.isnan(value) or first == second:
         return False
     return abs(math.log(value / first)) < abs(math.log(value / second))
@@ -238,7 +253,7 @@ def _by_torque(motion: Motion) -> float:
 
 def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
     """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
-    whether it is certain; NaN where the motion does not show it.
+    whether the constant is certain; NaN if the motion does not show the constant.
     """
     size = _block(motion)
     ends = motion.motor[::size]
@@ -272,6 +287,8 @@ def _block(motion: Motion) -> int:
 
 
 def _means(values: Array, size: int) -> Array:
-    """Return the means over the samples from the second of each block to the first of the next."""
+    """Return the mean of each block over the samples from the second of the block to the first of
+    the next block.
+    """
     count = (len(values) - 1) // size
     return np.asarray(values[1 : 1 + count * size].reshape(count, size).mean(axis=1))

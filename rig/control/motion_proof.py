@@ -1,5 +1,7 @@
-"""Holds what a drive and a joint encoder report in a motion against each other and against the
-bench file: units, signs, ratio, torque constant. Pure functions of the samples.
+"""Compares the reports of a drive and of a joint encoder in a motion with each other and with the
+bench file: units, signs, gear ratio, torque constant.
+
+Pure functions of the samples.
 """
 
 from __future__ import annotations
@@ -48,13 +50,15 @@ ROUGH_COUNTS: Final = 30
 simulated benches are right within 2.2 times.
 """
 LEAST_INSTANT: Final = 4.0
-"""Least ratio of the speed of one sample to the change of the position that explains a trip."""
+"""Least ratio of the reported speed of one sample to the change of the position at which the speed
+explains a trip.
+"""
 _BY_MOTION: Final = (SPEED, SHAFT, WORK)
 
 
 @dataclass(frozen=True)
 class Proof:
-    """What a motion showed.
+    """Result of the comparison of a motion.
 
     Attributes:
         found: Quantity to its factor, found over expected; NaN where the motion did not show it.
@@ -66,24 +70,26 @@ class Proof:
 
     @property
     def moved(self) -> bool:
-        """Whether the joint moved enough to compare what can be compared."""
+        """Whether the joint moved far enough for the comparisons."""
         return not any(math.isnan(self.found[name]) for name in _BY_MOTION)
 
     @property
     def unproven(self) -> str:
-        """What no motion without a load shows, for the operator; empty where all is shown."""
+        """Text for the operator on the properties that no motion without a load shows; empty if the
+        motion showed all.
+        """
         return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
 
     @property
     def words(self) -> str:
-        """All contradictions for the operator."""
+        """All contradictions as text for the operator."""
         return "; ".join(item.words for item in self.contradictions)
 
 
 def prove(
     motion: Motion, nominal: Nominal, servo: Servo, tolerance: float = RATIO_TOLERANCE
 ) -> Proof:
-    """Compare everything that a motion shows.
+    """Make all comparisons that the motion permits.
 
     Args:
         motion: The samples.
@@ -118,7 +124,8 @@ def hint(
     too_fast: bool = False,
     too_strong: bool = False,
 ) -> Contradiction | None:
-    """Return what explains a trip or a fault early in a motion; None where nothing does.
+    """Return the explanation of a trip or a fault early in a motion; None if the samples do not
+    explain it.
 
     The samples may be few, so that only gross contradictions count, and the encoders only where
     their angles are proportional to each other.
@@ -154,7 +161,8 @@ def hint(
 
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
-    """Return a speed of the last sample that the position contradicts by far.
+    """Return a speed of the last sample that contradicts the change of the position by far; None
+    otherwise.
 
     The factor is rough: one count in one cycle is all that there may be, and a position that was
     read before the speed lacks even that.

@@ -1,4 +1,6 @@
-"""Keeps the samples of a motion until its units are proven, and explains trips before that."""
+"""Collects the samples of a motion until the units of the devices are proven, and explains trips
+that occur before.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from rig.control.motion_words import RATIO_TOLERANCE, Contradiction
 from rig.wiring.devices import Nominal
 
 MOST: Final = 20_000
-"""Samples after which no more are kept."""
+"""Number of samples after which further samples are dropped."""
 
 
 class MotionWitness:
@@ -33,7 +35,7 @@ class MotionWitness:
         self._count = 0
 
     def take(self, sample: Sample, motor_torque: float) -> None:
-        """Keep a sample, and the motor torque that the drive reports with it, N m."""
+        """Store a sample, and the motor torque that the drive reports with it, N m."""
         if self._count == MOST or not sample.fresh:
             return
         self._rows[self._count] = (
@@ -49,15 +51,15 @@ class MotionWitness:
 
     @property
     def motion(self) -> Motion:
-        """The fresh samples so far."""
+        """The fresh samples that were collected so far."""
         return Motion.of(self._rows[: self._count])
 
     def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
-        """Compare all that the samples show; see :func:`rig.control.motion_proof.prove`."""
+        """Compare the collected samples; see :func:`rig.control.motion_proof.prove`."""
         return prove(self.motion, self._nominal, self._servo, tolerance)
 
     def require(self) -> Proof:
-        """Compare all that the samples show.
+        """Compare the collected samples, and raise an error on a contradiction.
 
         Raises:
             ConfigurationError: Reports contradict each other or the bench file.

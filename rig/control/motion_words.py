@@ -1,4 +1,6 @@
-"""Contradictions between what devices report and the bench file, in words and as keys to set."""
+"""Contradictions between the reports of devices and the bench file, as text for the operator and as
+keys to set.
+"""
 
 from __future__ import annotations
 
@@ -22,26 +24,29 @@ at the pace of the loop that miss the peaks of stick and slip, change the ratio 
 count a cycle); wrong units change it more, for example rpm and degrees per second by a factor of 6.
 """
 RATIO_TOLERANCE: Final = 0.1
-"""Relative difference of the encoders' travels that is left to play and twist."""
+"""Relative difference of the encoders' travels that play and twist may cause."""
 TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
-"""Ratio of found to stated torque constant that is taken for the same. Data sheets, magnets and
-temperature differ by 20 %, wrong definitions (peak and root mean square, motor and joint) by more.
+"""Range of the ratio of found to stated torque constant within which the stated constant counts as
+right. Data sheets, magnets and temperature cause differences of 20 %; wrong definitions (peak or
+root mean square, motor or joint) cause larger ones.
 """
 STANDS_STILL: Final = 0.005
-"""Share of the motor encoder's travel below which the joint encoder stands still."""
+"""Share of the motor encoder's travel below which the joint encoder counts as standing still."""
 SHAFT_SPREAD: Final = 1.3
-"""Ratio up to which encoders turn 1:1: a trip leaves but a few counts of the motor encoder."""
+"""Range of the ratio within which encoders count as turning 1:1; it is wide, because before a trip
+the motor encoder moves by only a few counts.
+"""
 NO_TORQUE: Final = (
-    "the torque constant is not held against anything: the drive reports no torque beside its "
-    "current, no motor voltage that the motion shows, and the bench file states no rated torque "
-    "and current. Name servo.voltage_object, or state the rated values; an identification of this "
-    "bench shows a change of it"
+    "the torque constant cannot be compared with a measurement: the drive reports neither a "
+    "torque beside its current nor a usable motor voltage, and the bench file states no rated "
+    "torque and current. Set servo.voltage_object, or state the rated values; an "
+    "identification of this bench shows a change of the torque constant"
 )
 
 
 @dataclass(frozen=True)
 class Change:
-    """A value to be set in the bench file.
+    """Value that the operator should set in the bench file.
 
     Attributes:
         section: Section of the file.
@@ -92,7 +97,7 @@ def wrong_speed(factor: float, servo: Servo, rough: bool = False) -> Contradicti
 
 
 def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
-    """Name the cause of encoders whose travels differ by a factor."""
+    """Return the cause of a difference between the travels of the encoders."""
     gear = nominal.gear_ratio
     found = (
         f"the joint encoder travels {factor:.4g} times as far as the motor encoder over the gear "
@@ -102,14 +107,17 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
     changes = (sign,) if factor < 0.0 else ()
     if size < STANDS_STILL:
         changes = ()
-        remedy = "it stands still: check its coupling, and whether it is the encoder of this joint"
+        remedy = (
+            "the joint encoder stands still: check its coupling, and whether it is the "
+            "encoder of this joint"
+        )
     elif abs(size - 1.0) <= 2.0 * RATIO_TOLERANCE and changes:
-        remedy = f"set {sign}, or turn servo.sign where the drive counts the other way"
+        remedy = f"set {sign}, or reverse servo.sign if the drive counts in the opposite direction"
     elif 1.0 / SHAFT_SPREAD <= size / gear <= SHAFT_SPREAD:
         changes = ()
         remedy = (
-            "both turn 1:1, so that one of the encoders is on the other's shaft: mount it there, "
-            "or set machine.gear_ratio: 1 where there is no gear"
+            "both encoders turn 1:1, so that both are on the same side of the gear: mount the "
+            "joint encoder on the joint, or set machine.gear_ratio: 1 if there is no gear"
         )
     else:
         ratio = Change("machine", "gear_ratio", float(f"{gear / size:.4g}"))
@@ -121,17 +129,17 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
 
 
 def wrong_sense(sense: float) -> Contradiction:
-    """Return what work of the current against the motion means."""
+    """Return the contradiction if the current works against the motion."""
     words = (
         f"the current works against the motion in both directions ({sense:.2f} of its amount, "
-        f"must be above {-SENSE:g}), but friction takes work: its sign is wrong: set "
-        f"servo.current_sign: -1, or correct it with the maker's tool"
+        f"must be above {-SENSE:g}), but friction takes work, so that the sign of the current "
+        "is wrong: set servo.current_sign: -1, or correct the sign with the maker's tool"
     )
     return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))
 
 
 def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradiction:
-    """Return what another torque constant than the stated one means."""
+    """Return the contradiction between the found and the stated torque constant."""
     stated = nominal.torque_constant_N_m_A
     factor = constant / stated
     if factor < 0.0:

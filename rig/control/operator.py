@@ -51,7 +51,7 @@ class Operator(Protocol):
         ...
 
     def hangs(self, stage: str, weight_kg: float) -> float:
-        """Return the mass that is actually on a simulated lever, kg."""
+        """Return the mass that hangs on a simulated lever, kg."""
         ...
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
@@ -129,13 +129,15 @@ class AutomaticOperator:
         return verb
 
     def tell(self, words: str) -> None:
-        """Show the message on stderr, and keep it for who watches."""
+        """Show the message on stderr, and keep it for programs that watch the run."""
         self._screen.say(words)
         if self._control is not None:
             self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if good, else on stderr; and to who watches."""
+        """Show how a run ended: on stdout if the ending is good, otherwise on stderr; also to
+        programs that watch the run.
+        """
         if self._control is not None:
             self._control.ended(words, good)
         self._screen.say(words, err=not good)
@@ -239,7 +241,7 @@ class ConsoleOperator(AutomaticOperator):
 
 
 def _verb_of(typed: str) -> Verb | None:
-    """Return the verb that was typed, `go on` for nothing; None if it is none."""
+    """Return the verb that was typed, `go on` for an empty line; None if the text is not a verb."""
     return {"": Verb.GO_ON, **{verb.value: verb for verb in Verb}}.get(typed.lower())
 
 

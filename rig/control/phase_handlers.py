@@ -229,7 +229,7 @@ class PhaseHandlers:
         return Event.DONE
 
     def _prove_units(self) -> None:
-        """Hold what the devices reported against each other and the bench file.
+        """Compare the reports of the devices with each other and with the bench file.
 
         This takes milliseconds while the drive holds, as the weight check does. While the joint
         hardly moves, the next pass goes on with it.

@@ -1,4 +1,6 @@
-"""Reads the values of all devices before a run, and finds values that would prevent the run."""
+"""Reads the values of all devices before a run, and finds values that would prevent the run from
+starting.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ NOT_AVAILABLE = "not available"
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the devices, which are not simultaneous. NaN if a device gives no value.
+    """Readings of the devices, which are not simultaneous; NaN for a value that a device does not
+    report.
 
     Attributes:
         state: State of the drive, as text.

@@ -1,4 +1,4 @@
-"""A run within reach of ``rig console``: its control socket, and what it states about the run."""
+"""Opens the control socket of a run, and states bench, plan and limits to ``rig console``."""
 
 from __future__ import annotations
 
@@ -55,7 +55,9 @@ def reachable(
 
 
 def observed(devices: Devices, control: ControlSocket | None, progress: RunProgress) -> Devices:
-    """Return devices whose phases and progress a control socket states, if there is one."""
+    """Wrap the devices so that a control socket, if there is one, states phases and progress of the
+    run.
+    """
     if control is None:
         return devices
     control.left_s = lambda: progress.left_s
@@ -65,7 +67,7 @@ def observed(devices: Devices, control: ControlSocket | None, progress: RunProgr
 
 
 def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
-    """Return what a program that attaches needs to know, JSON values only.
+    """Return the description of a run for a program that attaches to it, as JSON values.
 
     The planned masses are not in it: the operator is to type what the scales show.
     """

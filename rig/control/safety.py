@@ -1,7 +1,8 @@
-"""Checks every sample against the limits before the next command; a latch keeps a violation.
+"""Checks every sample against the limits before the next command; a latch stores the first
+violation.
 
-The module has pure functions and one latch. It is a stop function in software, not an emergency
-stop.
+The module has pure functions and one latch. The check is a stop function in software, not an
+emergency stop.
 """
 
 from __future__ import annotations

@@ -38,7 +38,9 @@ class Outcome:
 
 
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
-"""Trips that a failed device, bus or computer causes, and not a physical limit of the bench."""
+"""Checks whose violation is caused by a failed device, bus or computer, and not by a physical limit
+of the bench.
+"""
 
 
 class Sequencer:

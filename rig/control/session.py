@@ -110,7 +110,9 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         stages=stage_records(plan),
         operator=inputs.operator,
         calibrations=calibrations,
-        warnings=[f"{warning}; the results rest on it" for warning in overdue(calibrations)],
+        warnings=[
+            f"{warning}; the results depend on this value" for warning in overdue(calibrations)
+        ],
     )
 
 
@@ -182,8 +184,8 @@ def execute(
 
 
 def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
-    """Show before the first prompt the limits that only this program checks, and store them in the
-    record once.
+    """Before the first prompt, show the limits that only this program checks, and store them once
+    in the record.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -336,7 +338,9 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
-    """Save ``run.json``; on a full disk the old version remains, which the outcome states."""
+    """Save ``run.json``; if the disk is full, the old version remains, and the outcome states
+    this.
+    """
     try:
         folder.save()
     except StorageError as error:
@@ -345,7 +349,9 @@ def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
-    """Return the outcome of a run with incomplete files; only a good ending is changed."""
+    """Return the outcome of a run with incomplete files; only a good ending is changed into a
+    failure.
+    """
     if outcome is None:
         return None
     ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending

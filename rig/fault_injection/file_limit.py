@@ -1,4 +1,4 @@
-"""A full disk, imitated by the limit of this process on the size of files."""
+"""Simulates a full disk by the limit of this process on the size of files."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ from rig.common.errors import InputError
 
 
 class FileLimit:
-    """The limit on the size of files, put back by :meth:`restore`."""
+    """The limit on the size of files; :meth:`restore` restores the previous limit."""
 
     def __init__(self) -> None:
         self._before: tuple[int, int] | None = None
 
     def fill(self) -> None:
-        """Let every further byte of a file fail, as on a full disk.
+        """Make every further write to a file fail, as on a full disk.
 
         Raises:
             InputError: This system has no such limit.
@@ -28,7 +28,7 @@ class FileLimit:
         resource.setrlimit(resource.RLIMIT_FSIZE, (0, self._before[1]))
 
     def restore(self) -> None:
-        """Put the limit back, if it was changed."""
+        """Restore the previous limit, if it was changed."""
         if self._before is not None:
             import resource
 

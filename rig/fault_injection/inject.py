@@ -354,15 +354,15 @@ class _Unreliable:
         return self._inner.hangs(stage, weight_kg)
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Wait as the real operator does."""
+        """Wait for the end of a pause as the real operator does."""
         return self._inner.paused(stage, stop)
 
     def tell(self, words: str) -> None:
-        """Show it to the real one."""
+        """Show a message to the real operator."""
         self._inner.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show it to the real one."""
+        """Show a result to the real operator."""
         self._inner.result(words, good)
 
 
@@ -372,7 +372,7 @@ class _DyingFile(io.FileIO):
     dead = False
 
     def write(self, data: Any) -> int:
-        """Write, or fail as a broken medium does.
+        """Write the data, or fail as a broken medium does.
 
         Raises:
             OSError: The medium is broken.

@@ -1,1 +1,3 @@
-"""Results of the commands: from a record to terminal, JSON, HTML and figures."""
+"""Results of the commands: turns the record of a result into terminal text, JSON, HTML and
+figures.
+"""

@@ -1,4 +1,4 @@
-"""Protocol of a commissioning: result record and page."""
+"""Protocol of a commissioning as result record and page."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def commission_record(
 
 
 def difference(before: str, after: str, name: str) -> str:
-    """Return the corrections as a unified diff, which ``patch`` takes."""
+    """Return the corrections as a unified diff that ``patch`` accepts."""
     old, new = before.splitlines(keepends=True), after.splitlines(keepends=True)
     return "".join(difflib.unified_diff(old, new, fromfile=name, tofile=name))
 

@@ -1,5 +1,8 @@
 """Output of a command as sections of text, tables and pictures.
 
+A command makes one :class:`Document` from its result record; :mod:`rig.results.terminal` and
+:mod:`rig.results.html` show the document. This module is independent of results, terminal and HTML.
+
 A command makes one :class:`Document` of its result record; :mod:`rig.results.terminal` and
 :mod:`rig.results.html` show it. This module is independent of results, terminal and HTML.
 """
@@ -33,7 +36,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Note:
-    """A line of text, not wrapped on a terminal; ``tone`` sets its emphasis."""
+    """A line of text, which the terminal does not wrap; ``tone`` sets the emphasis."""
 
     text: str
     tone: Literal["plain", "aside", "warning"] = "plain"
@@ -41,7 +44,7 @@ class Note:
 
 @dataclass(frozen=True)
 class Paragraph:
-    """Running text with a lead-in."""
+    """Running text with a bold beginning."""
 
     text: str
     lead: str = ""
@@ -60,7 +63,9 @@ class Items:
 
 @dataclass(frozen=True)
 class Verdict:
-    """Overall verdict: ``good`` (all is well), ``found`` (a cause) or ``open`` (undecided)."""
+    """Overall verdict: ``good`` (no problem), ``found`` (a cause was found) or ``open``
+    (undecided).
+    """
 
     headline: str
     statement: str
@@ -85,7 +90,9 @@ class Picture:
 
     @classmethod
     def of(cls, name: str, caption: str, figure: Figure, *, lead: bool = False) -> Picture:
-        """Render a figure; characters that do not belong in a file name become underscores."""
+        """Render a figure. Characters of the name that do not belong in a file name become
+        underscores.
+        """
         # Imported late: documents without figures do not need the plotting library.
         from identification.plots.style import png
 
@@ -93,18 +100,18 @@ class Picture:
 
     @property
     def file(self) -> str:
-        """Path of its file, relative to the folder of the page."""
+        """Path of the picture's file, relative to the folder of the page."""
         return f"figures/{self.name}.png"
 
     @property
     def base64(self) -> str:
-        """The PNG for a data URI."""
+        """The PNG as base64 text for a data URI."""
         return base64.b64encode(self.data).decode("ascii")
 
 
 @dataclass(frozen=True)
 class Section:
-    """Blocks under a title; blocks without a title belong to the section above.
+    """Blocks with a title; blocks without a title belong to the section above.
 
     Attributes:
         title: Heading.
@@ -119,7 +126,7 @@ class Section:
 
 @dataclass(frozen=True)
 class SideBySide:
-    """Two sections, side by side if the page is wide enough."""
+    """Two sections, which the page shows side by side if it is wide enough."""
 
     left: Section
     right: Section
@@ -130,7 +137,7 @@ Block = Table | Note | Paragraph | Items | Verdict | Picture | Section | SideByS
 
 @dataclass(frozen=True)
 class Document:
-    """Output of a command, as summary and in full.
+    """Output of a command as a summary and in full.
 
     Attributes:
         title: Heading.

@@ -30,7 +30,7 @@ def entry_of(name: str) -> Entry:
 
 
 def overview(entries: Iterable[Entry]) -> str:
-    """Return one line per effect: its location and its fitted parameters."""
+    """Return one line for each effect: its location and its fitted parameters."""
     rows = [
         (
             e.group,
@@ -45,7 +45,7 @@ def overview(entries: Iterable[Entry]) -> str:
 
 
 def whole(entry: Entry) -> str:
-    """Return everything the catalogue knows of one effect."""
+    """Return the whole catalogue entry of one effect."""
     lines = [
         ("effect", f"{entry.name} ({entry.group})"),
         ("equation", entry.equation),

@@ -1,4 +1,4 @@
-"""What a page states first of its source: bench, date and operator."""
+"""Facts at the top of a page on its source: bench, date and operator."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from rig.runs.run_file import read_record
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
-    """Return name and value of what is known of a source: of a run its bench, date and operator; of
-    a campaign its file.
+    """Return names and values of the known facts of a source: for a run bench, date and operator;
+    for a campaign the file.
     """
     if not is_folder(source):
         return (("campaign", source.name),)

@@ -8,7 +8,9 @@ from rig.results.document import Block, Document
 
 
 def page(document: Document) -> str:
-    """Fill the template. Everything is escaped, and a missing name is an error."""
+    """Fill the template. All text is escaped, and a name that the template does not find is an
+    error.
+    """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,
@@ -21,5 +23,5 @@ def page(document: Document) -> str:
 
 
 def _form(block: Block) -> str:
-    """Return the kind of a block, for the template."""
+    """Return the kind of a block for the template."""
     return type(block).__name__

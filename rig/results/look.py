@@ -1,4 +1,4 @@
-"""What is in a log, as text and JSON."""
+"""Output of ``rig look``: the content of a log as text and JSON."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LEVELS = "▁▂▃▄▅▆▇█"
 
 
 def described(look: Look) -> str:
-    """Return what a terminal shows: notes, the clock, and one row a column with its picture."""
+    """Return the terminal text: notes, the clock, and one row per column with a small picture."""
     rows = max((column.samples for column in look.columns), default=0)
     parts = [f"{look.name}: {look.format}, {len(look.columns)} columns, {rows} rows"]
     parts += [f"  {note}" for note in look.notes]
@@ -61,7 +61,7 @@ def _row(column: Column) -> tuple[str, ...]:
 
 
 def picture(strip: Sequence[float]) -> str:
-    """Return values as bars of eight heights; a blank where there is none."""
+    """Return values as bars of eight heights; a blank stands for a missing value."""
     known = [value for value in strip if math.isfinite(value)]
     if not known:
         return ""

@@ -33,8 +33,8 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return notes on corrections and doubts on reading; of notes that differ only in numbers,
-    the first.
+    """Return notes on corrections and implausible values; of notes that differ only in numbers, the
+    first one.
     """
     alike: dict[str, list[str]] = {}
     for recording in recordings:
@@ -54,5 +54,5 @@ def few_of_each_role(
     most: int,
     roles: Sequence[str] = ("fit", "validate"),
 ) -> list[Drawn]:
-    """Return the first ones of each role, in the order of the roles."""
+    """Return the first recordings of each role, in the order of the roles."""
     return [one for each in roles for one in [one for one in drawn if role(one) == each][:most]]

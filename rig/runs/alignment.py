@@ -16,20 +16,23 @@ from identification.recording import Array
 from identification.signals import quantum
 
 AGREE = 0.02
-"""Age of the encoder's samples, in periods, up to which they count as simultaneous with the
-drive's.
+"""Age of the encoder's samples, in periods, up to which the samples of encoder and drive count as
+simultaneous.
 """
 _SHARE = 0.01
-"""Share of samples that may be older, to tolerate single late stamps."""
+"""Share of samples that may be older, so that single late stamps are tolerated."""
 _BLOCKS = 500
 _LEAST = 5.0
-"""Percentile of a block that counts as its least age, so that single early stamps do not count."""
+"""Percentile of a block that counts as its least age, so that single early stamps have no effect.
+"""
 _FILLED = 3
-"""Samples of the encoder in a row, overwritten before the drive's next, that are interpolated."""
+"""Greatest number of consecutive encoder samples that are interpolated because the encoder
+overwrote them before the drive's next sample.
+"""
 
 
 def taken_at(reference: Array, stamps: Array) -> Array:
-    """Return the sampling times of another clock in the reference's time, s, shape (n,).
+    """Return the sampling times of an encoder by the reference clock, s, shape (n,).
 
     A sample is logged after it was taken, with almost no delay at some phase of the beat. So the
     line between the clocks is the highest one with almost no sample in the future: the edge of the
@@ -65,8 +68,8 @@ def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, 
 def aligned(
     channels: Mapping[str, Array], stamps: Array, averaged: frozenset[str], gear_ratio: float
 ) -> tuple[dict[str, Array], str]:
-    """Return the channels on one time base, and a note on the correction; unchanged if the clocks
-    agree.
+    """Return the channels on one time base, and a note on the correction; the channels are
+    unchanged if the clocks agree.
 
     The finer encoder keeps its counts. If this is the joint encoder, all other channels are
     interpolated to its sampling times; averaged channels remain means, over its period.
@@ -129,7 +132,9 @@ def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
 
 
 def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
-    """Return a channel at other instants; a mean as the mean over the period that ends there."""
+    """Return a channel at other times; for an averaged channel, the mean over the period that ends
+    at each time.
+    """
     if not mean:
         return np.interp(instants, time, values)
     period = float(np.median(np.diff(time)))

@@ -12,11 +12,11 @@ from identification.recording import Array
 LEAST_DRIFT_PPM = 1.0
 """Least drift that is reported, ppm; crystals have 20 to 100."""
 LATE_PERIODS = 1.0
-"""Periods after which an answer is late."""
+"""Number of periods after which an answer counts as late."""
 
 
 def drift_ppm(reference: Array, other: Array) -> float | None:
-    """Return how much faster the other clock runs, ppm, or None if either does not run forward.
+    """Return by how much the other clock runs faster, ppm; None if a clock does not run forward.
 
     Computed from the medians of the first and last fifth, so that single late stamps have no
     influence.
@@ -36,7 +36,7 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
 
 
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
-    """Return messages on gaps, late answers and drifting clocks; empty without any.
+    """Return messages on gaps, late answers and drifting clocks; empty if there are none.
 
     If drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; if
     the encoder is free-running, :mod:`rig.runs.alignment` corrects it.
@@ -60,7 +60,7 @@ def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str
     late = host - time > LATE_PERIODS * period
     if np.any(late):
         notes.append(
-            f"{100.0 * float(np.mean(late)):.2g} % of the answers came later than a period"
+            f"{100.0 * float(np.mean(late)):.2g} % of the answers came more than one period late"
         )
     for ours, theirs, words in (
         (time, drive, "drive's clock {} host's"),

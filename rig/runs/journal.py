@@ -1,4 +1,4 @@
-"""Interface through which a sequencer records the progress of a run."""
+"""Interface through which the sequencer stores the progress of a run."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from rig.runs.run_record import Weighing
 
 
 class Journal(Protocol):
-    """Keeps the state of the run on disk."""
+    """Object that keeps the state of the run on disk."""
 
     def stage_started(self, index: int) -> None:
         """Stage ``index`` begins."""
@@ -41,5 +41,5 @@ class Journal(Protocol):
         ...
 
     def segment_finished(self, segment: int, time: float) -> None:
-        """It is complete."""
+        """The excitation that was started last is complete."""
         ...

@@ -11,7 +11,7 @@ def partial_names(dataset: Dataset) -> list[str]:
 
 
 def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
-    """Return the warning that a result of such recordings carries; empty where all were
+    """Return the warning of a result from recordings that were not finished; empty if all were
     finished.
     """
     names = partial_names(dataset)
@@ -19,21 +19,21 @@ def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
         return ()
     were = "was" if len(names) == 1 else "were"
     return (
-        f"partial result: the run stopped before {', '.join(names)} {were} finished; what is not "
-        f"recorded there is "
-        "missing from the result, and of a motion cut short the intervals can be too narrow; `rig "
+        f"partial result: the run stopped before {', '.join(names)} {were} finished; the "
+        "result lacks the motion that was not recorded, and with a shortened motion the "
+        "intervals can be too narrow; `rig "
         "resume` finishes the "
         "run",
     )
 
 
 def without_partial(dataset: Dataset) -> str:
-    """Return the remedy of an error that an unfinished recording may cause where finished ones
-    exist too.
+    """Return the remedy of an error that an unfinished recording may cause, if finished recordings
+    exist as well.
     """
     finished = any(not recording.partial for recording in dataset.recordings)
     return (
-        "; without --partial finished excitations alone are taken"
+        "; without --partial, only finished excitations are used"
         if partial_names(dataset) and finished
         else ""
     )

@@ -1,4 +1,4 @@
-"""Input files of a run, found by their entries in ``run.json``."""
+"""Finds the input files of a run by their entries in ``run.json``."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rig.common.text import stored_path, valid
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
-    """Return an input file's path for ``run.json``: absolute, as a run may go on from another
-    folder.
+    """Return the path of an input file for ``run.json``; it is absolute, because a run may be
+    resumed from another working folder.
     """
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
 
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
-    """Return the present path of an input file of a run; it may not exist.
+    """Return the present path of an input file of a run; the file may not exist.
 
     Older run files have the path as typed. If it is not valid from the current folder, it is tried
     from the parent folders of the run, as the run was probably started in one of these.

@@ -1,5 +1,5 @@
-"""Writes the recording of a run: samples, events and raw frames into MCAP, safe against the writer
-being killed.
+"""Writes samples, events and raw frames of a run into an MCAP recording, from which a killed writer
+loses only the last data.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ FLUSH_NS = 100_000_000
 
 
 class Recorder:
-    """An open recording.
+    """A recording that is being written.
 
     Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
@@ -79,7 +79,7 @@ class Recorder:
             raise _failed(error) from error
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
-        """Record an event with JSON details, and hand it to the operating system at once.
+        """Record an event with JSON details, and pass it to the operating system immediately.
 
         Raises:
             StorageError: It cannot be written.
@@ -91,8 +91,8 @@ class Recorder:
             self._writer.flush()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
-        """Record frames seen outside the control cycle, and hand them to the operating system at
-        once.
+        """Record frames from outside the control cycle, and pass them to the operating system
+        immediately.
 
         Raises:
             StorageError: They cannot be written.
@@ -139,7 +139,9 @@ class Recorder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write no more after the first failure: a reader cannot read records behind a torn one."""
+        """Permit no write after the first failure, because a reader cannot read records after an
+        incomplete one.
+        """
         if self._broken:
             raise _broken_before()
         try:
@@ -149,7 +151,7 @@ class Recorder:
             raise _failed(error) from error
 
     def close(self) -> None:
-        """Write the index and close; safe to call twice.
+        """Write the index and close the file; further calls do nothing.
 
         Raises:
             StorageError: The end could not be written; ``rig recover`` repairs such a file.
@@ -180,7 +182,9 @@ def _failed(error: OSError) -> StorageError:
 
 
 def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:
-    """Close the stream; one that failed before would only fail again on its leftover buffer."""
+    """Close the stream; the error of a broken stream is ignored, because a stream that failed
+    before fails again on the rest of its buffer.
+    """
     try:
         stream.close()
     except OSError:

@@ -1,5 +1,5 @@
-"""Repairs a run whose writer died: a clean recording of all readable records, and ``run.json``
-completed from it.
+"""Repairs a run whose writer died: writes a clean recording of all readable records, and completes
+``run.json`` from it.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ class Recovery:
 
 
 def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
-    """Lock a run folder meanwhile, and :func:`mend` it.
+    """Lock a run folder, and repair it with :func:`mend`.
 
     Args:
         folder: The run.
@@ -65,7 +65,7 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
 
 
 def mend(folder: Path) -> Recovery:
-    """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``.
+    """Replace damaged recordings by clean ones, keep the damaged files, and complete ``run.json``.
 
     A whole run is left alone.
 
@@ -92,12 +92,14 @@ def mend(folder: Path) -> Recovery:
 
 
 def damaged_name(file: str) -> str:
-    """Return the name under which the damaged file is preserved."""
+    """Return the name under which a damaged file is kept."""
     return f"{Path(file).stem}.damaged{Path(file).suffix}"
 
 
 def _never_begun(path: Path) -> bool:
-    """Whether a recording died before its first byte; an empty file is removed."""
+    """Return whether the recording is empty because its writer died before the first byte; remove
+    the empty file.
+    """
     if path.exists() and path.stat().st_size:
         return False
     path.unlink(missing_ok=True)
@@ -108,7 +110,9 @@ def _mend(path: Path, log: Log) -> None:
     """Replace a damaged recording by a clean one."""
     damaged = path.with_name(damaged_name(path.name))
     if damaged.exists():
-        raise InputError(f"{damaged}: is there from an earlier recovery; move it away first")
+        raise InputError(
+            f"{damaged}: this file exists from an earlier recovery; move the file away first"
+        )
     clean = path.with_name(f".{path.stem}.new.mcap")
     clean.unlink(missing_ok=True)
     _copy(log, open_recorder(clean))
@@ -117,7 +121,7 @@ def _mend(path: Path, log: Log) -> None:
 
 
 def _record(folder: Path) -> tuple[RunRecord, list[str]]:
-    """Return the last ``run.json``, and what is wrong with it.
+    """Return the last ``run.json``, and a text on its errors.
 
     Where it is lost or cannot be used, the one that is attached to the latest recording takes its
     place.
@@ -150,7 +154,7 @@ def _attached(folder: Path) -> bytes | None:
 
 
 def _copy(log: Log, recorder: Recorder) -> None:
-    """Write everything readable into a new recording, in order of time."""
+    """Write all readable records into a new recording, in order of time."""
     try:
         for name, values in log.metadata.items():
             recorder.metadata(name, values)
@@ -170,7 +174,9 @@ def _copy(log: Log, recorder: Recorder) -> None:
 
 
 def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
-    """Determine from events and samples which excitations were finished, and how the run ended."""
+    """Determine from events and samples which excitations were finished and how the run ended, and
+    write both into the record.
+    """
     record.segments = []
     for number, log in enumerate(logs, start=1):
         _add_segments(record, number, log)
@@ -195,14 +201,16 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value
         record.message = (
-            f"samples of {', '.join(short)} are lost from the recording; `rig "
-            f"resume` does that again"
+            f"samples of {', '.join(short)} are missing from the recording; `rig resume` "
+            "repeats this stage"
         )
     record.stage_ended(record.state)
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:
-    """Add the excitations that one recording saw begin; one short of samples has no end."""
+    """Add the excitations that began in one recording; an excitation with missing samples gets no
+    end.
+    """
     for event in log.events:
         if event["event"] == "prompt":
             discard(record, event["index"])

@@ -41,7 +41,7 @@ class Resumption:
 
 
 def prepare(folder: Path) -> Resumption:
-    """Repair a run if its writer died, and find the stage to go on with.
+    """Repair a run if its writer died, and find the stage with which the run continues.
 
     Recordings of the unfinished stage are discarded.
 
@@ -57,7 +57,7 @@ def prepare(folder: Path) -> Resumption:
     stage = first_unfinished(record)
     if stage is None:
         raise InputError(
-            f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with"
+            f"{folder}: all {len(record.stages)} stages are done; there is no stage to resume"
         )
     bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
     sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
@@ -70,24 +70,28 @@ def prepare(folder: Path) -> Resumption:
 
 
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
-    """Return the path of an input file, which must be the one the run began with."""
+    """Return the path of an input file, after a check that the file is unchanged since the start of
+    the run.
+    """
     entry = record.inputs[name]
     path = recorded_input(folder, entry)
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
     if name == BENCH_ATTACHMENT and record.simulated:
         attached = attached.replace(")", ", without the simulated machine's true constants)")
-    remedy = f"put the file of that time back{attached}, or start a new run"
+    remedy = f"restore the file that the run began with{attached}, or start a new run"
     try:
         digest = sha256_file(path)
     except OSError as error:
         text = (
-            f"{path}: {folder} was run with it, and it cannot be read: {error.strerror}; {remedy}"
+            f"{path}: {folder} was run with this file, which cannot be read: {error.strerror}; "
+            f"{remedy}"
         )
         raise InputError(text) from error
     if digest != entry["sha256"]:
         then, now = entry["sha256"][:12], digest[:12]
         raise InputError(
-            f"{path}: changed since {folder} was run with it (SHA-256 {then}, now {now}); {remedy}"
+            f"{path}: changed since {folder} was run with this file (SHA-256 {then}, now "
+            f"{now}); {remedy}"
         )
     return path
 

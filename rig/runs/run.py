@@ -1,4 +1,4 @@
-"""The run folder: ``run.json``, always up to date, and the recordings for identification."""
+"""The run folder: writes ``run.json`` during a run, and reads the recordings for identification."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LEAST_SAMPLES = 2
 
 
 class RunFolder:
-    """A run folder being written; a :class:`rig.runs.journal.Journal`.
+    """A run folder that is being written; a :class:`rig.runs.journal.Journal`.
 
     Args:
         path: The folder.
@@ -41,11 +41,11 @@ class RunFolder:
 
     @property
     def recording(self) -> Path:
-        """The file of the recording being written."""
+        """Path of the recording that is being written."""
         return self.path / self.record.parts[-1].file
 
     def save(self) -> None:
-        """Replace ``run.json`` as a whole, so that no reader sees a part of it.
+        """Replace ``run.json`` as a whole, so that no reader sees an incomplete file.
 
         Raises:
             StorageError: It cannot be written; the last version stays.
@@ -67,28 +67,28 @@ class RunFolder:
         self.save()
 
     def stage_started(self, index: int) -> None:
-        """Note that a stage begins; its earlier recordings are not used any more."""
+        """Store that a stage begins; earlier recordings of this stage are no longer used."""
         discard(self.record, index)
         self.record.stages[index].state = "running"
         self.save()
 
     def weight_confirmed(self, index: int, weight_kg: float) -> None:
-        """Note the mass that the operator confirmed."""
+        """Store the mass that the operator confirmed."""
         self.record.stages[index].confirmed_kg = weight_kg
 
     def weighed(self, weighing: Weighing) -> None:
-        """Note a weight check."""
+        """Store the result of a weight check."""
         self.record.weights.append(
             {**dataclasses.asdict(weighing), "verdict": weighing.verdict.value}
         )
 
     def stage_finished(self, index: int) -> None:
-        """Note that a stage is complete and the drive de-energised."""
+        """Store that a stage is complete and the drive is de-energised."""
         self.record.stages[index].state = "done"
         self.save()
 
     def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
-        """Note that an excitation begins at ``time`` s of the recording."""
+        """Store that an excitation begins at ``time`` s of the recording."""
         record = self.record
         record.segments.append(
             record.stages[stage].segment(segment, stage, repeat, time, len(record.parts))
@@ -96,7 +96,7 @@ class RunFolder:
         self.save()
 
     def segment_finished(self, segment: int, time: float) -> None:
-        """Note that it is complete."""
+        """Store that the excitation is complete."""
         next(item for item in self.record.segments if item.index == segment).end = time
         self.save()
 
@@ -109,12 +109,12 @@ def discard(record: RunRecord, stage: int) -> None:
 
 
 def first_unfinished(record: RunRecord) -> int | None:
-    """Return the index of the first stage that is not done, or None."""
+    """Return the index of the first unfinished stage; None if all stages are done."""
     return next((index for index, stage in enumerate(record.stages) if stage.state != "done"), None)
 
 
 def part_file(number: int) -> str:
-    """Return the file name of a run's recording, from 1."""
+    """Return the file name of a recording of a run; ``number`` counts from 1."""
     return RECORDING_FILE if number == 1 else f"recording-{number}.mcap"
 
 
@@ -136,7 +136,7 @@ def bench_constants(bench: Bench) -> BenchConstants:
 
 
 def create_folder(path: Path, purpose: str) -> Lock:
-    """Make the folder of a new run, and lock it; whoever gets the lock releases it.
+    """Make the folder of a new run, and lock it; the caller must release the lock.
 
     Args:
         path: The folder.
@@ -162,7 +162,7 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder does not exist or holds nothing but the lock.
+    """Check that a folder does not exist, or contains nothing but the lock.
 
     Raises:
         InputError: It is not empty, or cannot be looked into.
@@ -227,16 +227,16 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
 
 def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
-    """Return the error of a run that holds no recording to be used."""
+    """Return the error of a run without a usable recording."""
     # If a recording is unreadable, report that instead.
     run_samples.read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"
     if partial:
         return InputError(
-            f"{folder}: no excitation was recorded {state}; there is nothing to take from this run"
+            f"{folder}: no excitation was recorded {state}; this run has no data to evaluate"
         )
     unfinished = any(segment.kept for segment in record.segments)
-    remedy = "--partial takes what was recorded" if unfinished else "no excitation was begun either"
+    remedy = "--partial uses the recorded part" if unfinished else "no excitation has begun"
     return InputError(f"{folder}: no stage was finished {state}; {remedy}")
 
 
@@ -248,8 +248,8 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation; ``samples`` is emptied meanwhile, since a long run would not fit in
-    memory twice.
+    """Return one excitation as a recording; ``samples`` is emptied at the same time, because a long
+    run does not fit into memory twice.
     """
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None
@@ -258,8 +258,8 @@ def _recording(
         fresh, samples = fresh[:stop], {name: values[:stop] for name, values in samples.items()}
     elif len(fresh) != segment.samples:
         raise InputError(
-            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though "
-            f"it was finished"
+            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are in the "
+            "recording, although the excitation was finished"
             f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
         )
     if not fresh.all():
@@ -274,12 +274,14 @@ def _recording(
             f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}",
         )
     if not fresh.all():
-        notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
+        notes.append(
+            f"{int(np.sum(~fresh))} samples left out, because the answer of a device was missing"
+        )
     left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
     if left_out:
         notes.append(
-            f"{', '.join(left_out)} not read: a run of this length would not fit into memory with "
-            f"them"
+            f"{', '.join(left_out)} not read: with these channels, a run of this length would "
+            "not fit into memory"
         )
     channels, words = aligned({**samples, "time": time}, encoder_time, AVERAGED, bench.gear_ratio)
     if words:
@@ -300,8 +302,8 @@ def _recording(
 
 
 def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[str]]:
-    """Return the times of the samples, s, and notes on the clocks; takes the clocks out of
-    ``samples``.
+    """Return the times of the samples, s, and notes on the clocks; the clock channels are removed
+    from ``samples``.
     """
     time, device_time = samples.pop("time"), samples.pop("device_time")
     notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)

@@ -1,4 +1,6 @@
-"""Reads and fully validates ``run.json`` of this or an older version, since users may edit it."""
+"""Reads and fully validates ``run.json`` of this or an older version; the validation is needed
+because users may edit the file.
+"""
 
 from __future__ import annotations
 
@@ -33,13 +35,15 @@ from rig.runs.run_record import (
 
 @dataclass(frozen=True)
 class _Constants(BenchConstants):
-    """The constants of a bench, as ``run.json`` must hold them."""
+    """Constants of a bench that ``run.json`` must contain."""
 
     __pydantic_config__ = STRICT
 
 
 _ADDED = {"gas_generator": None}
-"""Constants that runs of an older program do not state: they had no hot firings."""
+"""Constants that older versions of ``run.json`` do not contain, because those versions had no hot
+firings.
+"""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
 _MUST_HOLD = {
@@ -54,7 +58,9 @@ _MUST_HOLD = {
 
 @functools.cache
 def _adapter(record: type[Any]) -> TypeAdapter[Any]:
-    """Return the validator of a record, whose making takes longer than a validation."""
+    """Return the validator of a record; it is cached, because creating it takes longer than a
+    validation.
+    """
     return TypeAdapter(record)
 
 
@@ -87,7 +93,7 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete the record of an older version without hot firings, further recordings or stage
+    """Complete a record of an older version, which lacks hot firings, further recordings or stage
     ends.
     """
     if isinstance(raw.get("bench"), dict):
@@ -118,7 +124,9 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 
 def _ended(stage: Any, state: str) -> Any:
-    """Return a stage with its final state, if it is still running in a run that has ended."""
+    """Return a stage with its final state if the record says that the stage runs although the run
+    has ended.
+    """
     return (
         {**stage, "state": state}
         if isinstance(stage, dict) and stage.get("state") == "running"
@@ -127,8 +135,8 @@ def _ended(stage: Any, state: str) -> Any:
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
-    """Return the constants of the bench that a run was made on; ``record`` was read with
-    :func:`read_record`.
+    """Return the constants of the bench on which a run was made; :func:`read_record` must have read
+    ``record``.
     """
     burns = record.bench["gas_generator"]
     rebuilt = (
@@ -140,10 +148,10 @@ def recorded_bench(record: RunRecord) -> BenchConstants:
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
-    """Yield errors beyond types: missing constants and dangling references."""
+    """Yield the errors that type checks do not find: missing constants and dangling references."""
     missing = _BENCH - set(record.bench)
     for name in sorted(missing):
-        yield ("bench", name), "missing; every constant must be stated, as there is no safe default"
+        yield ("bench", name), "missing; state every constant, because a default would not be safe"
     if not missing:
         try:
             _adapter(_Constants).validate_json(json.dumps(record.bench), strict=True)

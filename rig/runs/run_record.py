@@ -1,4 +1,4 @@
-"""Records in ``run.json``."""
+"""Data classes of the content of ``run.json``."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
 FEEDFORWARD_INPUT = "feedforward.json"
-"""The identification that the drive's torque offsets were computed from, under the inputs and as
-attachment.
+"""Name of the identification from which the torque offsets of the drive were computed, as input of
+a run and as attachment.
 """
 DIED = "died"
 """State of a recording whose writer died."""
@@ -62,13 +62,13 @@ class StageRecord:
 
     @property
     def mass_kg(self) -> float:
-        """The confirmed mass, or the planned one if none was confirmed yet, kg."""
+        """The confirmed mass or, before a confirmation, the planned mass, kg."""
         return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
 
     def segment(
         self, index: int, stage_index: int, repeat: int, start: float, part: int
     ) -> SegmentRecord:
-        """Return the initial record of this stage's excitation number ``repeat``, from 1."""
+        """Return the initial record of an excitation of this stage; ``repeat`` counts from 1."""
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
         return SegmentRecord(
             index,
@@ -85,7 +85,7 @@ class StageRecord:
 
 @dataclass
 class SegmentRecord:
-    """One excitation: which stage it belongs to, and when it ran.
+    """One excitation: the stage to which it belongs, and the times of its start and end.
 
     Attributes:
         index: Number from 1, unique in the run; the samples carry it.
@@ -118,7 +118,7 @@ class SegmentRecord:
 
 @dataclass
 class PartRecord:
-    """One recording of a run: the first, or that of a ``rig resume``.
+    """One recording of a run: the first recording, or a recording of a ``rig resume``.
 
     Attributes:
         file: File of the run folder.
@@ -150,7 +150,7 @@ class PartRecord:
 
 @dataclass
 class RunRecord:
-    """Everything in ``run.json``.
+    """The whole content of ``run.json``.
 
     Attributes:
         name: Name of the sequence.
@@ -212,7 +212,7 @@ class RunRecord:
     schema: str = SCHEMA
 
     def stage_ended(self, state: str) -> None:
-        """Set the state of the current stage, if any; ``state`` is the state of the run.
+        """Set the state of the current stage, if there is one; ``state`` is the state of the run.
 
         A stage that is still going on when the run is done has failed.
         """
@@ -232,7 +232,7 @@ class Ending(Enum):
 
 
 class Verdict(Enum):
-    """Verdict of a weight check."""
+    """Result of a weight check."""
 
     RIGHT = "right"
     WRONG = "wrong"
@@ -241,7 +241,7 @@ class Verdict(Enum):
 
 @dataclass(frozen=True)
 class Weighing:
-    """One weight check.
+    """Data of one weight check.
 
     Attributes:
         stage: Name of the stage.

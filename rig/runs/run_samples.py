@@ -1,4 +1,6 @@
-"""Reads the samples of a run by segment: streamed from a complete recording, else read at once."""
+"""Reads the samples of a run by segment: streams a complete recording, and reads an incomplete one
+as a whole.
+"""
 
 from __future__ import annotations
 
@@ -29,12 +31,12 @@ CHANNELS = (
     "temperature",
 )
 MOST_SAMPLES = 5_000_000
-"""Samples of one recording above which :data:`LEFT_OUT` is not read: ten hours at 1 kHz fit into 4
-GiB without.
+"""Number of samples of one recording above which the channels :data:`LEFT_OUT` are not read; ten
+hours at 1 kHz fit into 4 GiB without these channels.
 """
 _MOST_PER_BYTE = 4
-"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json with more
-is wrong.
+"""Greatest number of samples per byte of a recording, because LZ4 packs 255 bytes into 1; a
+``run.json`` that states more samples is wrong.
 """
 
 Samples = dict[str, Array]
@@ -43,7 +45,7 @@ Samples = dict[str, Array]
 def by_segment(
     path: Path, segments: Sequence[SegmentRecord], *, whole: bool
 ) -> tuple[dict[int, Samples], str | None]:
-    """Return segment index to samples (stale ones included), and a message on damage.
+    """Return segment index to samples (stale samples included), and a message on damage.
 
     Args:
         path: The recording.
@@ -88,8 +90,8 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
 
 
 class _Growing:
-    """One field of a segment, filled in place: joining blocks at the end would need memory for a
-    long run twice.
+    """One field of a segment, filled in place, because joining blocks at the end would need twice
+    the memory for a long run.
     """
 
     def __init__(self, expected: int) -> None:
@@ -97,7 +99,7 @@ class _Growing:
         self._count = 0
 
     def extend(self, values: Array) -> None:
-        """Add values; beyond the expected number by copying."""
+        """Add values; values beyond the expected number are added by copying the field."""
         stop = self._count + len(values)
         if stop > len(self._values):
             self._values = np.concatenate(
@@ -107,7 +109,7 @@ class _Growing:
         self._count = stop
 
     def done(self) -> Array:
-        """Return the added values."""
+        """Return all added values."""
         return self._values[: self._count]
 
 
@@ -116,7 +118,7 @@ def _gather(
     fields: Mapping[int, Sequence[str]],
     expected: Mapping[int, int],
 ) -> dict[int, Samples]:
-    """Return the samples of each segment out of blocks of all."""
+    """Return the samples of each segment from blocks of samples of all segments."""
     held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}
     for block in blocks:
         for k, names in fields.items():

@@ -1,8 +1,9 @@
-"""SHA-256 of a run's files, kept in its folder as ``SHA256SUMS``.
+"""Writes the SHA-256 of a run's files into ``SHA256SUMS`` in the run folder.
 
-The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` verifies it without
-this program. It shows damage and edits, but not who made them: whoever can write the folder can
-write this file as well. A certificate on paper, or kept elsewhere, holds the digests against that.
+The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` verifies the files
+without this program. The digests show damage and edits, but not who made them: a person who can
+write the folder can also write this file. A certificate that is kept elsewhere, for example on
+paper, protects the digests against that.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ _LINE = re.compile(r"([0-9a-f]{64}) [ *](.+)")
 
 
 def seal(folder: Path, names: Iterable[str]) -> dict[str, str]:
-    """Record the digests of files as they are now; those of other files stay.
+    """Write the digests of the present files; digests of other files stay.
 
     Args:
         folder: The run folder.
@@ -55,7 +56,7 @@ def seal_run(folder: Path, record: RunRecord) -> dict[str, str]:
 
 
 def read_seal(folder: Path) -> Mapping[str, str]:
-    """Return name to digest of the sealed files; empty without a seal.
+    """Read the seal: return name to digest; empty if the folder has no seal.
 
     Raises:
         InputError: The seal is damaged.

@@ -1,6 +1,7 @@
-"""The truth behind a simulated bench, for the tables of a demonstration.
+"""True parameters of a simulated bench, for the tables of a demonstration.
 
-Only code that prints uses this, after the estimators are done; their dataset does not contain it.
+Only code that prints uses this module, after the estimators have finished; the dataset of the
+estimators does not contain the true parameters.
 """
 
 from __future__ import annotations
@@ -28,17 +29,18 @@ JOINT_FIELDS = {
     "omega_sL": "omega_sL_rad_s",
     "mu_2": "mu_2_s_rad",
 }
-"""Estimator's parameter name to that of the simulated joint."""
+"""Parameter name of the estimators to the name in the simulated joint."""
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
-    """Return a simulated machine's nine parameters under the names of the estimators, SI units."""
+    """Return the nine parameters of a simulated machine under the names of the estimators, SI
+    units.
+    """
     return {name: getattr(machine.joint, field) for name, field in JOINT_FIELDS.items()}
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on the simulated bench, or None where they are
-    unavailable.
+    """Return the true parameters of a run on a simulated bench; None if they are not available.
 
     The run does not contain them. They come from its bench file, if that still exists or is
     packaged under the same name, with the same SHA-256. A bench with injected effects gives none.

@@ -1,4 +1,6 @@
-"""Reads recordings of other programs: one reader per file format, conversion to SI channels."""
+"""Reads recordings of other programs: one reader for each file format, and the conversion to
+channels in SI units.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Builds recordings in SI units from one file and its entry in the campaign."""
+"""Builds recordings in SI units from one file and the entry of this file in the campaign."""
 
 from __future__ import annotations
 
@@ -41,11 +41,9 @@ from rig.sources.stamps import even_stamps
 Rows = NDArray[np.intp]
 
 ANGLES = ("motor_angle", "angle")
-"""Channels in which uneven samples are seen, the finer first."""
+"""Channels that show whether samples are uneven, the finer channel first."""
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
-"""Channels that are often logged at a lower rate; any number of their missing samples is
-interpolated.
-"""
+"""Channels that are often logged at a lower rate; all their missing samples are interpolated."""
 
 
 def build(
@@ -166,7 +164,7 @@ def _windowed(
 
 
 def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
-    """Return notes on the known loads of one recording that act at every angle."""
+    """Return notes on those known loads of one recording that are the same at every angle."""
     unit = "N" if bench.motion == "linear" else "N m"
     notes = []
     if section.constant_torque:
@@ -186,7 +184,7 @@ def _load_notes(section: RecordingSection, bench: Bench) -> list[str]:
 def _mend(
     table: Table, channels: dict[str, Array], skipped: int, *, stamped: bool
 ) -> tuple[dict[str, Array], Timing, list[str]]:
-    """Check time, fill isolated missing samples, drop repeated time stamps.
+    """Check the time, fill isolated missing samples, and drop repeated time stamps.
 
     Rows of other topics are dropped only if rows have time stamps (``stamped``); with a rate, each
     row is a sample. ``skipped`` is the number of rows of the table before these channels.
@@ -220,7 +218,7 @@ def _mend(
 
 
 def _power_off(table: Table, channels: dict[str, Array], rows: Rows) -> Mask | None:
-    """Return in which rows the power stage is off, and set ``enabled`` to 0 or 1."""
+    """Return a mask of the rows in which the power stage is off, and set ``enabled`` to 0 or 1."""
     if "enabled" not in channels:
         return None
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
@@ -251,7 +249,7 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
 def _without_other_topics(
     channels: dict[str, Array],
 ) -> tuple[dict[str, Array], list[str], Rows]:
-    """Drop rows that contain a time and no channel: rows of another topic in a sparse log.
+    """Drop rows that contain a time but no channel; a log of several topics has such rows.
 
     If there are few such rows, they count as missing samples, which are interpolated instead.
     """
@@ -266,13 +264,13 @@ def _without_other_topics(
 
 
 def _apart(name: str, channels: dict[str, Array]) -> str:
-    """Return a remedy if a channel has no row in common with another channel."""
+    """Return a remedy if two channels have no row in common; else an empty text."""
     known = np.isfinite(channels[name])
     for other, values in channels.items():
         if other != name and not np.any(known & np.isfinite(values)):
             return (
-                f"; it has no row in common with `{other}`: they belong to different topics, so "
-                "bring them to one time base first"
+                f"; it has no row in common with `{other}`: the two channels belong to "
+                "different topics, so bring both to one time base first"
             )
     return ""
 
@@ -304,8 +302,8 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 
 
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
-    """Return a recording whose channels have the same times, on even times if only its stamps are
-    uneven.
+    """Return a recording whose channels have common times; if only the stamps are uneven, the times
+    are even.
     """
     if stamps is None:
         return _on_even_stamps(recording)

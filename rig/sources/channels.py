@@ -1,4 +1,4 @@
-"""Reads the columns that a campaign maps: canonical channels in SI units on one time base."""
+"""Reads the columns that a campaign maps, as canonical channels in SI units on one time base."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def read_channels(
 def on_one_time(
     table: Table, columns: Mapping[str, int], data: Mapping[int, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Unwrap counters, and bring the channels to the time base of the column of time.
+    """Unwrap counters, and resample the channels at the time stamps of the column of time.
 
     Args:
         table: The opened file.
@@ -86,7 +86,7 @@ def on_one_time(
 def _columns(
     table: Table, section: RecordingSection, document: Document[Campaign], index: int
 ) -> tuple[dict[str, int], list[str]]:
-    """Return the index of each channel's column, and notes on names that were completed.
+    """Return the index of each channel's column, and notes on incomplete names that were completed.
 
     Raises:
         InputError: There is no such column, or several.
@@ -114,7 +114,7 @@ def _base(table: Table, column: int) -> int:
 def _joined(
     table: Table, columns: Mapping[str, int], raw: dict[str, Array]
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Bring channels of several time bases to that of the column of time.
+    """Resample channels of several time bases at the time stamps of the column of time.
 
     Raises:
         InputError: No column of time says which base is wanted, or the file has no common clock.
@@ -146,7 +146,7 @@ def _joined(
 
 
 def _find(table: Table, column: str | int) -> int | str:
-    """Return a column's index, or an error message."""
+    """Return a column's index, or an error message if the column is not found."""
     if isinstance(column, int):
         count = len(table.names)
         return (

@@ -1,4 +1,4 @@
-"""Guesses which column of a recording is which channel, from the names and units of the columns."""
+"""Guesses the channel of each column of a recording from the names and units of the columns."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ UNITS: Final[Mapping[str, tuple[str, float]]] = {
     "mpa": ("Pa", 1e6),
     "bar": ("Pa", 1e5),
 }
-"""SI unit and scale of each unit as files write it (lower case, no blanks)."""
+"""Unit as files write it (lower case, no blanks) to its SI unit and scale."""
 _NAMES: Final[Mapping[str, str]] = {
     "time": r"t|time|timestamp|zeit|stamp|seconds|elapsed",
     "supply_voltage": r"supply|u_?dc|v_?dc|vbus|dc_?link|battery",
@@ -67,11 +67,11 @@ _NAMES: Final[Mapping[str, str]] = {
     "temperature": r"temp|temperature|t_?motor",
     "pressure": r"p|pressure|druck|chamber_?pressure",
 }
-"""Usual column names of each channel; more specific channels come first."""
+"""Channel to its usual column names; more specific channels come first."""
 
 
 class Guess(NamedTuple):
-    """The column that is guessed for a channel.
+    """Column that is guessed for a channel.
 
     Attributes:
         column: Name, or index if the columns have no names.
@@ -85,7 +85,8 @@ class Guess(NamedTuple):
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """Return a column's name without its unit, and the unit in lower case; empty for none.
+    """Return a column's name without its unit, and the unit in lower case; the unit is empty if
+    there is none.
 
     ``current [mA]``, ``current (mA)``, ``current/mA`` and ``current_mA`` name a unit.
     """

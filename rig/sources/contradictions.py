@@ -1,6 +1,7 @@
-"""Notes on channels that contradict each other or themselves: wrong units, signs, single outliers.
+"""Notes on channels that contradict each other or themselves: wrong units, wrong signs, single
+outliers.
 
-Each function is a pure function that yields notes. A note changes no data and leaves no data out.
+Each function is a pure function that yields notes. A note neither changes data nor leaves data out.
 """
 
 from __future__ import annotations
@@ -18,18 +19,18 @@ from rig.sources.formats import Table
 BLOCK_S = 0.02
 """Time over which samples are averaged before a position is differentiated, s."""
 FACTOR_TOLERANCE = 0.1
-"""Relative deviation of a measured speed from the derivative of the position above which there is a
-note.
+"""Relative deviation of a measured speed from the derivative of the position above which a note is
+given.
 """
 AGREEMENT = 0.9
-"""Correlation of speed and derivative above which their ratio is meaningful."""
+"""Correlation of speed and derivative above which the ratio of the two is meaningful."""
 BOTH_WAYS = 0.1
-"""Least share of the motion in each direction for a current that must change its sign."""
+"""Least share of the motion in each direction for the check that the current changes its sign."""
 ALIKE = 1.5
 """Greatest ratio of the efforts in both directions at which a log may contain magnitudes only."""
 FAR = 100.0
-"""Ratio of a sample's distance from its neighbours to that of all other samples above which there
-is a note.
+"""Ratio of a sample's distance from its neighbours to that of all other samples above which a note
+is given.
 """
 OUTLIERS = 3
 """Greatest number of samples of a channel that count as single outliers."""
@@ -42,7 +43,9 @@ _FACTORS = (
 
 
 def unit_row_doubts(table: Table, section: RecordingSection) -> Iterator[str]:
-    """Yield a note for each channel whose unit in the file is not SI while its scale is 1."""
+    """Yield a note for each channel with scale 1 whose unit, by the file's row of units, is not
+    SI.
+    """
     if not table.units:
         return
     for name, channel in section.channels.items():

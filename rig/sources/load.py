@@ -108,7 +108,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _exported(
     file: Path, section: RecordingSection, document: Document[Campaign], index: int
 ) -> Read:
-    """Read a file of ``rig export``, which describes itself.
+    """Read a file of ``rig export``, which contains its own description.
 
     Constants that the campaign states replace the file's, and so does the role.
 
@@ -125,8 +125,9 @@ def _exported(
         raise InputError(
             document.problem(
                 ("recordings", index),
-                f"no `channels`, and {file.name} is no file of `rig export`, which could go "
-                f"without (a CSV file needs {sidecar(file).name} beside it)",
+                "`channels` is missing; only a file of `rig export` needs none, and "
+                f"{file.name} is not such a file (an exported CSV file needs "
+                f"{sidecar(file).name} beside it)",
             )
         )
     unsure = given.uncertainties()

@@ -74,7 +74,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Clock:
-    """The time base of a log, s.
+    """Time base of a log, s.
 
     Attributes:
         column: Index of the column of time.
@@ -101,7 +101,7 @@ class Clock:
 
 @dataclass(frozen=True)
 class Look:
-    """What is in a log.
+    """Content of a log.
 
     Attributes:
         name: Of the file or recording.
@@ -166,7 +166,9 @@ def look_at_file(path: Path, options: ReadSection) -> Look:
 
 
 def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) -> dict[str, Guess]:
-    """Return the guesses with the time of the base that holds most of the other channels."""
+    """Return the guesses, with the time column of the time base that contains most of the other
+    guessed channels.
+    """
     if not table.bases or "time" not in guesses or len(guesses) < 2:
         return guesses
     bases = [table.bases[int(g.column)] for name, g in guesses.items() if name != "time"]
@@ -183,7 +185,7 @@ def _time_of_most(table: Table, leaves: list[str], guesses: dict[str, Guess]) ->
 def _doubts(
     table: Table, series: list[Array | str], guesses: Mapping[str, Guess]
 ) -> tuple[str, ...]:
-    """Return doubts about the guessed channels, as the loading of a campaign has them."""
+    """Return notes on the guessed channels; the loading of a campaign gives the same notes."""
     data = {k: values for k, values in enumerate(series) if isinstance(values, np.ndarray)}
     used = {name: int(g.column) for name, g in guesses.items() if int(g.column) in data}
     if "time" not in used:
@@ -212,7 +214,7 @@ def _doubts(
 
 
 def look_at_recording(recording: Recording) -> Look:
-    """Describe a recording of a run folder or a campaign by its channels, in SI units."""
+    """Describe the channels of a recording from a run folder or a campaign, in SI units."""
     guesses = {name: Guess(k, 1.0, True) for k, name in enumerate(recording.channels)}
     columns = tuple(
         _column(k, name, channel_unit(name) if name in CHANNELS else "", values, guesses)
@@ -223,9 +225,7 @@ def look_at_recording(recording: Recording) -> Look:
 
 
 def _series(table: Table) -> list[Array | str]:
-    """Read every column; for a column that is not numbers, the result has the error message
-    instead.
-    """
+    """Read every column; a column that is not numbers gives an error message instead."""
     every = range(len(table.names))
     try:
         return list(table.read(every))
@@ -278,7 +278,7 @@ def _column(
 
 
 def _step(known: Array) -> float:
-    """Return the least distance of two values if all distances are multiples of it, else 0."""
+    """Return the least distance between two values if all distances are multiples of it; else 0."""
     levels = np.unique(known[: 1 << 20])
     if not 2 <= len(levels) <= max(_COARSE, len(known) // 10):
         return 0.0

@@ -1,4 +1,4 @@
-"""Brings channels that a file holds at several time bases to one of them.
+"""Resamples channels that a file stores at several time bases at the time stamps of one of them.
 
 Pure functions of arrays.
 """
@@ -15,11 +15,13 @@ from identification.recording import Array
 from rig.sources.repair import GAP_PERIODS
 
 SLOWER, FASTER = 0.9, 1.5
-"""Ratio of both rates below which a note says that the course between samples is a guess, and above
-which it says that samples are left out.
+"""Ratio of the rates of both time bases: below the first value, a note states that the course
+between samples is a guess; above the second, a note states that samples are left out.
 """
 EDGE_PERIODS = 1e-6
-"""A row this far outside of another base counts as at its edge, periods: rounding of the stamps."""
+"""Distance from another time base, in periods, up to which a row counts as at its edge; the
+distance covers rounding of the time stamps.
+"""
 HELD = frozenset({"enabled"})
 """Channels that keep their value until the next sample."""
 
@@ -38,13 +40,13 @@ class Base:
 
 
 class StampsError(Exception):
-    """The stamps of a time base cannot be used; the message says why."""
+    """The time stamps of a time base cannot be used; the message states the reason."""
 
 
 def on_one_base(
     channels: Mapping[str, Array], bases: Mapping[str, Base], wanted: Base
 ) -> tuple[dict[str, Array], int, list[str]]:
-    """Interpolate the channels of other time bases at the stamps of the wanted one.
+    """Interpolate the channels of other time bases at the time stamps of the wanted base.
 
     Between samples further apart than :data:`GAP_PERIODS` median periods a value is missing. Rows
     before the first or after the last sample of any channel are left out.

@@ -31,15 +31,15 @@ samples count as unrelated. The ratio is 1 for rows in random order and for nois
 sine of up to a sixth of the sample rate.
 """
 STILL_LEVELS = 8
-"""Greatest number of different values of a position at rest, where an encoder flickers between
-neighbouring counts; the order of such rows does not matter.
+"""Greatest number of different values of a position at rest. At rest an encoder flickers between
+neighbouring counts, and the order of the rows has no effect.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peak of each channel above which a note suggests that its unit is a thousandth of the SI unit."""
 RELATED = 0.9
 """Least correlation of two angles of the same motion."""
 RATIO_TOLERANCE = 0.05
-"""Relative deviation of the measured from the declared gear ratio above which there is a note."""
+"""Relative deviation of the measured from the declared gear ratio above which a note is given."""
 
 
 def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:

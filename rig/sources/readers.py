@@ -1,4 +1,4 @@
-"""Chooses the reader of a file by its extension."""
+"""Chooses the reader of a file by the extension of the file."""
 
 from __future__ import annotations
 
@@ -27,7 +27,9 @@ def _can(path: Path, options: ReadSection) -> Table:
 
 
 def _mdf(path: Path, options: ReadSection) -> Table:
-    """Open a measurement, or the frames of its bus logging where their meaning is given."""
+    """Open the samples of a measurement or, if the meaning of its bus logging is given, the logged
+    frames.
+    """
     return _can(path, options) if options.dbc or options.bench else MdfTable(path, options)
 
 
@@ -53,7 +55,7 @@ FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
     "jsonl": lambda path, _: JsonLinesTable(path),
     "ndjson": lambda path, _: JsonLinesTable(path),
 }
-"""File extension, without dot and without ``.gz``, to reader."""
+"""File extension, without dot and without ``.gz``, to its reader."""
 FOREIGN: Mapping[str, str] = {
     "bag": "a bag of ROS 1; convert it to MCAP with: mcap convert",
     "db3": "a bag of ROS 2; convert it to MCAP with: ros2 bag convert",
@@ -61,23 +63,26 @@ FOREIGN: Mapping[str, str] = {
     "xls": "a workbook; save its sheet as CSV",
     "ods": "a workbook; save its sheet as CSV",
     "lvm": "a text file of LabVIEW; name it .txt, and skip its head with read.skip_rows",
-    "dat": "of many makers; name a text file .csv, an MDF file .mdf",
+    "dat": "an extension that several programs use; rename a text file to .csv, and an MDF "
+    "file to .mdf",
     "pkl": "a pickle, which may run code when it is opened; save it as CSV, Parquet or npz",
     "feather": "an Arrow file; save it as Parquet",
     "nc": "netCDF; name one of version 4, which is HDF5, .h5",
 }
-"""Extensions of files that are not read, to what they are and the remedy."""
+"""Extension of a file that cannot be read, to the kind of file and the remedy."""
 
 
 def unknown_format(path: Path) -> str:
-    """Return the message on a file whose extension names no format that is read."""
+    """Return the error for a file whose extension does not belong to a readable format."""
     words = FOREIGN.get(format_of(path))
     hint = f" ({words})" if words else ""
     return f"unknown format{hint}; readable are {', '.join(FORMATS)}"
 
 
 def _is_hdf5(path: Path) -> bool:
-    """Whether a MATLAB file is of version 7.3; what cannot be read is left to its reader."""
+    """Return whether a MATLAB file is of version 7.3. A file that cannot be opened counts as
+    another version, whose reader reports the error.
+    """
     try:
         return is_hdf5(path)
     except (EOFError, zlib.error):
@@ -85,7 +90,7 @@ def _is_hdf5(path: Path) -> bool:
 
 
 def open_table(path: Path, options: ReadSection) -> Table:
-    """Open a recording file by its extension.
+    """Open a recording file with the reader for its extension.
 
     Raises:
         InputError: The file is empty or damaged.

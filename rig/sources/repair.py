@@ -25,7 +25,7 @@ GAP_PERIODS = 5.0
 MIN_SAMPLES = 50
 """Least number of samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
-"""Spread of the sample period (5 to 95 %), relative to the median, above which there is a note."""
+"""Spread of the sample period (5 to 95 %), relative to the median, above which a note is given."""
 UNEVEN = "uneven sampling kept as recorded"
 """Begin of that note."""
 SLOW_PERIOD_S = 0.5

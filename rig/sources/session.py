@@ -16,7 +16,7 @@ from rig.config.configuration import Document
 
 @dataclass(frozen=True)
 class Read:
-    """The recordings of one file and the file's time span.
+    """The recordings of one file, and the time span of the file.
 
     Attributes:
         recordings: One per piece.

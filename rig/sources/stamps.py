@@ -1,8 +1,9 @@
-"""Time stamps that jitter although the samples were taken evenly, as a host's stamps do.
+"""Corrects time stamps that jitter although the samples were taken evenly, as time stamps of a host
+do.
 
-A stamp that is wrong by d makes an angle wrong by speed times d. Whether the stamps or the samples
-are uneven is seen in the angle: with the right times each sample lies nearer to the curve through
-its neighbours.
+A time stamp with the error d gives an angle with the error speed times d. The angle shows whether
+the stamps or the samples are uneven: with the right times, each sample is nearer to the curve
+through its neighbours.
 """
 
 from __future__ import annotations
@@ -16,19 +17,21 @@ Rows = NDArray[np.intp]
 LEAST_JITTER = 0.005
 """Deviation of the stamps from a grid, rms, in periods, below which they count as even."""
 MOST_OFF = 0.25
-"""Greatest mean deviation of neighbouring stamps from the grid, in periods: a lost sample or a
-changing rate moves all stamps from there on, jitter and single late stamps do not.
+"""Greatest mean deviation of neighbouring stamps from the grid, in periods. A lost sample or a
+changing rate shifts all later stamps; jitter and single late stamps do not.
 """
 WINDOW = 101
-"""Number of neighbouring stamps in that mean."""
+"""Number of neighbouring stamps over which the deviation from the grid is averaged."""
 SMOOTHER = 0.8
-"""Ratio of the angle's roughness on the grid to that at the stamps, below which the grid is right.
+"""Ratio of the angle's roughness on the grid to its roughness at the stamps below which the grid
+counts as right.
 
-Quantisation and noise are the same on both; the more they hide of the jitter, the less it matters.
+Quantisation and noise are the same in both; the more of the jitter they hide, the smaller is the
+effect of the jitter.
 """
 FAST, MOST = 0.25, 0.99
-"""Samples are compared whose travel is at least this share of this quantile: at rest no stamp
-matters.
+"""Share and quantile of the travel per sample: a sample is compared if its travel is at least this
+share of this quantile, because at rest a wrong stamp has no effect.
 """
 NEIGHBOURS = (-2, -1, 1, 2)
 
@@ -56,8 +59,8 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps and the number of each sample; None if the
-    stamps leave it by more than :data:`MOST_OFF` in the mean over neighbours.
+    """Return the times on the line through the stamps, and the number of each sample; None if the
+    mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
     """
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
@@ -74,8 +77,8 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
 
 
 def _with_neighbours(index: Rows, time: Array) -> Rows:
-    """Return the rows whose two neighbours on either side are one period apart, with stamps of
-    their own.
+    """Return the rows whose two neighbours on either side are one period apart and have different
+    stamps.
     """
     consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
     runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]
@@ -83,7 +86,7 @@ def _with_neighbours(index: Rows, time: Array) -> Rows:
 
 
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
-    """Return the median distance of samples from the cubic through their neighbours.
+    """Return the median distance of samples from the cubic polynomial through their neighbours.
 
     Nearly coinciding stamps magnify the noise of their samples without limit, so that a mean would
     be theirs.

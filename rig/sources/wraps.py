@@ -18,17 +18,17 @@ successive recordings of 4096 or 65536 samples look the same.
 """
 LEVELS = 8
 """Least number of different values of a column that is read as signed; a column with fewer values
-may be a switched output.
+may be a digital output.
 """
 DAY_S = 86400.0
 WHOLE_TOLERANCE = 1e-3
-"""Largest distance of a count from a whole number after the file's scale was taken off."""
+"""Greatest distance of a count from an integer after division by the scale of the file."""
 ORDINARY_SHARE = 0.125
-"""Greatest step other than an overflow, as a share of the modulus; with larger steps the direction
+"""Greatest step, apart from overflows, as a share of the modulus; with larger steps the direction
 of a step is uncertain.
 """
 TIME_PERIODS = 100.0
-"""Longest step of time at an overflow, in median periods."""
+"""Longest time step at an overflow, in median periods."""
 POSITIONS = frozenset({"angle", "motor_angle"})
 TIMES = frozenset({"time", "angle_time"})
 
@@ -74,7 +74,7 @@ def unwrapped(name: str, values: Array) -> tuple[Array, str]:
 
 
 def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tuple[Array, str]:
-    """Undo the wraps of a counter that the file has scaled.
+    """Correct the overflows of a counter to which the file has applied a scale.
 
     Args:
         name: The channel that the column feeds.
@@ -97,7 +97,9 @@ def unwrapped_counts(name: str, values: Array, scale: tuple[float, float]) -> tu
 
 
 def _in_window(values: Array, modulus: float) -> bool:
-    """Return whether all values fit an unsigned or a signed counter of this modulus."""
+    """Return whether all values fit into the range of an unsigned or a signed counter with this
+    modulus.
+    """
     low, high = float(values.min()), float(values.max())
     return (low >= 0 and high < modulus) or (low >= -modulus / 2 and high < modulus / 2)
 

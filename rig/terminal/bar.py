@@ -12,7 +12,9 @@ _PERIOD_S: Final = 0.1
 
 
 class ShareBar:
-    """Shows what is being done and how much of it; nothing where the output is not a terminal."""
+    """Progress bar that shows the present work and its share; shows nothing if the output is not a
+    terminal.
+    """
 
     def __init__(self) -> None:
         tqdm.monitor_interval = 0  # no helper thread

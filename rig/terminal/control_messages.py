@@ -38,7 +38,7 @@ _FOLDER_MODE: Final = 0o700
 
 
 class Command(Enum):
-    """What a run does on request."""
+    """Action that a run performs on request."""
 
     STOP = "stop"
     PAUSE = "pause"
@@ -48,7 +48,7 @@ class Command(Enum):
 
 @dataclass(frozen=True)
 class Order:
-    """A command that has been read.
+    """A command that was read from a message.
 
     Attributes:
         command: What to do.
@@ -158,7 +158,7 @@ def socket_folders() -> list[Path]:
 
 
 def remove_left(folder: Path) -> None:
-    """Remove sockets whose program is gone."""
+    """Remove sockets whose program has ended."""
     for path in folder.glob(f"*{SUFFIX}"):
         probe = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with probe, suppress(OSError):
@@ -169,7 +169,7 @@ def remove_left(folder: Path) -> None:
 
 
 def bound_socket(path: Path) -> socket.socket:
-    """Return a datagram socket at a path, for this user only, which does not block.
+    """Return a non-blocking datagram socket at a path that only this user can open.
 
     Raises:
         OSError: It cannot be made.
@@ -190,7 +190,8 @@ def bound_socket(path: Path) -> socket.socket:
 
 
 def require_own_folder(folder: Path) -> None:
-    """Make the folder of the sockets if it is missing, and check that only this user can enter it.
+    """Create the folder of the sockets if it is missing, and check that only this user can enter
+    it.
 
     Raises:
         SocketFolderError: It belongs to another user, is a link, or is open to others.

@@ -50,7 +50,7 @@ _PEERS: Final = 8
 
 
 class Topic(Enum):
-    """What a prompt asks for."""
+    """Subject of a prompt."""
 
     WEIGHT = "weight"
     PAUSE = "pause"
@@ -106,7 +106,7 @@ class ControlSocket:
         self._ready.register(self._socket, select.POLLIN)
 
     def __enter__(self) -> Self:
-        """Have the stop button take commands from here."""
+        """Register this socket as a source of commands for the stop button."""
         self._stop.listen = self.take
         return self
 
@@ -122,27 +122,27 @@ class ControlSocket:
         return self._socket.fileno()
 
     def entered(self, stage: str, phase: str) -> None:
-        """Note the start of a phase."""
+        """Store the start of a phase."""
         self._state["stage"], self._state["phase"] = stage, phase
 
     def tell(self, words: str) -> None:
-        """Note a message to the operator."""
+        """Store a message to the operator."""
         self._count += 1
         self._told.append((self._count, words[:_LONGEST_TOLD]))
         del self._told[:-_TOLD]
 
     def ended(self, words: str, good: bool) -> None:
-        """Note how the run ended, and inform everyone who asked before."""
+        """Store how the run ended, and inform every program that asked before."""
         self._state["ended"] = {"words": words, "good": good}
         for peer in self._peers:
             self._send(self._status(), peer)
 
     def begin(self, topic: Topic) -> None:
-        """Note that messages which explain the next prompts follow, and what these ask for."""
+        """Announce messages that explain the next prompts, and the subject of these prompts."""
         self._topic, self._since = topic, self._count
 
     def ask(self, words: str) -> None:
-        """Open a prompt; answers to earlier ones are not taken any more."""
+        """Open a prompt; answers to earlier prompts are rejected from now on."""
         # What waits in the socket was sent before the question was asked.
         self.take()
         self._prompts += 1
@@ -155,7 +155,7 @@ class ControlSocket:
         }
 
     def answered(self) -> str | None:
-        """Take the waiting messages, and return the answer to the open prompt, if there is one.
+        """Read the waiting messages, and return the answer to the open prompt, if there is one.
 
         Raises:
             OperatorStopError: A stop was commanded.
@@ -165,11 +165,11 @@ class ControlSocket:
         return self._answer
 
     def close_prompt(self) -> None:
-        """Note that the prompt was answered, here or elsewhere, or given up."""
+        """Store that the prompt was answered, on any path, or abandoned."""
         self._state["prompt"] = self._answer = None
 
     def take(self) -> None:
-        """Take the messages that wait, a bounded number of them, without waiting."""
+        """Read the waiting messages, a limited number of them, without waiting."""
         for _ in range(_AT_ONCE):
             if not self._ready.poll(0):
                 return
@@ -180,7 +180,7 @@ class ControlSocket:
             self._handle(data, peer if isinstance(peer, str) else "")
 
     def _handle(self, data: bytes, peer: str) -> None:
-        """Answer a question, or carry out a command."""
+        """Answer a question, or execute a command."""
         try:
             if len(data) > LONGEST_BYTES:
                 raise MessageError(f"longer than {LONGEST_BYTES} bytes")
@@ -199,7 +199,7 @@ class ControlSocket:
         self._send({"to": order.number, "taken": refused is None, "words": refused or ""}, peer)
 
     def _carry_out(self, order: Order) -> str | None:
-        """Carry out a command; returns why not, or None."""
+        """Execute a command; return the reason if it is refused, or None."""
         who = valid(order.who).strip() or "the console"
         if order.command is Command.STOP:
             self._stop.press(f"STOP by {who}")
@@ -247,7 +247,7 @@ class ControlSocket:
 
 
 def _bound(folder: Path) -> tuple[Path, socket.socket]:
-    """Make a socket in a folder; sockets left by programs that are gone are removed.
+    """Create a socket in a folder; sockets left by programs that have ended are removed.
 
     Raises:
         OSError: It cannot be made.

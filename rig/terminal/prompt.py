@@ -22,7 +22,7 @@ _CHUNK = 4096
 
 
 class InputEndedError(Exception):
-    """The input has ended: it was closed, or the terminal is gone."""
+    """The input has ended: it was closed, or the terminal has disappeared."""
 
 
 class Asker(Protocol):

@@ -133,7 +133,7 @@ class Outlet:
             termios.tcsetattr(self._descriptor, termios.TCSANOW, mode)
 
     def close(self) -> None:
-        """Close what was opened here."""
+        """Close the descriptors that this object opened."""
         if self._own and self._descriptor is not None:
             with suppress(OSError):
                 os.close(self._descriptor)
@@ -252,8 +252,8 @@ class Screen:
             self._line_open = False
 
     def _erase(self) -> str:
-        """Return what erases the status line, also where a narrower window has broken it into
-        several rows.
+        """Return the characters that erase the status line, even if a narrower window has broken it
+        into several rows.
         """
         rows = max(self._shown - 1, 0) // max(self._err.columns, 1)
         up = f"\x1b[{rows}A" if rows else ""

@@ -76,7 +76,7 @@ class StopButton:
         self._previous: dict[signal.Signals, signal._HANDLER] = {}
 
     def __enter__(self) -> Self:
-        """Take over the signals."""
+        """Install the handlers of the signals."""
         if threading.current_thread() is not threading.main_thread():
             return self
         for name in STOP_SIGNALS:
@@ -94,30 +94,30 @@ class StopButton:
         return self
 
     def __exit__(self, *exception: object) -> None:
-        """Give the signals back."""
+        """Restore the previous handlers of the signals."""
         for number, handler in self._previous.items():
             signal.signal(number, handler)
         self._previous.clear()
 
     def press(self, cause: str = "") -> None:
-        """Ask for a stop."""
+        """Request a stop."""
         self.cause = self.cause or cause
         self.pressed = True
         self.presses += 1
 
     def pause(self) -> None:
-        """Ask for a pause at the next stage boundary, or for the end of one."""
+        """Request a pause at the next stage boundary, or the end of a pause."""
         self.pausing = not self.pausing
 
     @property
     def words(self) -> str:
-        """Message on who stopped the run, and how."""
+        """Message that states who stopped the run, and how."""
         return (
             f"stopped by the operator ({self.cause})" if self.cause else "stopped by the operator"
         )
 
     def check(self) -> None:
-        """Take what arrived from elsewhere, and raise if a stop was requested.
+        """Read requests from other sources, and raise an error if a stop was requested.
 
         Raises:
             OperatorStopError: The button was pressed.
@@ -128,7 +128,7 @@ class StopButton:
             raise OperatorStopError(self.words)
 
     def raise_if_pressed(self) -> None:
-        """Raise if a stop was requested.
+        """Raise an error if a stop was requested.
 
         Raises:
             OperatorStopError: The button was pressed.
@@ -137,7 +137,7 @@ class StopButton:
             raise OperatorStopError(self.words)
 
     def presses_now(self) -> int:
-        """Take what arrived from elsewhere, and return the number of stop requests."""
+        """Read requests from other sources, and return the number of stop requests."""
         if self.listen is not None:
             self.listen()
         return self.presses

@@ -23,7 +23,7 @@ def bench_line(document: Document[Bench]) -> str:
 
 @dataclass(frozen=True)
 class Watcher:
-    """What takes the power off when this program stops commanding the drive.
+    """Device or process that takes the power off when this program stops commanding the drive.
 
     Attributes:
         kind: ``drive``, ``guardian`` or ``nobody``.
@@ -49,7 +49,7 @@ class Watcher:
 
 
 def watcher_of(bench: Bench) -> Watcher:
-    """Return what will watch a bench, according to its file."""
+    """Return what will take the power off on a bench, according to the bench file."""
     if isinstance(bench.bus, SerialBus):
         return Watcher("nobody") if bench.simulated else Watcher("guardian", SILENCE_S)
     if isinstance(bench.servo, DbcServoSection):
@@ -59,7 +59,7 @@ def watcher_of(bench: Bench) -> Watcher:
 
 
 def watcher(devices: Devices) -> Watcher:
-    """Return what watches a connected bench."""
+    """Return what takes the power off on a connected bench."""
     if devices.link.has_watchdog and devices.servo.watch_s is not None:
         return Watcher("drive", devices.servo.watch_s)
     return Watcher("nobody") if devices.guard is None else Watcher("guardian", SILENCE_S)

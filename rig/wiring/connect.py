@@ -46,8 +46,8 @@ TRANSMITTER_EDS = _EDS / "transmitter.eds"
 _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
-"""Node of the simulated CAN encoder on a bench that does not use it: the first one that the drive
-does not occupy.
+"""Node identifier of the simulated CAN encoder on a bench that does not use this encoder: the first
+identifier that the drive does not occupy.
 """
 NO_BUS = (
     "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, "
@@ -56,7 +56,9 @@ NO_BUS = (
 Hang = Callable[[float], None]
 """Function that hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
-"""Called with a simulated bench before its bus is opened; returns the clock for the host."""
+"""Function that is called with a simulated bench before its bus is opened, and returns the clock
+for the host.
+"""
 
 
 @contextmanager
@@ -68,7 +70,7 @@ def connect(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
+    """Open the bus of a bench with its devices, and close it at the end. No device moves.
 
     A real bench is locked from before its bus is opened until after it is closed.
 
@@ -118,7 +120,7 @@ def connect(
 
 @dataclass(frozen=True)
 class _Wired:
-    """Devices on a link that is not open yet.
+    """Devices on a link that has not been opened.
 
     Attributes:
         link: The link.
@@ -146,7 +148,7 @@ def _wire(
     attach: Attach | None,
     torque_offset: bool,
 ) -> _Wired:
-    """Choose the drivers of a bench and create its link, which stays closed."""
+    """Choose the drivers of a bench, and create its link without opening it."""
     bench = document.value
     simulated: SimulatedBench | None = None
     hang: Hang | None
@@ -192,7 +194,9 @@ def _wire(
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
-    """Return link and drive on a serial line, the simulated bench if simulated, else the guard."""
+    """Return link and drive on a serial line; also the simulated bench of a simulated drive, or the
+    guard of a real one.
+    """
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     simulated, clock = _simulated_bench(document, bench.servo, 1_000_000, seed, attach)
@@ -206,7 +210,7 @@ def _epos(
 def _simulated_bench(
     document: Document[Bench], servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
 ) -> tuple[SimulatedBench | None, Clock]:
-    """Return the simulated bench, if there is one, and the host's clock.
+    """Return the simulated bench, or None for a real one, and the host's clock.
 
     A simulated drive with an EDS file of its own shows only the objects of that file.
     """
@@ -234,7 +238,7 @@ def _simulated_bench(
 def _link(
     document: Document[Bench], servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[CanopenLink, SimulatedBench | None]:
-    """Return the link, and the simulated bench behind it if there is one."""
+    """Return the link, and the simulated bench behind it, or None for a real one."""
     simulated, clock = _simulated_bench(document, servo, bus.bitrate, seed, attach)
     if simulated is not None:
         return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
@@ -284,7 +288,7 @@ def _simulated_dbc(
 
 
 def nominal_of(bench: Bench) -> Nominal:
-    """Return the constants of a bench that its motions are held against.
+    """Return the constants of a bench with which its motions are compared.
 
     Rated values that the file leaves to their defaults say nothing of this motor.
     """
@@ -321,13 +325,16 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def servo_data(document: Document[Bench]) -> DeviceData | None:
-    """Return what is known of drives of the maker of a bench's drive; None for nothing."""
+    """Return the known properties of drives of the maker of the bench's drive; None if there are
+    none.
+    """
     servo = document.value.servo
     return servo.device_data(document.path.parent) if isinstance(servo, ServoSection) else None
 
 
 def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return a device's EDS file: packaged for a simulated device, else as the bench file names it.
+    """Return the EDS file of a device: for a simulated device the packaged file, for a real one the
+    file that the bench file names.
 
     Raises:
         InputError: A real device has no such file.

@@ -1,4 +1,4 @@
-"""Checks node identifiers and device files of a bench on a link that is never opened."""
+"""Checks node identifiers and device files of a bench without opening the link."""
 
 from __future__ import annotations
 
@@ -33,10 +33,12 @@ _WORDS: dict[Role, str] = {
 
 
 class _Described(Protocol):
-    """A device profile that can check the device's description for the objects it needs."""
+    """Device profile that can check whether a device's description contains the objects that the
+    profile needs.
+    """
 
     def description_refusals(self) -> Iterator[DeviceError]:
-        """Yield the objects that the description lacks."""
+        """Yield errors for the objects that the description lacks."""
         ...
 
 
@@ -74,7 +76,9 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device as :func:`rig.wiring.connect.connect` does; yield each refusal."""
+    """Declare every device in the way of :func:`rig.wiring.connect.connect`; yield the error of
+    each refusal.
+    """
     bench = document.value
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):
@@ -112,7 +116,7 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _maker(document: Document[Bench]) -> Iterator[str]:
-    """Yield what the drive's maker is known to do otherwise than CiA 402."""
+    """Yield the known deviations of the drive's maker from CiA 402."""
     servo, data = document.value.servo, servo_data(document)
     if isinstance(servo, ServoSection) and servo.eds is None and servo.device is None:
         return  # the simulated drive
@@ -137,4 +141,4 @@ def _profile(document: Document[Bench], role: Role, link: Link, node: ProcessCha
 
 
 def _never_opened() -> NoReturn:
-    raise AssertionError("a bench that is only checked is not opened")
+    raise AssertionError("this bench is only checked, and its bus must not be opened")

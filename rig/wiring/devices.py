@@ -14,7 +14,7 @@ from rig.wiring.guard import Guard
 
 @dataclass(frozen=True)
 class Nominal:
-    """What the bench file states of its machine, to be held against the first motion.
+    """Constants of the machine in the bench file, with which the first motion is compared.
 
     Attributes:
         torque_constant_N_m_A: Motor torque per ampere.

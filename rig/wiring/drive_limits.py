@@ -136,7 +136,7 @@ def require_within_own(
     places: Mapping[str, str] | None = None,
     unheld: Set[str] = frozenset(),
 ) -> None:
-    """Refuse to loosen the limits that the drive was commissioned with.
+    """Refuse to loosen the limits that the drive had when it was commissioned.
 
     Args:
         wanted: The limits to be written.
@@ -169,7 +169,7 @@ def require_held(
     places: Mapping[str, str] | None = None,
     taken: Set[str] | None = None,
 ) -> None:
-    """Refuse a drive that holds a looser limit than the one written into it.
+    """Refuse a drive that holds a looser limit than the limit that was written.
 
     Args:
         held: The limits read back from the drive.
@@ -196,7 +196,7 @@ def require_held(
 
 
 def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
-    """Read the limits back, and refuse a drive that does not hold those it takes.
+    """Read the limits back, and refuse a drive that does not hold the limits that it accepts.
 
     Args:
         servo: The drive.
@@ -212,7 +212,8 @@ def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
 
 
 def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | None:
-    """Return which limits this program alone holds, as the drive takes them not over its bus.
+    """Return a text on the limits that only this program enforces, because the drive does not
+    accept them over its bus.
 
     Args:
         servo: The drive.
@@ -245,7 +246,9 @@ def _list(rows: list[Row], first: str, second: str) -> str:
 
 
 def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
-    """Written as "not tighter", so that NaN counts as looser."""
+    """Return whether the first limit is looser than the second; the test is written as "not
+    tighter", so that NaN counts as looser.
+    """
     if second is None:
         return False
     if first is None:
@@ -259,7 +262,7 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
 
 
 def show(field: str, value: float | None) -> str:
-    """Return a limit as the bench file states it: degrees for angles, with its unit.
+    """Return a limit as the bench file states it: angles in degrees, with the unit.
 
     Four digits suffice to distinguish any two limits that differ.
     """

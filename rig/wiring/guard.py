@@ -1,4 +1,5 @@
-"""The guarded side of :mod:`rig.wiring.guardian`.
+"""Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms and feeds it, and
+receives its report after a takeover.
 
 Starts the guardian with the port, arms and feeds it, and receives its takeover report.
 """
@@ -32,7 +33,7 @@ _CHUNK: Final = 4096
 
 
 class Guard:
-    """Opens a drive's port and runs a guardian process while the drive is under power.
+    """Opens a drive's port, and runs a guardian process while the drive is energised.
 
     Program and guardian never use the port at the same time: while the guardian has it,
     :meth:`feed` raises.
@@ -80,7 +81,9 @@ class Guard:
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Let the guardian hold the bench's lock, given as file descriptors, as long as it runs."""
+        """Pass the bench's lock, as file descriptors, to the guardian, which holds the lock as long
+        as it runs.
+        """
         self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
@@ -88,8 +91,8 @@ class Guard:
         self._folder = folder.resolve()
 
     def arm(self, limit_s: float) -> None:
-        """Arm the guardian: it stops the drive if this program dies or does not feed it for this
-        time, s.
+        """Arm the guardian: it stops the drive if this program dies or sends no sign of life for
+        this time, s.
 
         Raises:
             LinkError: There is no guardian; the drive must not be enabled.
@@ -102,7 +105,8 @@ class Guard:
         self._fed_ns = time.monotonic_ns()
 
     def feed(self) -> None:
-        """Send the guardian a sign of life of the control loop; does nothing unless armed.
+        """Send the guardian a sign of life of the control loop; without effect unless the guardian
+        is armed.
 
         Raises:
             LinkError: The guardian has taken over, or is gone. While the guardian has the drive,
@@ -128,7 +132,7 @@ class Guard:
         self._write(b"\n")
 
     def release(self) -> None:
-        """Disarm the guardian after the drive was verified off, until the next :meth:`arm`.
+        """Disarm the guardian after the drive was verified off; the next :meth:`arm` arms it again.
 
         Raises:
             LinkError: The guardian is gone.
@@ -138,8 +142,8 @@ class Guard:
             self._tell({"armed": False})
 
     def close(self) -> None:
-        """End the guardian; if it was not released, it stops the drive now and keeps trying by
-        itself.
+        """End the guardian. If :meth:`release` was not called, the guardian stops the drive now,
+        and repeats this until the stop is verified.
         """
         process, self._process = self._process, None
         if process is None:
@@ -193,7 +197,7 @@ class Guard:
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return the guardian's output up to and including this text; None after a time-out.
+        """Return the guardian's output up to and including a text; None after a time-out.
 
         Raises:
             LinkError: The guardian is gone.

@@ -45,17 +45,19 @@ REPORT_FILE: Final = "guardian.json"
 READY: Final = b"ready\n"
 TOOK_OVER: Final = b"took over\n"
 SILENCE_S: Final = 0.2
-"""Default time without a sign of life after which it acts, s."""
+"""Default time without a sign of life after which the guardian acts, s."""
 _PATIENCE_S: Final = 60.0
 _PAUSE_NS: Final = NS // 5
-"""Pause between two attempts: a lost port fails at once, so a busy loop would result."""
+"""Pause between two attempts to stop the drive, s. On a lost port an attempt fails immediately;
+without a pause the processor would be busy.
+"""
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
 _SHOW_S: Final = 1.0
 
 
 class Cause(Enum):
-    """Reason why the guardian acts, or does not."""
+    """Reason why the guardian acts or does not act."""
 
     RELEASED = "released"
     GONE = "gone"
@@ -64,7 +66,7 @@ class Cause(Enum):
 
 @dataclass
 class Ward:
-    """State received by the guardian so far.
+    """State that the guardian has received.
 
     Attributes:
         drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.
@@ -80,8 +82,8 @@ class Ward:
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:
-        """Process received bytes; an incomplete line, as a dying program may leave, and unknown
-        keys change nothing.
+        """Process received bytes; an incomplete line, which a dying program may leave, and unknown
+        keys have no effect.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -114,7 +116,8 @@ def stop(
     patience_s: float = _PATIENCE_S,
     failed: Callable[[SafeState], None] = lambda safe: None,
 ) -> Deed:
-    """Brake, take the power off and read the state back; repeat until verified or timed out.
+    """Brake, take the power off and read the state back; repeat until the state is verified or the
+    time is over.
 
     Args:
         servo: The drive.
@@ -143,7 +146,7 @@ def stop(
 
 
 def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]) -> Cause:
-    """Listen until the drive must be stopped, or the pipe was closed with the drive off.
+    """Wait until the drive must be stopped, or until the pipe is closed while the drive is off.
 
     Args:
         descriptor: The pipe.
@@ -165,7 +168,7 @@ def _wait(descriptor: int, seconds: float | None) -> bool:
 
 
 def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Return a sentence that reports what was done."""
+    """Return a sentence on what the guardian did."""
     why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
     return (
         f"guardian: the program that drove {ward.drive['name']} {why}; after "
@@ -174,7 +177,9 @@ def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
 
 
 def report(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Write the report next to the recording and return it as text, also if writing fails."""
+    """Write the report next to the recording, and return it as text; the text is returned also if
+    writing fails.
+    """
     words = words_of(deed, ward, cause)
     if ward.folder is not None:
         record = {
@@ -257,7 +262,7 @@ def main() -> int:
 
 
 def _speak(descriptor: int, words: bytes) -> None:
-    """Write to the other program; its pipe is nearly empty, so this does not block."""
+    """Write to the other program; the pipe is nearly empty, so that this call does not block."""
     # If it is gone, the end of the input shows it.
     with suppress(OSError):
         os.write(descriptor, words)

@@ -1,4 +1,4 @@
-"""Locks held until a command ends; reports locks taken over from a dead program."""
+"""Holds locks until a command ends, and reports locks that were taken over from a dead program."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rig.terminal.screen import Screen
 
 
 def until_the_end(lock: Lock) -> Lock:
-    """Release a lock when the current command ends, however it ends."""
+    """Release a lock when the current command ends, regularly or by an error."""
     click.get_current_context().with_resource(lock)
     say_taken_over(lock)
     return lock

@@ -31,8 +31,8 @@ class Range:
     hint: str
 
 
-_NONE = ", and no bench of this kind has it there"
-_FEW = ", where benches of this kind have it"
+_NONE = ", which is impossible on a bench of this kind"
+_FEW = ", which is unusual on a bench of this kind"
 CONSTANTS = {
     "torque_constant_N_m_A": Range(
         (1e-3, 20.0), (1e-5, 1e3), "N m/A", "data sheets often give mN m/A"
@@ -41,12 +41,12 @@ CONSTANTS = {
         (1e-3, 20.0),
         (1e-5, 1e3),
         "V s/rad",
-        "data sheets often give its inverse, rpm/V: 9.549 over that",
+        "data sheets often give its inverse in rpm/V; convert it as 9.549 divided by that value",
     ),
     "resistance_ohm": Range((0.01, 500.0), (1e-4, 1e5), "ohm", "check value and unit"),
     "inductance_H": Range((1e-6, 0.5), (0.0, 10.0), "H", "data sheets often give mH"),
     "gear_ratio": Range((1.0, 1e3), (0.01, 1e5), "", "it is motor turns per joint turn"),
-    "moment_arm_m": Range((0.01, 1.0), (1e-3, 5.0), "m", "it is in metres, not in millimetres"),
+    "moment_arm_m": Range((0.01, 1.0), (1e-3, 5.0), "m", "state it in metres, not in millimetres"),
     "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "it is contact force over weight force"),
     "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "it is that of the Earth's surface"),
 }
@@ -60,7 +60,7 @@ _MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and ge
 
 
 def implausible(document: Document[Bench]) -> list[Finding]:
-    """Return the constants of a bench that are impossible, and those that are unusual."""
+    """Return the constants of a bench that are impossible, and the constants that are unusual."""
     return [
         Finding(Cause.CONSTANTS, document.problem(place, text), refused)
         for place, text, refused in _unlikely(document.value)

@@ -1,8 +1,7 @@
-"""All checks before a run, of the bench file and of the devices.
+"""Checks before a run: of the bench file and of the devices.
 
-``rig run``, ``resume`` and ``jog`` refuse to start on these findings; ``rig check`` and ``rig run
---dry-run`` report them with the same messages. Checks that need a write to a device are left to the
-run.
+``rig run``, ``resume`` and ``jog`` refuse to start if a check fails; ``rig check`` and ``rig run
+--dry-run`` report the same messages. Checks that need a write to a device are made by the run.
 """
 
 from __future__ import annotations
@@ -24,11 +23,11 @@ from rig.wiring.devices import Devices
 from rig.wiring.drive_limits import require_within_own
 from rig.wiring.plausibility import implausible
 
-RESET_HINT = "; once its cause is removed, --reset-fault clears it"
+RESET_HINT = "; remove the cause of the fault, then clear the fault with --reset-fault"
 
 
 def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
-    """Return the faults of a bench found in its file and the files it names.
+    """Return the errors of a bench in its file and in the files that it names.
 
     Args:
         document: The bench.
@@ -52,7 +51,7 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
 def require_startable(
     document: Document[Bench], today: date, warn: Callable[[str], object]
 ) -> None:
-    """Refuse a bench with a faulty file, before connecting to any device.
+    """Refuse a bench with errors in its files, before a connection to a device.
 
     Args:
         document: The bench.
@@ -72,7 +71,8 @@ def require_startable(
 def device_findings(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> Iterator[Finding]:
-    """Yield the reasons why a run with these limits would refuse the devices. Writes nothing.
+    """Yield the reasons for which a run with these limits would refuse the devices. Nothing is
+    written.
 
     Args:
         devices: On an opened link; not prepared.

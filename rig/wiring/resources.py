@@ -1,5 +1,5 @@
-"""Lock keys of the ports, adapters and channels of a bench, each of which only one program may
-use.
+"""Lock keys of the ports, adapters and channels of a bench; only one program may use each of
+these.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from rig.config.canopen import Bus
 from rig.config.serial_bus import Amt21Section, SerialBus
 
 _IN_PROCESS: Final = "virtual"
-"""Interface of python-can for a bus that no other process can reach."""
+"""Interface of python-can whose bus no other process can reach."""
 _ON_SERIAL_PORTS: Final = frozenset({"slcan", "robotell", "seeedstudio", "serial"})
-"""Interfaces of python-can whose channel is a serial port, by path or as a URL of pyserial."""
+"""Interfaces of python-can whose channel is a serial port, as a path or as a URL of pyserial."""
 _WITH_RATE: Final = frozenset({"slcan", "robotell"})
-"""Those whose channel may end in ``@`` and the port's bit rate."""
+"""Interfaces of python-can whose channel may end in ``@`` and the bit rate of the port."""
 
 
 def resources(bench: Bench) -> tuple[Resource, ...]:
-    """Return the resources that a program must lock to use this bench; none if it is simulated.
+    """Return the resources that a program must lock to use this bench; none for a simulated bench.
 
     Links are followed, so a device is the same under each of its names. An interface with a channel
     is the same in every bench file.

@@ -1,4 +1,6 @@
-"""Units of the devices of a bench file, in SI, completed by what is known of the drive's maker."""
+"""Units of the devices in a bench file, in SI; missing units are taken from the known data of the
+drive's maker.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,7 @@ _OBJECTS = {
     "rated_current_object": ("rated_current_object_unit_A", "rated_current_object_unit_A"),
     "rated_torque_object": ("rated_torque_object_unit_N_m", "rated_torque_object_unit_N_m"),
 }
-"""Key of an object to the key of its unit, and to the field of the scales that holds the unit."""
+"""Key of an object to the key of its unit and to the field of the scales that contains the unit."""
 
 
 def servo_scales(
@@ -72,7 +74,7 @@ def servo_scales(
 def servo_motion(
     servo: ServoSection, scales: ServoScales, data: DeviceData | None, torque_offset: bool = False
 ) -> Motion:
-    """Return how the drive is commanded.
+    """Return the kind of motion command that the drive receives.
 
     Args:
         servo: The drive in the bench file.
@@ -95,8 +97,8 @@ def servo_motion(
 
 
 def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:
-    """Return the vendor that the drive must have: that of its EDS file, if its data were found by
-    that.
+    """Return the vendor identifier that the drive must have: the vendor of its EDS file, if the
+    maker's data were found by that file.
     """
     found = data is not None and servo.device is None and servo.eds is not None
     return data.vendor_id if data is not None and found else None

@@ -1,4 +1,4 @@
-"""The devices behind the serial sections of a bench file, real or simulated."""
+"""Creates the devices of the serial sections of a bench file, real or simulated."""
 
 from __future__ import annotations
 

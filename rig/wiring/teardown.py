@@ -1,4 +1,4 @@
-"""Takes the power off whatever happened before, and reports whether this was verified."""
+"""Takes the power off at every end of a run, and reports whether the drive was verified off."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DISABLE_ATTEMPTS = 2
 
 @dataclass(frozen=True)
 class SafeState:
-    """How the drive was left.
+    """Final state of the drive, and whether the state was verified.
 
     Attributes:
         verified: Whether 6041h was read and shows a de-energised state.
@@ -72,14 +72,14 @@ def words_of(error: BaseException) -> str:
 
 
 class _Steps:
-    """Runs the steps of a teardown in turn; an exception in one does not prevent the next."""
+    """Runs the steps of a teardown in order; an error in one step does not prevent the next."""
 
     def __init__(self) -> None:
         self.problems: list[str] = []
         self.unforeseen: list[BaseException] = []
 
     def attempt(self, step: Callable[[], object]) -> None:
-        """Run one step, and note what it raises."""
+        """Run one step, and store its error, if any."""
         try:
             step()
         except KeyboardInterrupt:
@@ -91,7 +91,7 @@ class _Steps:
             self.unforeseen.append(error)
 
     def state(self, servo: Servo) -> ServoState | None:
-        """Read the drive's state; None where that fails."""
+        """Read the drive's state; None if the read fails."""
         found: list[ServoState] = []
         self.attempt(lambda: found.append(servo.state()))
         return next(iter(found), None)
@@ -106,7 +106,8 @@ def make_safe(
     hurry: Callable[[], bool],
     watched: bool = True,
 ) -> SafeState:
-    """Brake if ``brake``, take the power off and read the state back. Never raises.
+    """Brake if ``brake``, take the power off and read the state back. The function never raises an
+    error.
 
     Each step has its own time-out and runs whatever earlier steps raised. If the state cannot be
     read or shows power, taking the power off is tried once more.
@@ -145,7 +146,7 @@ def make_safe(
 
 
 def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
-    """Run every step whatever earlier ones raise; returns the unexpected exceptions."""
+    """Run every step, also after steps that raised errors; return the unexpected errors."""
     taken = _Steps()
     for step in steps:
         taken.attempt(step)
@@ -155,8 +156,8 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 def _wait_for_standstill(
     servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
 ) -> None:
-    """Keep the bus alive until the drive has stopped, the time-out ends or the operator asks
-    again.
+    """Keep the bus alive until the drive has stopped, the time is over, or the operator asks for a
+    stop again.
     """
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():

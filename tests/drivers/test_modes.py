@@ -77,7 +77,7 @@ def test_a_drive_that_does_not_offer_the_mode_is_refused(mode: str) -> None:
 @pytest.mark.parametrize("mode", TARGETS)
 def test_without_limits_there_is_no_power(mode: str) -> None:
     host = prepared(host_in(mode, limited=False))
-    with pytest.raises(StateError, match="holds the limits in this program, and none are written"):
+    with pytest.raises(StateError, match="enforces the limits, and no limits have been set"):
         host.servo.enable()
     assert True not in host.powered
 

@@ -87,8 +87,8 @@ def said(cells: Cells) -> list[str]:
     lines = []
     for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- This message appeared in {count} cell{'' if count == 1 else 's'}, first at "
-            f"*{column}* in phase *{phase}* on transport {transport}:",
+            f"- This message appeared in {count} cell{'' if count == 1 else 's'} of the tables "
+            f"above, first in *{column}*, phase *{phase}*, on the {transport} transport:",
             "",
             "  ```text",
             *(f"  {message}" for message in messages),

@@ -183,14 +183,14 @@ def _mistake(
     if mistake == "sign":
         if which == 0:
             spoil = lambda mock: setattr(mock.drive, "current_sign", -1)  # noqa: E731
-            return spoil, ("servo.current_sign", -1), "its sign is wrong"
+            return spoil, ("servo.current_sign", -1), "the sign of the current is wrong"
         (servo if which == 1 else encoder)["sign"] = -1
         return right, ("encoder.sign", -encoder.get("sign", 1)), "the joint encoder travels -"
     if mistake == "ratio":
         machine["gear_ratio"] *= float(rng.choice(RATIOS))
         return right, ("machine.gear_ratio", motor["gear_ratio"]), "the joint encoder travels"
     if mistake == "shaft":
-        return _on_motor_shaft, None, "one of the encoders is on the other's shaft"
+        return _on_motor_shaft, None, "both are on the same side of the gear"
     if mistake == "torque constant":
         machine["torque_constant_N_m_A"] = motor["torque_constant_N_m_A"] * (2.0 if which else 0.5)
         true = motor["torque_constant_N_m_A"]

@@ -109,7 +109,7 @@ def constant(evidence: Evidence, value: float | None, low: float, high: float) -
     ("value", "low", "high", "passed", "words"),
     [
         (6.8, 6.5, 7.1, True, "90 % interval 6.5 to 7.1"),
-        (6.8, 6.49, 7.0, False, "the value is inside, its interval is not"),
+        (6.8, 6.49, 7.0, False, "the value is inside the limits, but its interval is not"),
         (7.2, 7.05, 7.3, False, "outside"),
         (None, 6.6, 7.0, False, "do not determine"),
     ],

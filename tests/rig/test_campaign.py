@@ -125,15 +125,15 @@ def test_negative_weight(tmp_path: Path) -> None:
         ("friction: stribek", "unknown friction; did you mean 'stribeck'? (got \"stribek\")"),
         (
             "friction: load_dependent",
-            "grows with a pendulum's torque, and no recording to fit has `gravity`",
+            "grows with the torque of a pendulum, but no recording with role fit has `gravity`",
         ),
         (
             "friction: stribeck_load_dependent",
-            "friction stribeck_load_dependent grows with a pendulum's torque",
+            "friction stribeck_load_dependent grows with the torque of a pendulum",
         ),
         (
             "friction: coulomb_viscous, fixed: {Ms: 1}",
-            "model.fixed.Ms: friction coulomb_viscous does not rise",
+            "model.fixed.Ms: the friction model coulomb_viscous has no rise toward rest",
         ),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),

@@ -77,7 +77,7 @@ def test_diagnose_takes_the_loads_and_says_what_it_takes_as_exact(
     assert status(["diagnose", str(source), "--out", str(out)]) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "verdict: nothing missing" in said
-    assert "hold the uncertainty of bench.torque_constant 0.03 +- 0.001" in said
+    assert "contain the uncertainty of bench.torque_constant 0.03 +- 0.001" in said
     assert "does not use the priors of J" in said
     assert "clock in common" not in said
     assert "standard deviations apart" not in said

@@ -142,7 +142,7 @@ def test_where_no_index_can_be_written_the_list_is_the_same(root: Path) -> None:
     (root / INDEX_FILE).mkdir()
     found = list_runs(root)
     assert found.entries == before
-    assert "the index is not written" in found.note
+    assert "the index cannot be written" in found.note
 
 
 def test_a_moved_folder_is_listed_where_it_is(root: Path) -> None:

@@ -34,7 +34,7 @@ def test_what_is_found_is_told() -> None:
     notes = describe(time, host, time * (1.0 + 40e-6), time * (1.0 - 10e-6))
     assert notes == [
         "2 gaps, 4 samples lost, the longest 4 ms",
-        "1 % of the answers came later than a period",
+        "1 % of the answers came more than one period late",
         "the drive's clock runs +40.0 ppm against the host's",
         "the encoder's clock runs -50.0 ppm against the drive's",
     ]

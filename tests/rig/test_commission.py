@@ -47,7 +47,7 @@ FOUND = {
     "limits_ignored": ("limits", "the drive does not take this setting"),
     "watchdog_dead": ("watchdog", "after this program went silent"),
     "stop_ignored": ("stop", "did not obey the quick stop"),
-    "motor_shaft": ("small move", "one of the encoders is on the other's shaft"),
+    "motor_shaft": ("small move", "both are on the same side of the gear"),
 }
 
 

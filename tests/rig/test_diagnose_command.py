@@ -284,7 +284,7 @@ def test_refined_values_take_the_place_of_the_search_s(
     assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
     assert record["warnings"][-2:] == [
         "refined: hm",
-        "mu_s is not determined by these recordings; the corrected model has it equal to mu_c",
+        "mu_s is not determined by these recordings; the corrected model sets it equal to mu_c",
     ]
 
 

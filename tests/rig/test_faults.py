@@ -73,7 +73,7 @@ def test_yaml_and_csv_say_the_same() -> None:
     [
         (
             "target: bus, fault: lost",
-            "exactly one of time_s, phase and state to say when the fault comes, found none",
+            "exactly one of time_s, phase and state as the start of the fault, found none",
         ),
         ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
         ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),

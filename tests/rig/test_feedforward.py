@@ -354,7 +354,7 @@ def test_a_run_is_resumed_with_the_same_identification(
     kept = path.read_text()
     path.write_text(kept.replace("6.825", "6.9"))
     assert status(["resume", "out", "--yes"]) == 2
-    assert "result.json: changed since out was run with it" in capsys.readouterr().err
+    assert "result.json: changed since out was run with this file" in capsys.readouterr().err
     path.write_text(kept)
     assert status(["resume", "out", "--yes"]) == 0
     again = load_run(Path("out")).recordings[1]

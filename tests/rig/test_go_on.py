@@ -99,7 +99,7 @@ def test_nothing_is_left_where_only_the_ending_failed(stopped: RunRecord) -> Non
     for stage in stopped.stages:
         stage.state = "done"
     words = go_on_words(changed(stopped, state="failed", trip=None), Path("x"))
-    assert words == "every stage is done; nothing is left to go on with"
+    assert words == "every stage is done; there is no stage to resume"
 
 
 def test_the_words_end_the_message_and_the_command_goes_on(

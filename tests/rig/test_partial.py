@@ -42,7 +42,7 @@ def test_without_partial_the_error_says_what_takes_it(runner: Any, fake_bench: A
     folder = tripped(runner, fake_bench, FIRST)
     with pytest.raises(
         InputError,
-        match=r"no stage was finished \(state tripped: .*\); --partial takes what was rec",
+        match=r"no stage was finished \(state tripped: .*\); --partial uses the recorded part",
     ):
         load_run(folder.path)
 
@@ -93,7 +93,7 @@ def test_what_was_begun_again_is_not_taken(runner: Any, fake_bench: Any) -> None
     folder.save()
     with pytest.raises(InputError, match="no excitation was recorded"):
         load_run(folder.path, partial=True)
-    with pytest.raises(InputError, match="no excitation was begun either"):
+    with pytest.raises(InputError, match="no excitation has begun"):
         load_run(folder.path)
 
 
@@ -194,7 +194,7 @@ def test_an_identification_of_what_was_recorded_says_so(
     stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert status(["identify", str(stopped), "--out", str(tmp_path)]) == 2
-    assert "--partial takes what was recorded" in capsys.readouterr().err
+    assert "--partial uses the recorded part" in capsys.readouterr().err
     assert status(["identify", str(stopped), "--partial", "--out", str(tmp_path)]) == 0
     assert (
         "warning: default: partial result: the run stopped before empty (partial)"
@@ -221,7 +221,7 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
 
     monkeypatch.setitem(identify.METHODS, "paper", refuses)
     with pytest.raises(
-        InputError, match="too short; without --partial finished excitations alone are taken"
+        InputError, match="too short; without --partial, only finished excitations are used"
     ):
         identify.identify_source(
             folder.path, identify.Request(["paper"], take_partial=True), lambda *_: None

@@ -124,9 +124,8 @@ def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
     )
     assert status([*command, str(path)]) == 2
     words = (
-        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, and no bench of this "
-        f"kind has it there; it "
-        "is in metres, not in millimetres (got 95)"
+        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, which is impossible "
+        "on a bench of this kind; state it in metres, not in millimetres (got 95)"
     )
     assert words in capsys.readouterr().err
     assert not (tmp_path / "runs").exists()
@@ -148,4 +147,4 @@ def test_an_unusual_bench_runs_with_a_warning(
     assert status(["run", "figure10", "--dry-run", "--bench", str(path)]) == 0
     assert "warning: " in capsys.readouterr().err
     assert status(["check", str(path)]) == 0
-    assert "where benches of this kind have it" in capsys.readouterr().out
+    assert "which is unusual on a bench of this kind" in capsys.readouterr().out

@@ -322,7 +322,7 @@ def test_a_fault_that_may_be_cleared_is_no_refusal(
         )
     assert len(found) == count
     assert all("DC link under-voltage" in finding.text for finding in found)
-    assert all("--reset-fault clears it" in finding.text for finding in found)
+    assert all("clear the fault with --reset-fault" in finding.text for finding in found)
 
 
 @pytest.mark.parametrize(

@@ -43,7 +43,7 @@ def test_without_being_asked_a_fault_stays(runner: Any, faulty: Any) -> None:
     _, outcome = runner(faulty)
     assert outcome.ending is Ending.FAILED
     assert "drive fault 8130h" in outcome.message
-    assert "--reset-fault clears it" in outcome.message
+    assert "clear the fault with --reset-fault" in outcome.message
     assert faulty.calls["reset_fault"] == 0
     assert faulty.drive_state is not ServoState.OPERATION_ENABLED
 

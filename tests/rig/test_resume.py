@@ -166,7 +166,7 @@ def test_a_changed_sequence_is_refused(
     stopped_in_b(monkeypatch)
     Path("three.yaml").write_text(STAGES.replace("weight_kg: 10", "weight_kg: 12"))
     assert status(["resume", "out", "--yes"]) == 2
-    assert "three.yaml: changed since out was run with it" in capsys.readouterr().err
+    assert "three.yaml: changed since out was run with this file" in capsys.readouterr().err
     Path("three.yaml").unlink()
     assert status(["resume", "out", "--yes"]) == 2
     assert "attached to the recording as sequence.yaml" in capsys.readouterr().err
@@ -243,7 +243,7 @@ def test_a_device_file_that_changed_is_refused(
     with open("drive.eds", "a") as stream:
         stream.write("; edited\n")
     assert status(["resume", "out", "--yes"]) == 2
-    assert "drive.eds: changed since out was run with it" in capsys.readouterr().err
+    assert "drive.eds: changed since out was run with this file" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])

@@ -485,7 +485,10 @@ def test_a_hole_in_a_stopped_run_is_not_read_silently(
     raw["state"] = raw["parts"][0]["state"] = "stopped"
     (holed / "run.json").write_text(json.dumps(raw))
     assert status(["export", str(holed), "--out", "x.csv"]) == 2
-    assert "of 1000 samples are there, though it was finished" in capsys.readouterr().err
+    assert (
+        "samples are in the recording, although the excitation was finished"
+        in capsys.readouterr().err
+    )
 
 
 def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -78,7 +78,7 @@ EDITS: dict[str, tuple[Callable[[Any], object], str]] = {
     ),
     "no gear ratio": (
         lambda r: r["bench"].pop("gear_ratio"),
-        r"bench.gear_ratio: missing; every constant must be stated",
+        r"bench.gear_ratio: missing; state every constant",
     ),
     "a gear ratio in words": (lambda r: r["bench"].update(gear_ratio="100"), r"bench.gear_ratio: "),
     "an unknown constant": (lambda r: r["bench"].update(gear=100), r"bench.gear: "),

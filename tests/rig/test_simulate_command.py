@@ -151,7 +151,7 @@ def test_ladder_and_score_are_printed_recorded_and_reported(
     assert status(arguments) == 0
     printed = capsys.readouterr().out
     assert "Ladder of friction models" in printed
-    assert "carried over, the model errs by" in printed
+    assert "on the other source, the error of the model" in printed
     record = json.loads((out / "identify.json").read_text())
     first, second = record["ladder"]
     assert (first["friction"], second["friction"]) == ("coulomb_viscous", "stribeck")

@@ -1,5 +1,5 @@
-"""Effects of springs, stops and unbalance on the joint, and of the lever with its weights (eq. 12
-to 17, Fig. 10).
+"""Catalogue entries of effects of springs, stops and unbalance on the joint, and of the lever with
+its weights (eq. 12 to 17, Fig. 10).
 """
 
 from __future__ import annotations

@@ -73,7 +73,9 @@ class GasEffect:
 
     @property
     def coordinates(self) -> tuple[float, ...]:
-        """Fitted coordinates: multiples of the scales, or logarithms for parameters with trials."""
+        """Parameters as the fit uses them: each divided by its scale; for a parameter with trial
+        values, the logarithm of this ratio.
+        """
         return tuple(
             math.log(self.parameters[name] / size.scale)
             if size.trials

@@ -29,9 +29,9 @@ class Observable:
         name: Name in the catalogue.
         left: Share of the regressor's squares that the nominal parameters cannot explain, median
             over trial parameters; zero if no recording can show the effect.
-        sizes: Parameter to its value at the least observable size. This is the median over trial
-            parameters or, if these determine the size, the smallest observable trial; empty if none
-            is observable.
+        sizes: Parameter to its value at the smallest size that the recordings can show. This is the
+            median over trial parameters or, if these determine the size, the smallest observable
+            trial; empty if none is observable.
         alike: Effects that explain at least `alike` of its regressor, to the share explained,
             greatest first.
     """
@@ -126,7 +126,7 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
 
 
 def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
-    """Return the parameters of an effect at its least observable size.
+    """Return the parameters of an effect at the smallest size that the recordings can show.
 
     The gain must be significant at ``level``, and at least the share of the noise below which an
     effect is negligible.

@@ -260,9 +260,9 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
         raise RecordingError(
-            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded "
-            "recording to fit has a pendulum; declare the pendulum under `gravity`, or choose "
-            "another `friction`"
+            f"the friction model {model.friction!r} depends on the torque of a pendulum, but no "
+            "unloaded recording with role fit has a pendulum; declare the pendulum under "
+            "`gravity`, or choose another `friction`"
         )
     gear = [
         {"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")

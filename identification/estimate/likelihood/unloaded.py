@@ -26,8 +26,8 @@ _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 upward.
 """
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Start values of the inertia if none of the former leads to a solution: in short, fast slips the
-equation error may give a fiftieth of the inertia.
+"""Further start values of the inertia, which are tried if no other start leads to a solution: in
+short, fast slips the equation error may give a fiftieth of the inertia.
 """
 
 

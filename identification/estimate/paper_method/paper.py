@@ -90,7 +90,7 @@ def identify_paper(
             continue
         if not chosen:
             raise RecordingError(
-                "no unloaded recording with role fit; the paper's method starts from one (stage: "
+                "no unloaded recording with role fit; the paper's method needs one (stage: "
                 "unloaded)"
             )
         found, estimates, convergence = search.solve(stage, chosen, known)

@@ -118,7 +118,10 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
     recording = prepared.recording
     angle = joint_angle(recording)
     if angle is None:
-        raise RecordingError(f"{recording.name}: a prediction needs an angle to start from")
+        raise RecordingError(
+            f"{recording.name}: the recording has no angle channel, and a prediction starts from "
+            "the measured angle; add a channel `angle` or `motor_angle`"
+        )
     looped = recording.controller is not None and "command" in recording.channels
     inputs, volts = (inputs_of(recording), False) if looped else _open_inputs(recording)
     if horizon is None:

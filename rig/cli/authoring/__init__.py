@@ -1,1 +1,1 @@
-"""Creation of starting files for a user, and the JSON Schemas for editors."""
+"""Creates bench, sequence and campaign files for a user, and the JSON Schemas for editors."""

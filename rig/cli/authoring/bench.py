@@ -27,7 +27,7 @@ _OVER_RATED: Final = 5.0 / 3.0
 _OVER_WEIGHT: Final = 1.2
 _HARD_SHARE: Final = 0.8
 _PERIODS_MS: Final = (2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)
-"""Control cycles offered on a serial line: those with a round rate."""
+"""Control cycles that are offered on a serial line, s; their rates are round numbers."""
 _SUPPLY_SHARE: Final = 0.2
 _ROTOR_SHARE: Final = 0.8
 """Largest share of the rotor's inertia in the joint's inertia of a simulated bench."""
@@ -47,13 +47,13 @@ def _real_can(answers: Mapping[str, Any]) -> bool:
 
 
 def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
-    """Return the default speed limit, deg/s: what the supply allows, at most a useful value."""
+    """Return the default speed limit, deg/s: what the supply permits, up to a useful value."""
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
 
 
 def _rotor_inertia_kg_m2(answers: Mapping[str, Any]) -> float:
-    """Return the default inertia of the simulated rotor, in proportion to the joint's."""
+    """Return the default rotor inertia of a simulation, in proportion to the joint inertia."""
     machine, limits = {"gear_ratio": answers["gear_ratio"]}, {"torque_N_m": _torque_N_m(answers)}
     motor = derived({"machine": machine, "limits": limits})["motor"]
     assert isinstance(motor, dict)
@@ -108,8 +108,8 @@ QUESTIONS: Final = (
     ),
     Question(
         "round_trip",
-        "What adapter and drive add to a request and its answer; an FTDI adapter 16, in "
-        "low-latency mode 6",
+        "Time that adapter and drive add to a request and its answer; 16 for an FTDI adapter, "
+        "6 in low-latency mode",
         "ms",
         kind=Number(at_least=0.0),
         default=1.0,
@@ -181,7 +181,7 @@ QUESTIONS: Final = (
 
 
 def bench_text(name: str, answers: Answers) -> str:
-    """Return the text of a bench file, its first line left out.
+    """Return the text of a bench file without its first line.
 
     Args:
         name: Name of the bench.
@@ -364,8 +364,8 @@ def _limits(answers: Answers) -> Block:
 
 
 def _mock(sections: Mapping[str, Any], rotor_inertia_kg_m2: float) -> Block:
-    """Return the simulated machine: assumed values of what must be identified; the rest from the
-    bench.
+    """Return the simulated machine: assumed values for the parameters to identify, and the other
+    values from the bench.
 
     The joint's inertia includes the rotor.
     """

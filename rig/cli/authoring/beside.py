@@ -1,5 +1,5 @@
-"""The JSON Schema stored with a file: its location, and the first line that refers an editor to
-it.
+"""Writes the JSON Schema beside a file, and the first line of the file, which refers an editor to
+the schema.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def first_line(kind: str) -> str:
 
 
 def write_schema(kind: str, folder: Path) -> Path:
-    """Write a schema into a folder, over an earlier one of this program; return its file.
+    """Write a schema into a folder, over an earlier schema of this program; return the path.
 
     Raises:
         InputError: It can't be written, or another file of that name is there.
@@ -45,7 +45,7 @@ def write_schema(kind: str, folder: Path) -> Path:
 
 
 def require_schema_place(path: Path) -> None:
-    """Check that a schema can be written there.
+    """Check that a schema can be written into a folder.
 
     Raises:
         InputError: The folder can't be made, or a file that isn't a schema of this program is

@@ -1,4 +1,4 @@
-"""``rig new campaign``: makes the file that describes recordings made elsewhere."""
+"""``rig new campaign``: writes the file that describes recordings made elsewhere."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def answer(
     tell: Callable[[str], None],
     before: Mapping[str, Any] | None = None,
 ) -> Answers:
-    """Return the answers about files; the columns are shown first.
+    """Return the answers about files; the columns are shown before the questions.
 
     Args:
         files: The recordings.
@@ -93,7 +93,7 @@ def campaign_text(
     answers: Answers,
     read: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the text of a campaign file, its first line left out.
+    """Return the text of a campaign file without its first line.
 
     Args:
         path: Future path of the campaign file; recordings are named relative to its folder.

@@ -29,7 +29,7 @@ ASKED: Final = (
     "velocity",
     "command",
 )
-"""Channels that are asked for; others are used only if a column has their name."""
+"""Channels that the questions ask for; other channels are used only if a column has their name."""
 NONE: Final = "-"
 
 
@@ -106,7 +106,7 @@ def _scale_question(channel: str, files: Sequence[DataFile]) -> Question:
     return Question(
         f"{channel}_scale",
         f"SI units ({_units(channel)}) per unit of the column of {channel.replace('_', ' ')}; "
-        "negative to turn its sign",
+        "negative to reverse the sign",
         kind=Number(above=None, not_zero=True),
         default=default,
         when=lambda answers: bool(answers[channel] != NONE),

@@ -1,4 +1,6 @@
-"""Questions whose answers define a file; answered at the terminal, by options or by defaults."""
+"""Questions whose answers define a file; the answers come from the terminal, from options or from
+defaults.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,7 @@ else:
 
 Answers = dict[str, Any]
 Derived = Callable[[Mapping[str, Any]], Any]
-"""A default computed from the earlier answers."""
+"""Function that computes a default from the earlier answers."""
 
 
 class Number(Kind):
@@ -104,11 +106,11 @@ class Question:
 
     @property
     def option(self) -> str:
-        """The option that answers it."""
+        """Name of the option that answers the question."""
         return f"--{self.name.replace('_', '-')}"
 
     def default_for(self, answers: Mapping[str, Any]) -> Any:
-        """Return the default given the earlier answers; None for none."""
+        """Return the default after the earlier answers; None if there is none."""
         return self.default(answers) if callable(self.default) else self.default
 
     def prompt(self, default: Any) -> str:
@@ -121,7 +123,7 @@ class Question:
 
 
 def shown(value: Any) -> str:
-    """Return an answer as it would be typed."""
+    """Return an answer in the form in which a user types it."""
     if isinstance(value, tuple):
         return ",".join(shown(item) for item in value) or "none"
     return f"{value:.6g}" if isinstance(value, float) else str(value)
@@ -200,14 +202,14 @@ def ask_all(
 
 
 def _stand_in(question: Question) -> Any:
-    """Return a placeholder answer, so that later questions can be checked too."""
+    """Return a placeholder answer, so that the later questions can be checked as well."""
     return 1.0 if isinstance(question.kind, Number) else ""
 
 
 def _without_default(
     questions: Iterable[Question], given: Mapping[str, Any], answers: Mapping[str, Any]
 ) -> list[str]:
-    """Return the options that are required if all others are left at their defaults."""
+    """Return the options that are required if all other questions take their defaults."""
     found, known = [], dict(answers)
     for question in questions:
         if not question.when(known):
@@ -234,7 +236,7 @@ def _ask(
     tell: Callable[[str], None],
     answers: Mapping[str, Any],
 ) -> Any:
-    """Ask one question until the answer is accepted.
+    """Ask one question until a valid answer is given.
 
     Raises:
         InputEndedError: There is no input any more.

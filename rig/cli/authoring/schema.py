@@ -84,7 +84,7 @@ def json_schema(kind: str) -> Tree:
 
 
 def records(root: type) -> dict[str, type]:
-    """Return a file's record and all records nested in it, by name."""
+    """Return the record of a file and all records inside it, by name."""
     found: dict[str, type] = {}
     waiting: list[Any] = [root]
     while waiting:
@@ -135,7 +135,7 @@ def _walk(node: Any, change: Callable[[Tree], None]) -> None:
 
 
 def _tidy(node: Tree) -> None:
-    """Remove what is useless to an editor, and use only draft 7 keywords.
+    """Remove the parts that an editor does not use, and use only keywords of draft 7.
 
     Without their discriminating key the branches of a union overlap, and "one of" would refuse
     files that the program accepts. Titles of keys only repeat their names.
@@ -274,7 +274,7 @@ _PART: Final = "Partial"
 
 
 def _partial(definitions: Mapping[str, Tree], name: str) -> Iterator[tuple[str, Tree]]:
-    """Yield copies of a record and those below it in which no key is required."""
+    """Yield copies of a record and of the records below it, in which no key is required."""
 
     def copied(node: Any) -> Any:
         if isinstance(node, dict):

@@ -43,7 +43,7 @@ QUESTIONS: Final = (
 
 
 def sequence_text(name: str, answers: Answers) -> str:
-    """Return the text of a sequence file, its first line left out.
+    """Return the text of a sequence file without its first line.
 
     Args:
         name: Name of the sequence.

@@ -1,4 +1,6 @@
-"""Writes a new file: validated before it gets its name, and never over an existing file."""
+"""Writes a new file, which is validated before it gets its name and never replaces an existing
+file.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,7 @@ from rig.common.places import replacing, require_file
 
 
 class RefusedError(InputError):
-    """The answers give no valid file; nothing was written."""
+    """The answers do not give a valid file; nothing was written."""
 
 
 def require_new(path: Path, kind: str) -> None:
@@ -32,7 +34,7 @@ def require_new(path: Path, kind: str) -> None:
 
 
 def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
-    """Write a file made from answers, and its schema.
+    """Write a file that was made from answers, and its schema.
 
     Args:
         path: The file.

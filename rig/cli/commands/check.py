@@ -1,4 +1,4 @@
-"""``rig check``: connect to a bench and read it back."""
+"""``rig check``: connects to a bench and reads its values back."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from rig.wiring.ownership import say_taken_over
 @shared.simulated_seed
 @shared.record_file("Also write the findings to this file.")
 def command(bench: str, seed: int, json_file: Path | None) -> int:
-    """Connect to BENCH and read identities, live values, state and limits.
+    """Connect to BENCH, and read identities, live values, state and limits.
 
     Nothing moves, is energised or written.
 
-    Exits with 1 where a run would refuse to start, for each reason in the words of the run: a limit
-    looser than the drive's own, units that differ, an overdue calibration, implausible constants, a
-    drive that is energised or in fault, a reading beyond its limit. A bench that cannot be
-    connected to ends with 2 or 4.
+    The exit status is 1 if a run would refuse to start; the message for each reason is that of `rig
+    run`: a limit looser than the drive's own limit, units that differ, an overdue calibration,
+    implausible constants, a drive that is energised or in fault, a reading beyond its limit. If the
+    connection to the bench fails, the exit status is 2 or 4.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``rig commission``: go through a new bench, step by step."""
+"""``rig commission``: guides an operator through a new bench, step by step."""
 
 from __future__ import annotations
 
@@ -63,7 +63,8 @@ PATCH_FILE = "bench.patch"
     "--angle",
     "angle_deg",
     type=float,
-    help="True joint angle at the start, deg; asked for unless given, not checked with --yes.",
+    help="True joint angle at the start, deg. If it is left out, the program asks for it; with "
+    "--yes it is not checked.",
 )
 @click.option(
     "--speed-limit",
@@ -71,14 +72,14 @@ PATCH_FILE = "bench.patch"
     type=click.FloatRange(min=1.0),
     default=FASTEST_DEG_S,
     show_default=True,
-    help="Limit on the joint speed, deg/s, at most a quarter of the bench's; a soft drive slips "
-    "faster than it is told to move.",
+    help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; a soft "
+    "drive slips faster than the commanded speed.",
 )
 @click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
 @click.option(
     "--mistake",
     type=click.Choice(sorted(MISTAKES)),
-    help="Build this mistake into the simulated devices, to see it found.",
+    help="Build this mistake into the simulated devices, as a demonstration of the checks.",
 )
 @shared.simulated_seed
 @shared.operator_name
@@ -95,17 +96,17 @@ def command(
     operator_name: str | None,
     json_file: Path | None,
 ) -> int:
-    """Go through BENCH with the operator before its first run, at low limits and step by step.
+    """Go through BENCH with the operator before its first run, step by step and at low limits.
 
     The steps are identity, readings, zero, limits, hold, watchdog, a small move, stop, and a larger
-    move. Each says what will move and what is under power, asks, and shows what was measured. Take
-    all weights off first, and keep a hand on the emergency stop. After every step under power the
-    drive is taken off power, and that is read back.
+    move. Each step states what will move and which devices are under power, asks for consent, and
+    shows the measured values. Take all weights off first, and keep a hand on the emergency stop.
+    After every step under power, the program takes the power off and reads the drive's state back.
 
-    Where a value of the bench file is wrong (unit, sign, ratio, zero, torque constant), the step
-    names the key and the value; after another yes the steps begin again with it. The corrected
-    bench goes to a new file; BENCH itself is never changed. The folder keeps protocol, recording
-    and the corrections as a patch.
+    If a value of the bench file is wrong (unit, sign, ratio, zero, torque constant), the step names
+    the key and the right value; after the operator agrees, the steps begin again with this value.
+    The corrected bench is written to a new file; BENCH itself is never changed. The folder contains
+    protocol, recording and the corrections as a patch.
 
     \b
     Example:
@@ -133,7 +134,7 @@ def command(
 
 @dataclass(frozen=True)
 class _Plan:
-    """What is to be done, and where the results go."""
+    """Steps of the commissioning, and the places of the results."""
 
     document: Document[Bench]
     folder: Path
@@ -145,7 +146,7 @@ class _Plan:
 
 
 def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
-    """Go through the bench, and store and show the protocol; returns exit status and record."""
+    """Carry out the steps, and store and show the protocol; return exit status and record."""
     folder = plan.folder
     screen = Screen()
     screen.silence()
@@ -177,7 +178,7 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
 
 
 def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:
-    """Refuse what only a simulated bench allows, and a real one without a person.
+    """Refuse options that only a simulated bench permits, and refuse a real bench without a person.
 
     Raises:
         InputError: It is not allowed.
@@ -189,7 +190,7 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
     if yes:
         raise InputError(
             f"{document.path}: --yes agrees to every step, and this bench is real: run at a "
-            f"terminal without it, with a hand on the emergency stop"
+            "terminal without --yes, with a hand on the emergency stop"
         )
     if mistake is not None:
         raise InputError("--mistake: works with simulated benches only")
@@ -201,8 +202,8 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
 
 
 def _new_file(document: Document[Bench], folder: Path) -> Path:
-    """Return where the corrected bench goes: beside the file, as it names others relative to it; a
-    packaged one goes to the folder of the protocol.
+    """Return the path of the corrected bench file: beside the original file, because it names other
+    files relative to itself; for a packaged bench, in the folder of the protocol.
     """
     path = document.path
     if path == packaged(path.stem, "benches"):
@@ -214,7 +215,9 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return what opens a bench, with a mistake in its simulated devices where one is asked for."""
+    """Return the function that opens a bench; it builds a mistake into the simulated devices if one
+    is requested.
+    """
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
         spoil = MISTAKES[mistake or ""].spoil
@@ -240,7 +243,7 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
 
 
 def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
-    """Write the corrections; returns the new bench file, empty where there are none."""
+    """Write the corrections; return the path of the new bench file, empty if there are none."""
     before = document.path.read_text(encoding="utf-8-sig")
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)

@@ -1,4 +1,4 @@
-"""``rig console``: watch and command runs in a browser."""
+"""``rig console``: shows and commands runs in a browser."""
 
 from __future__ import annotations
 
@@ -33,15 +33,16 @@ DEFAULT_BENCH = "practical"
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("runs"),
     show_default=True,
-    help="Where runs that are started in the page are recorded; the page lists the runs in it.",
+    help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
 def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
     """Watch runs on a page, stop, pause and answer them, and start new ones on BENCH, a file or the
     name of a packaged one; without BENCH, on any packaged bench.
 
-    Prints the address of the page, which only this computer can open, until Ctrl-C. The address
-    holds a token of this start; without it the page can only be read. Runs go on when the page or
-    this command ends. STOP in the page is a stop function in software, not an emergency stop.
+    Prints the address of the page, which only this computer can open, and serves the page until
+    Ctrl-C. The address contains a token that is valid until this command ends; without the token
+    the page is read-only. Runs go on when the page or this command ends. STOP in the page is a stop
+    function in software, not an emergency stop.
 
     \b
     Example:
@@ -66,7 +67,7 @@ def _announce(address: str) -> None:
 
 
 def _server() -> Callable[[Starter, frozenset[str], int, Callable[[str], None]], None]:
-    """Return the server.
+    """Return the function that serves the console.
 
     Raises:
         InputError: The extra is not installed.

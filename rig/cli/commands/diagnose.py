@@ -1,5 +1,5 @@
-"""``rig diagnose``: locate the mismatch, name the physics that was left out, model it, show the fit
-improve.
+"""``rig diagnose``: locates the mismatch, identifies the missing physics, adds it to the model, and
+shows the smaller error.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ if TYPE_CHECKING:
 @click.option(
     "--gas",
     is_flag=True,
-    help="Diagnose the gas generator, from pressure and valve angle; needed only where there is "
-    "torque as well.",
+    help="Diagnose the gas generator, from pressure and valve angle; needed only if the "
+    "recordings contain torque as well.",
 )
 @click.option(
     "--observable",
     is_flag=True,
-    help="Seek nothing: print which effects these recordings can show, from which size on, and "
-    "which of them they cannot distinguish.",
+    help="Make no diagnosis: print which effects these recordings can show, from which size "
+    "on, and which effects they cannot distinguish.",
 )
 @shared.partial
 @shared.seed()
@@ -55,11 +55,11 @@ def command(
 ) -> None:
     """Find the physics missing in the model of SOURCE, a run folder or a campaign file.
 
-    There are four verdicts, all with status 0: one or more identified effects, several effects that
-    these recordings do not distinguish (with an experiment that would, as a sequence file),
-    something outside the catalogue, or nothing missing. Recordings of role validate are used in no
-    fit; an effect is kept if it lowers their error. The corrected model is written next to the
-    report.
+    There are four verdicts, all with exit status 0: one or more identified effects; several effects
+    that these recordings do not distinguish, with a sequence file of an experiment that
+    distinguishes them; missing physics outside the catalogue; or nothing missing. Recordings with
+    role validate are used in no fit; an effect is kept if it lowers the error on these recordings.
+    The corrected model is written next to the report.
 
     \b
     Example:
@@ -68,10 +68,7 @@ def command(
       rig diagnose runs/hot --gas
       rig diagnose bench.yaml --observable
     """
-    if refine is not None:
-        click.echo(
-            "note: --refine and --no-refine have no effect any more; leave them out", err=True
-        )
+    _note_former_options(refine)
     if observable:
         _no_search(gas)
         return _print_observable(source, seed, bandwidth, json_file)
@@ -105,7 +102,7 @@ def command(
 
 
 def _print_files(folder: Path, beside: Exports, page: Path) -> None:
-    """Print which files were written, and notes on those that were not."""
+    """Print which files were written, and notes on files that were not written."""
     for note in beside.notes:
         click.echo(f"note: {note}")
     for file in beside.files:
@@ -114,6 +111,7 @@ def _print_files(folder: Path, beside: Exports, page: Path) -> None:
 
 
 def _note_former_options(refine: bool | None) -> None:
+    """Print a note if an option of earlier versions was given."""
     if refine is not None:
         click.echo(
             "note: --refine and --no-refine have no effect any more; leave them out", err=True
@@ -121,7 +119,7 @@ def _note_former_options(refine: bool | None) -> None:
 
 
 def _no_search(gas: bool) -> None:
-    """Refuse options of a search.
+    """Refuse options that apply only to a search.
 
     Raises:
         click.UsageError: One of them was given.
@@ -133,7 +131,7 @@ def _no_search(gas: bool) -> None:
 def _print_observable(
     source: Path, seed: int, bandwidth: float | None, json_file: Path | None
 ) -> None:
-    """Print which effects a source can show, and write the record where asked to."""
+    """Print which effects a source can show, and write the record if requested."""
     from rig.common.places import require_file, write_json
     from rig.results.diagnose.observable import observable_document, observe_source
     from rig.results.terminal import text

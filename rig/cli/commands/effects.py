@@ -1,4 +1,4 @@
-"""``rig effects``: the catalogue of physical effects that a diagnosis can name."""
+"""``rig effects``: lists the catalogue of physical effects that a diagnosis can identify."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from rig.cli import options as shared
 @click.argument("name", required=False)
 @shared.result_file
 def command(name: str | None, json_file: Path | None) -> None:
-    """List the effects that a diagnosis can name; with NAME, everything the catalogue knows of one.
+    """List the effects that a diagnosis can identify; with NAME, show the whole catalogue entry of
+    one effect.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``rig export``: recordings and raw traffic for other tools."""
+"""``rig export``: converts recordings and raw traffic for other tools."""
 
 from __future__ import annotations
 
@@ -40,16 +40,17 @@ from rig.sources import load_source
 def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
-    Channels keep their canonical names and SI units. MATLAB, Parquet and MCAP files hold all
-    recordings, and a field, column or topic names each. A CSV file holds one recording; of several,
-    each is written to its own file, named OUT plus the recording's name. Excitations that a run
-    stopped in are left out unless --partial is given; their names then end in "(partial)".
+    Channels keep their canonical names and SI units. MATLAB, Parquet and MCAP files contain all
+    recordings; a field, column or topic names each recording. A CSV file contains one recording; of
+    several recordings, each is written to a separate file, named OUT plus the name of the
+    recording. Unfinished excitations of a stopped run are left out unless --partial is given; their
+    names then end in "(partial)".
 
-    Stages, masses, loads and constants go along, for a CSV file in FILE.csv.json, so that a
-    campaign reads an export back by `file:` alone.
+    The export contains stages, masses, loads and constants as well (for a CSV file in
+    FILE.csv.json), so that a campaign can read an export with `file:` alone.
 
-    candump (a .log file) and asc (Vector) are the raw CAN frames of a run. mcap holds them as well,
-    as can_msgs/msg/Frame, and the events.
+    The formats candump (a .log file) and asc (Vector) contain the raw CAN frames of a run. An mcap
+    file contains these frames as can_msgs/msg/Frame, and the events.
 
     \b
     Example:
@@ -101,7 +102,7 @@ def _traffic(source: Path, path: Path, kind: str) -> int:
 
 
 def _require_free(places: Iterable[Path]) -> None:
-    """Check that nothing is overwritten.
+    """Check that no existing file would be overwritten.
 
     Raises:
         InputError: Names every file that exists.

@@ -1,6 +1,4 @@
-"""``rig identify``: staged identification of a run or a campaign, with tables, figures and a
-report.
-"""
+"""``rig identify``: identifies a run or a campaign in stages, with tables, figures and a report."""
 
 from __future__ import annotations
 
@@ -26,7 +24,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
     type=click.Choice(list(_METHODS)),
     default="default",
     show_default=True,
-    help="Estimator; both shows them side by side.",
+    help="Estimation method; `both` shows both methods side by side.",
 )
 @click.option(
     "--compare",
@@ -47,20 +45,20 @@ _METHODS: dict[str, tuple[str, ...]] = {
     metavar="N",
     type=click.IntRange(min=20),
     help="Also compute the spread over N draws of the motion segments, with replacement; each "
-    "takes some half a second.",
+    "draw takes some half a second.",
 )
 @click.option(
     "--plan",
     "sequence",
     metavar="SEQUENCE",
-    help="Instead of a SOURCE: predict what this sequence determines, and propose one of the same "
-    "duration that determines more.",
+    help="Instead of SOURCE: predict which parameters this sequence determines, and propose a "
+    "better sequence of the same duration.",
 )
 @click.option(
     "--bench",
     default="practical",
     show_default=True,
-    help="With --plan: the bench it is planned for.",
+    help="With --plan: bench for which the sequence is planned.",
 )
 @click.option(
     "--nominal",
@@ -84,8 +82,8 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "--score",
     metavar="SOURCE",
     type=click.Path(path_type=Path),
-    help="Another source to score the result on: its error there against the noise floor, and the "
-    "parameters that moved.",
+    help="Another source on which the result is scored: error and noise floor of that source, "
+    "and the parameters that changed.",
 )
 @shared.seed()
 @shared.out_folder(
@@ -97,7 +95,8 @@ def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
     With --plan, before anything is recorded: predict which parameters a sequence determines, and
-    propose a better one that takes no longer. It may have more stages, and other weights.
+    propose a better sequence of the same duration or shorter. The proposal may have more stages and
+    other weights.
 
     \b
     Example:
@@ -115,7 +114,7 @@ def command(**options: Any) -> None:
 
 @dataclass(frozen=True)
 class _Options:
-    """Argument and options of the command, named and converted by click."""
+    """Argument and options of the command; click sets names and types."""
 
     source: Path | None
     method: Literal["default", "paper", "both"]

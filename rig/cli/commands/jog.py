@@ -1,4 +1,4 @@
-"""``rig jog``: move a bench by hand."""
+"""``rig jog``: moves a bench by hand."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ SCHEMA = "loadrig.jog/1"
     help="Joint angle, deg; may be given several times.",
 )
 @click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
-@click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
+@click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @shared.simulated_seed
 @shared.reset_fault()
 @shared.record_file("Also write the outcome to this file.")
@@ -57,11 +57,11 @@ def command(
     json_file: Path | None,
 ) -> int:
     """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and
-    after.
+    after each move.
 
-    Without --to, angles are asked for one by one, the drive off in between; an empty answer ends
-    it. Nothing is recorded. Ctrl-C brakes and takes the power off; again while it brakes, takes the
-    power off without waiting.
+    Without --to, the program asks for one angle after another, with the drive off in between; an
+    empty answer ends the command. Nothing is recorded. Ctrl-C brakes and takes the power off; a
+    second Ctrl-C during braking takes the power off without waiting.
 
     \b
     Example:
@@ -127,7 +127,8 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
 
 
 def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -> bool:
-    """Ask whether to move under limits that this program alone checks; False for anything but yes.
+    """Ask whether to move although only this program checks the limits; return False for any answer
+    but yes.
 
     On a real bench only a person at a terminal can agree.
 

@@ -1,4 +1,4 @@
-"""``rig look``: what is in a log."""
+"""``rig look``: shows the content of a log."""
 
 from __future__ import annotations
 
@@ -18,13 +18,15 @@ NEEDED = {
     "the angle": {"angle", "motor_angle", "velocity"},
     "the current, torque or voltage": {"current", "torque", "voltage"},
 }
-"""Sets of channels; an identification needs at least one of each."""
+"""Sets of channels; an identification needs at least one channel of each set."""
 
 
 @click.command("look")
 @click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--skip-rows", type=click.IntRange(0), default=0, help="Lines before the header.")
-@click.option("--delimiter", help="One character; found from the file where not given.")
+@click.option(
+    "--delimiter", help="Delimiter, one character; if it is left out, detected from the file."
+)
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", show_default=True)
 @click.option(
     "--dbc",
@@ -32,7 +34,10 @@ NEEDED = {
     type=click.Path(dir_okay=False),
     help="DBC file of recorded CAN traffic; may be given several times.",
 )
-@click.option("--bench", help="Bench file, or packaged name, whose map recorded CAN traffic has.")
+@click.option(
+    "--bench",
+    help="Bench file, or packaged name, whose signal map applies to recorded CAN traffic.",
+)
 @click.option("--bus", help="Bus of recorded CAN traffic, as the file names it.")
 @click.option(
     "--campaign",
@@ -51,9 +56,12 @@ def command(
     campaign: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Show what is in FILE: its columns, their units, ranges, steps and wraps, rate and gaps, and a
-    small picture of each. FILE is a log of any format that campaign files name, a run folder or
-    a campaign file. What a column may be is guessed from its name and unit; check it.
+    """Show the content of FILE: its columns with units, ranges, steps, wraps and a small picture,
+    and its rate and gaps.
+
+    FILE is a log of any format that campaign files can name, a run folder or a campaign file. The
+    command guesses the channel of a column from the name and the unit of the column; check these
+    guesses.
 
     \b
     Example:
@@ -78,7 +86,7 @@ def command(
 
 
 def _missing(look: Look) -> str:
-    """Return which columns the user must state in that campaign file."""
+    """Return a text on the columns that the user must state in the campaign file."""
     lacking = [name for name, any_of in NEEDED.items() if not any_of & look.guesses.keys()]
     return f", and state the column of {' and '.join(lacking)} in it" if lacking else ""
 
@@ -120,7 +128,8 @@ def _looks(path: Path, read: dict[str, Any]) -> list[Look]:
 
 
 def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[str, Any]) -> None:
-    """Write the campaign file with the guesses; what is unknown has a stand-in value to change.
+    """Write the campaign file with the guesses; an unknown value has a placeholder that the user
+    must change.
 
     Raises:
         InputError: The source is no single log, or the guesses make no valid file.

@@ -1,4 +1,4 @@
-"""``rig new``: bench, sequence and campaign files to start from."""
+"""``rig new``: writes bench, sequence and campaign files to start from."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ from rig.terminal.screen import Screen
 
 _PATH = click.argument("path", type=click.Path(path_type=Path))
 _YES = click.option(
-    "--yes", is_flag=True, help="Ask nothing: take the defaults of what no option gives."
+    "--yes",
+    is_flag=True,
+    help="Ask no questions: use the defaults of all values without an option.",
 )
 
 
@@ -32,8 +34,9 @@ def command() -> None:
     """Write a bench, sequence or campaign file to start from, after a few questions or from
     options.
 
-    Every key of the file is explained in a comment. Its first line names a JSON Schema, written to
-    the folder schemas next to it, that editors use to complete and check it.
+    A comment explains every key of the file. The first line of the file names a JSON Schema, which
+    is written to the folder schemas next to the file; editors use it to complete and check the
+    file.
 
     \b
     Example:
@@ -45,8 +48,8 @@ def command() -> None:
 
 @contextmanager
 def _terminal(yes: bool) -> Iterator[tuple[Asker | None, Callable[[str], None]]]:
-    """Yield the object that asks questions (None to use defaults) and the one that shows
-    messages.
+    """Yield the object that asks questions (None if the defaults are used) and the object that
+    shows messages.
     """
     with closing(Screen()) as screen:
         yield None if yes else Prompt(screen), screen.say
@@ -95,7 +98,7 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
     "--bench",
     "bench_name",
     metavar="BENCH",
-    help="Bench file or packaged name whose limits it must keep.",
+    help="Bench file or packaged name whose limits the sequence must keep.",
 )
 @_YES
 def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> None:
@@ -133,9 +136,9 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
     """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
 
-    Columns are read from the files, and guesses of what they hold are proposed with a scale to SI
-    where a name states a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on
-    the lever. On a linear bench read m for rad and N for N m.
+    The command reads the columns from the files and proposes a channel for each column, with a
+    scale to SI if a name states a unit. A mass in a file's name, such as log_5kg.csv, is used as
+    the mass on the lever. On a linear bench read m for rad and N for N m.
 
     \b
     Example:
@@ -164,7 +167,7 @@ def _until_valid(
     asker: Asker | None,
     tell: Callable[[str], None],
 ) -> tuple[Answers, list[Path]]:
-    """Ask until the answers give a valid file; return the answers and what was written.
+    """Ask until the answers give a valid file; return the answers and the written files.
 
     Args:
         ask: Returns answers; takes earlier answers as defaults.
@@ -186,11 +189,11 @@ def _until_valid(
                 raise
             for line in error.problems:
                 tell(line)
-            tell("The questions again; what you answered is the default now.")
+            tell("The questions are asked again; your answers are now the defaults.")
 
 
 def _say(written: list[Path], following: str) -> None:
-    """Print what was written, and the next command."""
+    """Print the written files, and the next command."""
     for path in written:
         click.echo(f"wrote {path}")
     click.echo(f"next: {following}")

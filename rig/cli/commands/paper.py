@@ -30,12 +30,12 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
 )
 @shared.result_file
 def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
-    """Reproduce the paper's tables and figures, each beside what the paper prints or shows, on one
-    page (paper.html).
+    """Reproduce the paper's tables and figures, each beside the paper's statement, on one page
+    (paper.html).
 
     The literal bench is simulated and identified by both methods from every seed; slow ramps,
-    uniform motion and a hot firing run through the whole simulated chain. Every figure is there as
-    PNG and its numbers as CSV too.
+    uniform motion and a hot firing run through the whole simulated chain. Every figure is also
+    written as PNG, and its numbers as CSV.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``rig prove``: the blind proof."""
+"""``rig prove``: tests the diagnosis on blind trials."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from rig.common.errors import InputError
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("proof"),
     show_default=True,
-    help="Folder; a proof begun there before is continued.",
+    help="Folder of the proof; a proof that was begun in it is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @shared.seed("Seed of draws and diagnosis.")
@@ -64,11 +64,11 @@ def command(
     keep: bool,
     json_file: Path | None,
 ) -> None:
-    """Test the diagnosis blind: draw trials with injected effects, seal the truth, diagnose,
-    unseal, score.
+    """Test the diagnosis on blind trials: draw trials with injected effects, seal the truth,
+    diagnose, unseal and score.
 
-    The SHA-256 of every sealed truth is printed before the first diagnosis starts. With --from all
-    rigs are diagnosed before the first truth is opened.
+    The command prints the SHA-256 of every sealed truth before the first diagnosis starts. With
+    --from, all rigs are diagnosed before the first truth is opened.
 
     \b
     Example:
@@ -108,7 +108,7 @@ def command(
 def _show(
     rows: list[dict[str, Any]], out: Path, seed: int, started: float, json_file: Path | None
 ) -> None:
-    """Write a proof's result and report, and print it."""
+    """Write the result and the report of a proof, and print the result."""
     from rig.common.result_files import Provenance
     from rig.results.files import PAGE_FILE, write_page, write_record
     from rig.results.prove.run import PROOF_FILE
@@ -159,7 +159,7 @@ def _prove(
 
 
 def _seal(home: Path, plant: str, rigs: int, seed: int, jobs: int) -> None:
-    """Draw and seal trials for others; print their digests."""
+    """Draw and seal trials for other tools; print their digests."""
     from rig.results.prove.interchange.own import seal_own
     from rig.terminal.bar import ShareBar
 
@@ -177,7 +177,7 @@ def _seal(home: Path, plant: str, rigs: int, seed: int, jobs: int) -> None:
 
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, jobs: int) -> list[dict[str, Any]]:
-    """Diagnose and score rigs that others have sealed; return their rows."""
+    """Diagnose and score rigs that other programs have sealed; return their rows."""
     from rig.results.prove.absorbed import floors_of
     from rig.results.prove.interchange.proof import begin_from, diagnose_all, score_all
     from rig.results.prove.judge import judge, oracle_of

@@ -1,4 +1,4 @@
-"""``rig recover``: mend a run whose writer died."""
+"""``rig recover``: repairs a run whose writer died."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from rig.wiring.ownership import until_the_end
 @click.argument("run", type=click.Path(path_type=Path))
 @shared.record_file("Also write the completed run.json here.")
 def command(run: Path, json_file: Path | None) -> int:
-    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and
-    its page.
+    """Write a clean recording of RUN from all readable records of the damaged one, and complete
+    run.json and the page of the run.
 
-    The damaged file is kept next to it. A complete run is not changed; only a missing page is
-    written.
+    The damaged file is kept next to the clean one. A complete run is not changed; only a missing
+    page is written.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``rig resume``: go on with a run that stopped."""
+"""``rig resume``: continues a run that stopped."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ from rig.wiring.preflight import require_startable
 @shared.identification
 @shared.first_pass
 @shared.reset_fault(
-    " Always done where the writer died, as the drive's own watch has then tripped."
+    " If the writer of the run died, this is always done, because the watchdog of the drive "
+    "has then tripped."
 )
 @shared.in_console
 @shared.record_file("Also write run.json to this file.")
@@ -55,12 +56,12 @@ def command(
     in_console: bool,
     json_file: Path | None,
 ) -> int:
-    """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same
+    """Continue RUN at its first unfinished stage, after a crash, a stop or a trip, in the same run
     folder.
 
-    A recording whose writer died is mended first. The unfinished stage begins again; what it left
-    behind is kept in its recording but not used. Bench and sequence files must be those of the run.
-    Ctrl-C does what it does in a run.
+    A recording whose writer died is repaired first. The unfinished stage is repeated from its
+    beginning; its earlier samples stay in the recording but are not used. Bench and sequence files
+    must be those of the run. Ctrl-C has the same effect as in `rig run`.
 
     \b
     Example:

@@ -1,4 +1,4 @@
-"""``rig run``: run a sequence on a bench."""
+"""``rig run``: runs a sequence on a bench."""
 
 from __future__ import annotations
 
@@ -56,9 +56,11 @@ from rig.wiring.preflight import require_startable
     help="Run folder, new or empty. [default: runs/<utc>-<name>]",
 )
 @shared.yes
-@click.option("--realtime", is_flag=True, help="Hold the simulated bench to real time.")
+@click.option("--realtime", is_flag=True, help="Run the simulated bench in real time.")
 @click.option(
-    "--dry-run", is_flag=True, help="Print the plan and its predicted torque; connect to nothing."
+    "--dry-run",
+    is_flag=True,
+    help="Print the plan and its predicted torque, without a connection to the bench.",
 )
 @shared.simulated_seed
 @click.option(
@@ -73,8 +75,8 @@ from rig.wiring.preflight import require_startable
     "--feedforward",
     "feedforward_file",
     type=click.Path(path_type=Path),
-    help="Result of `rig identify --json` on this bench: the drive adds the friction and inertia "
-    "torque it predicts.",
+    help="Result of `rig identify --json` on this bench: the drive adds the friction and "
+    "inertia torque that this result predicts.",
 )
 @shared.first_pass
 @shared.reset_fault()
@@ -82,24 +84,25 @@ from rig.wiring.preflight import require_startable
     "--prompt-timeout",
     "prompt_timeout_s",
     type=click.FloatRange(min=0, min_open=True),
-    help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
+    help="Seconds to wait for an answer; after them the run stops with status 3. [default: "
+    "prompt_timeout_s of "
     "the bench file]",
 )
 @shared.in_console
 @shared.acceptance
 @shared.junit
-@shared.record_file("Also write run.json to this file, or what --dry-run finds.")
+@shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
 def command(**options: Any) -> int:
-    """Run SEQUENCE, a file or the name of a packaged one, and record it.
+    """Run SEQUENCE, a file or the name of a packaged sequence, and record the run.
 
-    Before each stage the drive is de-energised and the weight is asked for; `repeat` and `abort`
-    are answers too. SIGUSR1 pauses at the end of the stage, where the drive is off; `rig resume`
-    goes on after a stop or a crash.
+    Before each stage the drive is de-energised, and the program asks for the weight; `repeat` and
+    `abort` are answers as well. SIGUSR1 pauses the run at the end of the stage, with the drive off.
+    After a stop or a crash, `rig resume` continues the run.
 
-    One Ctrl-C or SIGTERM stops the run at once: the program brakes with the drive's ramp, takes the
-    power off and reads the drive's state back. A second Ctrl-C during braking takes the power off
-    without waiting for the ramp. Any further one changes nothing: the state is always read back,
-    with a time-out of its own. Ctrl-C is a stop function in software, not an emergency stop.
+    One Ctrl-C or SIGTERM stops the run immediately: the program brakes with the drive's ramp, takes
+    the power off and reads the drive's state back. A second Ctrl-C during braking takes the power
+    off without waiting for the ramp. Any further Ctrl-C changes nothing: the state is always read
+    back, with a separate time-out. Ctrl-C is a stop function in software, not an emergency stop.
 
     \b
     Example:
@@ -112,7 +115,7 @@ def command(**options: Any) -> int:
 
 @dataclass(frozen=True)
 class _Options:
-    """Argument and options of the command, as click names and converts them."""
+    """Argument and options of the command; click sets names and types."""
 
     sequence: str
     bench: str
@@ -134,7 +137,7 @@ class _Options:
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
-        """Return the time to wait for an operator's answer, s; None for ever."""
+        """Return the time to wait for an answer of the operator, s; None for unlimited time."""
         return self.prompt_timeout_s or bench.prompt_timeout_s
 
 

@@ -1,4 +1,4 @@
-"""``rig runs``: what was run, and how it compares."""
+"""``rig runs``: lists, shows, compares and verifies recorded runs."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DEFAULT_FOLDER = Path("runs")
 
 
 class _Day(_Time):
-    """A date or a time in UTC; of a day, ``last`` takes the end."""
+    """A date or a time in UTC; with ``last``, a date stands for the end of the day."""
 
     name = "date"
 
@@ -45,15 +45,27 @@ class _Day(_Time):
 
 
 _FILTERS = (
-    click.option("--bench", metavar="NAME", help="Of this bench; * and ? stand for any text."),
-    click.option("--sequence", metavar="NAME", help="Of this sequence."),
-    click.option("--operator", metavar="NAME", help="By this operator."),
     click.option(
-        "--weight", "weight_kg", metavar="KG", type=click.FloatRange(min=0), help="With this mass."
+        "--bench", metavar="NAME", help="Only runs of this bench; * and ? stand for any text."
     ),
-    click.option("--verdict", type=click.Choice(VERDICTS), help="That ended so, or was judged so."),
-    click.option("--since", type=_Day(last=False), help="Begun on this day or later (UTC)."),
-    click.option("--until", type=_Day(last=True), help="Begun on this day or before (UTC)."),
+    click.option("--sequence", metavar="NAME", help="Only runs of this sequence."),
+    click.option("--operator", metavar="NAME", help="Only runs of this operator."),
+    click.option(
+        "--weight",
+        "weight_kg",
+        metavar="KG",
+        type=click.FloatRange(min=0),
+        help="Only runs with this mass on the lever.",
+    ),
+    click.option(
+        "--verdict", type=click.Choice(VERDICTS), help="Only runs with this ending or verdict."
+    ),
+    click.option(
+        "--since", type=_Day(last=False), help="Only runs that began on this day or later (UTC)."
+    ),
+    click.option(
+        "--until", type=_Day(last=True), help="Only runs that began on this day or before (UTC)."
+    ),
 )
 _NAMES = ("bench", "sequence", "operator", "weight_kg", "verdict", "since", "until")
 
@@ -73,10 +85,10 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 
 @click.group("runs")
 def command() -> None:
-    """List, show, compare, accept and verify
+    """List, show, compare, accept and verify recorded runs.
 
-    An index beside the run folders (.runs.sqlite) saves reading them again. It can be deleted at
-    any time; the folders alone decide what is shown.
+    An index beside the run folders (.runs.sqlite) saves reading the folders again. The index can be
+    deleted at any time; the output depends only on the folders.
 
     \b
     Example:
@@ -89,16 +101,18 @@ def command() -> None:
 @command.command("list")
 @_folder
 @_filters
-@click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
+@click.option(
+    "--last", type=click.IntRange(min=1), metavar="N", help="List only the N latest runs."
+)
 @_page
 @shared.result_file
 def list_(
     folder: Path, last: int | None, out: Path | None, json_file: Path | None, **given: Any
 ) -> None:
-    """List the runs in and below FOLDER (runs unless given), the latest last.
+    """List the runs in and below FOLDER (`runs` if left out), the latest run last.
 
-    Folders that are no whole runs are shown as what they are: half written, of another version, or
-    unreadable, each with the remedy.
+    A folder without a complete run is listed as half written, of another version, or unreadable,
+    each with the remedy.
 
     \b
     Example:
@@ -120,7 +134,8 @@ def list_(
 @_page
 @shared.result_file
 def show(run: Path, out: Path | None, json_file: Path | None) -> None:
-    """Show what is known of one RUN: stages, weights, constants with intervals, verdicts, pages.
+    """Show the data of one RUN: stages, weights, identified parameters with intervals, verdicts,
+    pages.
 
     \b
     Example:
@@ -138,9 +153,10 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
-    """Compare the constants of RUNS with those of the first, and mark those that moved.
+    """Compare the identified parameters of RUNS with those of the first run, and mark those that
+    changed.
 
-    A constant has moved where the difference is larger than the 90 % interval of the difference.
+    A parameter has changed if the difference is larger than the 90 % interval of the difference.
     --out writes a page with the figures side by side.
 
     \b
@@ -169,11 +185,13 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
 @_page
 @shared.result_file
 def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **given: Any) -> None:
-    """Follow each constant over the runs of each bench in FOLDER, and test it for change.
+    """Follow each identified parameter over the runs of each bench in FOLDER, and test it for a
+    change.
 
-    A drift, or a step from one run to the next, is reported where it is larger than the scatter of
-    the runs and their intervals explain. Of 100 histories without change, in one at most any
-    constant is reported. A step is compared with the devices: it may come with another drive.
+    The command reports a drift, or a step from one run to the next, if it is larger than the
+    scatter of the runs and their intervals explain. In at most one of 100 histories without change,
+    the command reports a parameter. If a parameter has a step at a run, the output names the
+    devices that were replaced at that run.
 
     \b
     Example:
@@ -196,9 +214,9 @@ def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **g
 def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
     """Compare the files of RUNS with the digests (SHA-256) that were recorded of them.
 
-    RUNS are run folders, or folders with run folders in them. A run is sealed at its end: its
-    folder holds SHA256SUMS, which `sha256sum -c` reads as well. Ends with status 1 where a file is
-    changed, damaged or missing.
+    RUNS are run folders, or folders that contain run folders. Each run is sealed at its end: its
+    folder then contains SHA256SUMS, which `sha256sum -c` reads as well. The exit status is 1 if a
+    file is changed, damaged or missing.
 
     \b
     Example:
@@ -213,7 +231,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
     for run in runs:
         folders = sorted(run / each.folder for each in _looked_into(find_runs, run))
         if not folders:
-            raise InputError(f"{run}: there is no run in it")
+            raise InputError(f"{run}: this folder contains no run")
         found += [verified(folder) for folder in folders]
     _write(json_file, lambda: verification_record(found))
     _show(verification_document(found), out)
@@ -228,12 +246,12 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
 def accept(
     run: Path, acceptance: Path | None, junit_file: Path | None, json_file: Path | None
 ) -> int:
-    """Hold a finished RUN against its limits, and write its certificate.
+    """Compare a finished RUN with acceptance limits, and write its certificate.
 
-    The limits are those of --acceptance, else those of the sequence that was run. Where they ask
-    for constants or for a diagnosis, RUN is identified and diagnosed unless it has been. The run
-    folder gets acceptance.json, certificate.html and certificate.pdf, and is sealed. Ends with
-    status 1 where a limit is not kept.
+    The limits are those of --acceptance, else those of the recorded sequence. If the limits need
+    identified parameters or a diagnosis, RUN is identified or diagnosed, unless it has a result.
+    The command writes acceptance.json, certificate.html and certificate.pdf into the run folder,
+    and seals the folder. The exit status is 1 if a limit is not met.
 
     \b
     Example:
@@ -259,7 +277,7 @@ def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
     try:
         return list(find(folder))
     except OSError as error:
-        raise InputError(f"{folder}: cannot be looked into: {error.strerror}") from error
+        raise InputError(f"{folder}: cannot be searched: {error.strerror}") from error
 
 
 def _chosen(
@@ -295,7 +313,7 @@ def _one(run: Path) -> Entry:
 
 
 def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> None:
-    """Write the result file where asked to."""
+    """Write the result file if requested."""
     if json_file is None:
         return
     from rig.common.places import require_file, write_asked
@@ -305,7 +323,7 @@ def _write(json_file: Path | None, made: Callable[[], Mapping[str, Any]]) -> Non
 
 
 def _show(document: Document, out: Path | None) -> None:
-    """Print a document, and write its page where asked to."""
+    """Print a document, and write its page if requested."""
     from rig.results.terminal import text
 
     click.echo(text(document))

@@ -1,4 +1,4 @@
-"""``rig schema``: JSON Schemas of the files that a user writes."""
+"""``rig schema``: writes JSON Schemas of the files that a user writes."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _KINDS = ("bench", "sequence", "campaign", "faults")
     help="Write KIND.schema.json into this folder; without KIND, the schemas of all kinds of file.",
 )
 def command(kind: str | None, out: Path | None) -> None:
-    """Write the JSON Schema of bench, sequence, campaign or faults files, by which editors complete
-    and check them.
+    """Write the JSON Schema of bench, sequence, campaign or faults files; editors use the schema to
+    complete and check these files.
 
-    Files that `rig new` writes name their schema in their first line; files written by hand can do
-    the same.
+    A file that `rig new` writes names its schema in its first line; a file written by hand can
+    contain the same line.
 
     \b
     Example:

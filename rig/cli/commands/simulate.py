@@ -1,4 +1,6 @@
-"""``rig simulate``: what a fitted model does in the loop its recordings were made in."""
+"""``rig simulate``: simulates a fitted model in the control loop in which its recordings were
+made.
+"""
 
 from __future__ import annotations
 
@@ -30,12 +32,13 @@ def command(
     out: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Predict the recordings of SOURCE with the model of a result, and compare.
+    """Predict the recordings of SOURCE with the model of a result, and compare the prediction with
+    the recordings.
 
-    Torque, voltage and the difference of the encoders are predicted from the motion, with the
-    effects of a diagnosis and without. Where the campaign declares a controller the closed loop is
-    simulated too, from its command alone; its errors are listed with the errors at half and at zero
-    friction. The model as a simulated bench is written next to the report.
+    The model predicts torque, voltage and the difference of the encoders from the motion, with and
+    without the effects of a diagnosis. If the campaign declares a controller, the closed loop is
+    also simulated, from its command alone; its errors are listed beside the errors with half of the
+    friction and without friction. The model as a simulated bench is written next to the report.
 
     \b
     Example:

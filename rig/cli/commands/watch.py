@@ -1,4 +1,4 @@
-"""``rig watch``: a recording in other tools, while it grows or later."""
+"""``rig watch``: shows a recording in other tools, during the run or later."""
 
 from __future__ import annotations
 
@@ -35,27 +35,27 @@ _NO_TOKEN = (
 @click.option(
     "--no-token",
     is_flag=True,
-    help="Ask for no token in the address; PlotJuggler cannot send one.",
+    help="Require no token in the address, because PlotJuggler cannot send a token.",
 )
 @click.option(
     "--last",
     metavar="SECONDS",
     type=click.FloatRange(min=0.0),
-    help="Of what is recorded already, send the last SECONDS only [default: all].",
+    help="Of the existing part of the recording, send only the last SECONDS [default: all].",
 )
 @click.option(
     "--part",
     type=click.IntRange(min=1),
-    help="Number of the recording, where the run was resumed [default: the newest].",
+    help="Number of the recording of a resumed run [default: the newest].",
 )
 def command(
     run: Path, foxglove: bool, port: int, no_token: bool, last: float | None, part: int | None
 ) -> int:
-    """Serve RUN's recording to Foxglove or PlotJuggler, until Ctrl-C.
+    """Serve the recording of RUN to Foxglove or PlotJuggler until Ctrl-C.
 
-    A run that is going on is followed as it grows; of a finished one, everything is sent as fast as
-    it is read. Each subscriber gets a topic from its beginning. Nothing can be commanded this way:
-    the stream is read only, and open to this computer only.
+    The recording of a run in progress is sent as it grows; a finished recording is sent as fast as
+    it is read. Each subscriber receives a topic from its beginning. The stream is read only, and
+    only this computer can connect to it.
 
     \b
     Topics:
@@ -109,7 +109,7 @@ def _name(run: Path, record: RunRecord, number: int) -> str:
 
 
 def _announce(offer: Offer, record: RunRecord, port: int) -> None:
-    """Print where to connect, and the layouts."""
+    """Print the address for each tool, and the paths of the layouts."""
     query = "" if offer.token is None else "/?" + urlencode({"token": offer.token})
     address = f"ws://{HOST}:{port}{query}"
     state = "followed as it grows" if record.state == "running" else f"ended: {record.state}"

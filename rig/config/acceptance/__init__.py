@@ -1,4 +1,4 @@
-"""Limits of acceptance: the text of a line to a validated record."""
+"""Limits of acceptance: converts each line of text to a validated record."""
 
 from rig.config.acceptance.limits import (
     CONSTANTS,

@@ -1,4 +1,4 @@
-"""Limits of acceptance: what a finished run must have shown, as text that is validated early."""
+"""Limits of acceptance for a finished run, written as text and validated before the run."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class Measure:
     """A quantity of a run that can be limited.
 
     Attributes:
-        statistics: What can be taken of it; empty for a count.
-        dimension: Of :data:`UNITS`.
+        statistics: Statistics of the quantity that can be limited; empty for a count.
+        dimension: Dimension of the quantity, a key of :data:`UNITS`.
         meaning: Description for the user.
     """
 
@@ -34,17 +34,19 @@ class Measure:
 
 
 MEASURES: Mapping[str, Measure] = {
-    "lateness": Measure(("p50", "p99", "worst"), "time", "start of a control cycle, late by"),
-    "answer": Measure(("p50", "p99", "worst"), "time", "age of a sample when it is judged"),
-    "tracking error": Measure(("rms", "worst"), "angle", "command less joint angle"),
-    "disagreement": Measure(("rms", "worst"), "angle", "drive's encoder less joint encoder"),
-    "current": Measure(("rms", "worst"), "current", "motor current, its magnitude"),
+    "lateness": Measure(("p50", "p99", "worst"), "time", "delay of the start of a control cycle"),
+    "answer": Measure(
+        ("p50", "p99", "worst"), "time", "age of a sample when the program checks it"
+    ),
+    "tracking error": Measure(("rms", "worst"), "angle", "command minus joint angle"),
+    "disagreement": Measure(("rms", "worst"), "angle", "drive's encoder minus joint encoder"),
+    "current": Measure(("rms", "worst"), "current", "magnitude of the motor current"),
     "temperature": Measure(("worst",), "temperature", "motor temperature"),
-    "torque error": Measure(("rms",), "torque", "what the identified model leaves of the torque"),
+    "torque error": Measure(("rms",), "torque", "torque error of the identified model"),
     "lost samples": Measure((), "", "samples of drive and encoder that were lost"),
     "missed SYNCs": Measure((), "", "control cycles that were skipped"),
 }
-"""Name of a quantity to what it is; tracking error to temperature are of the excitations."""
+"""Quantities by name; those from tracking error to temperature are measured in excitations only."""
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)},
@@ -53,7 +55,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "torque": {"N m": 1.0, "mN m": 1e-3, "Nm": 1.0},
     "": {"": 1.0},
 }
-"""Dimension to unit and its scale to SI; the first is the unit of results."""
+"""Units of each dimension, with their scale to SI; the first unit is that of results."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Required:
-    """A verdict that must be there: :data:`NOTHING_MISSING` or :data:`WEIGHT_CHECK`."""
+    """A verdict that the run must have: :data:`NOTHING_MISSING` or :data:`WEIGHT_CHECK`."""
 
     text: str
 
@@ -108,7 +110,7 @@ class Bound:
         return UNITS[MEASURES[self.measure].dimension][self.unit]
 
     def holds(self, value: float) -> bool:
-        """Whether a value in ``unit`` keeps the limit."""
+        """Return whether a value in ``unit`` is within the limit."""
         if self.inclusive and value == self.value:
             return True
         return value < self.value if self.below else value > self.value

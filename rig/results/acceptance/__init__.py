@@ -1,1 +1,1 @@
-"""Acceptance of a finished run: its limits held against what it shows, and the certificate."""
+"""Acceptance of a finished run: compares the run with its limits, and writes the certificate."""

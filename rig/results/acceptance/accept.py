@@ -1,4 +1,6 @@
-"""Accepts or rejects a finished run, and writes what says so into its folder."""
+"""Accepts or rejects a finished run, and writes result file, certificate and seal into the run
+folder.
+"""
 
 from __future__ import annotations
 
@@ -57,7 +59,7 @@ class Acceptance:
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits of a run and where they are from: a file, else the recorded sequence.
+    """Return the limits for a run and their origin: the given file, else the recorded sequence.
 
     Raises:
         InputError: The file is not valid; or there is none, and the sequence states no limits.
@@ -67,13 +69,14 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
     limits = recorded_limits(folder)
     if not limits:
         raise InputError(
-            f"{folder}: its sequence states no `acceptance`; give the limits with --acceptance FILE"
+            f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
+            "--acceptance FILE"
         )
     return limits, _OF_THE_SEQUENCE
 
 
 def recorded_limits(folder: Path) -> tuple[Limit, ...]:
-    """Return the limits in the sequence that is attached to a run's recording.
+    """Return the acceptance limits in the sequence that is attached to a run's recording.
 
     Raises:
         InputError: The sequence cannot be read.

@@ -1,4 +1,6 @@
-"""The certificate of a run: everything on it as text, before it becomes HTML or PDF."""
+"""Content of the certificate of a run as text; the certificate is then written as HTML and as
+PDF.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,13 @@ from rig.results.document import Picture, Table
 from rig.runs.run_record import RunRecord
 
 FRICTION_FIGURE = "figures/stribeck_default.png"
-"""Figure of an identified run that says its result."""
+"""Name of the figure that shows the result of an identified run."""
 _ROLES = ("servo", "encoder", "pressure")
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """One page.
+    """Content of one certificate page.
 
     Attributes:
         title: Heading.
@@ -52,7 +54,7 @@ class Certificate:
 
     @property
     def headline(self) -> str:
-        """The verdict in a word."""
+        """The verdict as one word."""
         return "ACCEPTED" if self.accepted else "REJECTED"
 
 
@@ -156,7 +158,9 @@ def _calibrations(record: RunRecord) -> Table | None:
 
 
 def _figure(folder: Path, evidence: Evidence) -> Picture | None:
-    """Return friction against speed where the run was identified, else its traces."""
+    """Return the figure of friction against speed if the run was identified, else the traces of the
+    run.
+    """
     if evidence.constants:
         try:
             data = (folder / FRICTION_FIGURE).read_bytes()
@@ -172,7 +176,7 @@ def _figure(folder: Path, evidence: Evidence) -> Picture | None:
 
 
 def certificate_html(certificate: Certificate) -> str:
-    """Return the certificate as one self-contained page; everything is escaped."""
+    """Return the certificate as one self-contained HTML page; all text is escaped."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),
         autoescape=True,

@@ -1,4 +1,6 @@
-"""Collects what a run shows for the limits of acceptance; identifies and diagnoses where needed."""
+"""Collects the values of a run that the acceptance limits apply to; identifies and diagnoses the
+run if needed.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ DIAGNOSIS_FOLDER = "diagnosis"
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a run shows.
+    """Values of a run that the acceptance limits apply to.
 
     Attributes:
         record: ``run.json``.
@@ -63,10 +65,11 @@ class Evidence:
 
 
 def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidence:
-    """Collect what the limits need; writes the results of the commands it takes the place of.
+    """Collect the values of a run that the limits apply to.
 
     An identification or diagnosis in the run folder is used if it is of these recordings; else
-    the run is identified and diagnosed as by ``rig identify`` and ``rig diagnose``.
+    the run is identified and diagnosed as by ``rig identify`` and ``rig diagnose``, and the results
+    are written into the folder.
 
     Raises:
         InputError: The folder is no run, or results cannot be written.
@@ -107,7 +110,9 @@ def _needs_constants(limit: Limit) -> bool:
 
 
 def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
-    """Return what is made, or None with its problems: a limit then fails with these words."""
+    """Return the result of a function. If the function fails, return None, and add the message to
+    the problems; a limit then fails with this message.
+    """
     try:
         return made()
     except InputError as error:
@@ -116,7 +121,7 @@ def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
 
 
 def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
-    """Return a result file if it was made of these recordings; else an empty one."""
+    """Return a result file if it was made from the present recordings; else an empty one."""
     try:
         found = json.loads(path.read_bytes())
         used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}
@@ -149,7 +154,7 @@ def _diagnose(folder: Path, progress: Progress) -> dict[str, Any]:
 
 
 def _weights(record: RunRecord, dataset: Dataset | None) -> dict[str, tuple[str, str]]:
-    """Return the last weight check of each stage; those of the run, else of the recordings."""
+    """Return the last weight check of each stage, from the run or else from the recordings."""
     found = {str(w["stage"]): (str(w["verdict"]), str(w["message"])) for w in record.weights}
     if found or dataset is None or not comparable(dataset):
         return found

@@ -1,4 +1,4 @@
-"""Figure of a run that was not identified: what its excitations look like."""
+"""Figure of a run that was not identified: tracking error and current of its excitations."""
 
 from __future__ import annotations
 

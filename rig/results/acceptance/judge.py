@@ -1,4 +1,4 @@
-"""Holds limits against what a run shows."""
+"""Compares the values of a run with the acceptance limits."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from rig.results.acceptance.evidence import Evidence
 from rig.runs.run_record import Ending, Verdict
 
 COMPLETE = "run complete"
-"""The check that every run must pass before its limits count."""
+"""Name of the check that every run must pass before its limits are judged."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """A limit and whether it was kept.
+    """One limit, and whether the run met it.
 
     Attributes:
         limit: The limit as written.
@@ -42,12 +42,12 @@ class Check:
 
 
 def judge(limits: Sequence[Limit], evidence: Evidence) -> tuple[Check, ...]:
-    """Return a check of completeness, and one for each limit."""
+    """Return a check of completeness, and one check for each limit."""
     return (_complete(evidence), *(_judged(limit, evidence) for limit in limits))
 
 
 def accepted(checks: Iterable[Check]) -> bool:
-    """Whether every check is passed."""
+    """Return whether every check is passed."""
     return all(check.passed for check in checks)
 
 
@@ -76,8 +76,8 @@ def _unknown(limit: Limit, evidence: Evidence, what: str) -> Check:
 
 
 def _range(limit: Range, evidence: Evidence) -> Check:
-    """Judge a constant: its whole interval must be inside, so that a value inside by chance does
-    not pass (the rule of ISO 14253-1).
+    """Judge an identified parameter: the whole interval must be inside the limits, so that a value
+    that is inside by chance does not pass (the rule of ISO 14253-1).
     """
     found = evidence.constants.get(limit.name)
     if found is None:
@@ -92,12 +92,16 @@ def _range(limit: Range, evidence: Evidence) -> Check:
         return Check(text, passed, f"{words}{more}", value, low, high, unit)
 
     if found.half_width is None or found.low is None or found.high is None:
-        return check(False, ", without an interval: it is not known to be inside")
+        return check(
+            False, ", without an interval, so that it is not known whether the true value is inside"
+        )
     words += f", 90 % interval {number(found.low)} to {number(found.high)}"
     if limit.low <= found.low and found.high <= limit.high:
         return check(True, "")
     if limit.low <= found.value <= limit.high:
-        return check(False, ": the value is inside, its interval is not; record more")
+        return check(
+            False, ": the value is inside the limits, but its interval is not; record more data"
+        )
     return check(False, ": outside")
 
 
@@ -131,7 +135,9 @@ def _weight(limit: Limit, evidence: Evidence) -> Check:
 
 
 def _timing(part: str) -> Callable[[Evidence, str], float | None]:
-    """Return the function that takes a statistic of a histogram, s: the worst of the recordings."""
+    """Return the function that computes a statistic of a timing histogram, s, as the worst of all
+    recordings.
+    """
 
     def measured(evidence: Evidence, statistic: str) -> float | None:
         timings = [p.timing[part] for p in evidence.record.parts if p.timing]
@@ -151,7 +157,9 @@ def _count(*names: str) -> Callable[[Evidence, str], float | None]:
 
 
 def _trace(of: Callable[[Recording], Array | None]) -> Callable[[Evidence, str], float | None]:
-    """Return the function that takes rms or worst of a signal over all excitations."""
+    """Return the function that computes rms or greatest magnitude of a signal over all
+    excitations.
+    """
 
     def measured(evidence: Evidence, statistic: str) -> float | None:
         recordings = evidence.dataset.recordings if evidence.dataset else ()

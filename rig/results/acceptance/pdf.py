@@ -1,4 +1,4 @@
-"""The certificate as one page of PDF, drawn with the plotting library: A4, upright."""
+"""Draws the certificate as a PDF of one page (A4, portrait) with the plotting library."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _MARGIN = 15.0
 _ROW_MM = 4.6
 _POINTS_PER_MM = 72.0 / 25.4
 _FONT_SHARE = 0.62
-"""Size of the text over the height of a row."""
+"""Ratio of the text size to the height of a row."""
 _CHARACTER = 0.52
-"""Mean width of a character over the size of the text."""
+"""Ratio of the mean width of a character to the text size."""
 _ABOVE = 0.2
-"""Space above the text of a row, over the height of the row."""
+"""Ratio of the space above the text of a row to the height of the row."""
 _DIGEST = 64
 _GOOD, _BAD, _INK, _SOFT, _RULE = "#00713d", "#b00020", "#000000", "#444444", "#bbbbbb"
 _BACK = {True: "#eef8f1", False: "#fdf0f0"}
@@ -62,17 +62,17 @@ class _Sheet:
         )
 
     def rule(self, x: float, y: float, width: float) -> None:
-        """Draw a line across."""
+        """Draw a horizontal line over the whole width."""
         ends = ([x / WIDTH_MM, (x + width) / WIDTH_MM], [1.0 - y / HEIGHT_MM] * 2)
         self.figure.add_artist(Line2D(*ends, color=_RULE, linewidth=0.5))
 
     def heading(self, x: float, y: float, words: str) -> float:
-        """Write a heading; returns where what follows begins."""
+        """Write a heading; return the distance of its lower edge from the top, mm."""
         self.text(x, y + 0.4 * self.row_mm, words, 1.08 * self.size, weight="bold")
         return y + 1.6 * self.row_mm
 
     def table(self, x: float, y: float, width: float, cells: Table) -> float:
-        """Draw a table; returns where what follows begins."""
+        """Draw a table; return the distance of its lower edge from the top, mm."""
         shares = _shares(cells)
         wraps = [self._wrapped(row, shares, width) for row in cells.rows]
         for lines, head in ((_one_line(cells.header), True), *((row, False) for row in wraps)):
@@ -100,7 +100,7 @@ class _Sheet:
     def _wrapped(
         self, row: Sequence[str], shares: Sequence[float], width: float
     ) -> list[list[str]]:
-        """Return the lines of each cell, as many as its width asks for."""
+        """Return the lines of each cell; long cells are wrapped to the width of their column."""
         per_mm = _POINTS_PER_MM / (_CHARACTER * 0.92 * self.size)
         return [
             [cell]
@@ -115,7 +115,9 @@ def _one_line(header: Sequence[str]) -> list[list[str]]:
 
 
 def _shares(cells: Table) -> list[float]:
-    """Return the widths of the columns over that of the table, by their longest cells."""
+    """Return the widths of the columns relative to the table's width, from the longest cell of each
+    column.
+    """
     longest = [
         min(70, max(5, *(len(row[i]) for row in (cells.header, *cells.rows))))
         for i in range(len(cells.header))
@@ -124,7 +126,7 @@ def _shares(cells: Table) -> list[float]:
 
 
 def certificate_pdf(certificate: Certificate) -> bytes:
-    """Return the certificate as PDF: one page, with smaller text where there is more of it."""
+    """Return the certificate as a PDF of one page; longer content gets smaller text."""
     row_mm = _ROW_MM
     sheet = _drawn(certificate, row_mm)
     for _ in range(8):
@@ -171,7 +173,7 @@ def _drawn(it: Certificate, row_mm: float) -> _Sheet:
 
 
 def _top(sheet: _Sheet, it: Certificate, x: float, y: float, half: float) -> float:
-    """Draw verdict, facts and figure; returns where what follows begins."""
+    """Draw verdict, facts and figure; return the distance of their lower edge from the top, mm."""
     colour = _GOOD if it.accepted else _BAD
     box = FancyBboxPatch(
         ((x + 1.0) / WIDTH_MM, 1.0 - (y + 9.0) / HEIGHT_MM),

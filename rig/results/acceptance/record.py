@@ -1,4 +1,4 @@
-"""An acceptance as JSON and as JUnit XML."""
+"""Writes an acceptance as JSON and as JUnit XML."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def _check_record(check: Check) -> dict[str, Any]:
 
 
 def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
-    """Return the checks as JUnit XML in UTF-8: one suite, a test case for each limit.
+    """Return the checks as JUnit XML in UTF-8: one test suite with one test case for each limit.
 
     Form: https://github.com/testmoapp/junitxml; times are zero, as a limit takes none.
     """
@@ -90,7 +90,7 @@ def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
 
 
 def _xml(text: str) -> str:
-    """Return text as XML may hold it."""
+    """Return a text without the characters that XML does not allow."""
     return _NOT_XML.sub("?", valid(text))
 
 

@@ -1,1 +1,1 @@
-"""What is known of recorded runs: lists, single runs, comparisons, trends and verification."""
+"""Output on recorded runs: lists, single runs, comparisons, trends and verification."""

@@ -1,4 +1,4 @@
-"""Output of ``rig runs compare``: constants of several runs, and which of them moved."""
+"""Output of ``rig runs compare``: identified parameters of several runs, and those that changed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ COMPARE_SCHEMA = "loadrig.compare/1"
 
 @dataclass(frozen=True)
 class Compared:
-    """A run that is compared.
+    """One run of a comparison.
 
     Attributes:
         run: Its folder, as given.
@@ -36,7 +36,7 @@ class Compared:
 
 @dataclass(frozen=True)
 class Difference:
-    """A constant of a later run less that of the first.
+    """Difference of a parameter of a later run from the same parameter of the first run.
 
     Attributes:
         name: Name of the constant.
@@ -55,14 +55,15 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference exceeds its uncertainty; None where that is not known."""
+        """Whether the difference exceeds its uncertainty; None if the uncertainty is not known."""
         if self.change is None or self.joint is None:
             return None
         return abs(self.change) > self.joint
 
 
 def require_comparable(runs: Sequence[Compared]) -> None:
-    """Check that every run has constants, of the same motion.
+    """Check that every run has identified parameters, and that all benches have the same kind of
+    motion.
 
     Raises:
         InputError: One has none, or they are of different motions.
@@ -70,7 +71,11 @@ def require_comparable(runs: Sequence[Compared]) -> None:
     bare = [str(each.run) for each in runs if not each.details.constants]
     if bare:
         raise InputError(
-            [f"{run}: has no constants; `rig identify {run}` finds them" for run in bare]
+            [
+                f"{run}: this run has no identified constants; identify it with `rig identify "
+                f"{run}`"
+                for run in bare
+            ]
         )
     motions = {each.details.motion for each in runs}
     if len(motions) > 1:
@@ -78,7 +83,7 @@ def require_comparable(runs: Sequence[Compared]) -> None:
 
 
 def differences(first: Details, other: Details) -> list[Difference]:
-    """Return the difference of every constant of the first run."""
+    """Return the difference of every parameter of the first run."""
     return [_difference(name, each, other) for name, each in first.constants.items()]
 
 
@@ -92,7 +97,7 @@ def _difference(name: str, first: Constant, details: Details) -> Difference:
 
 
 def compare_document(runs: Sequence[Compared]) -> Document:
-    """Return a comparison of runs, each with the first, as a document."""
+    """Return a comparison of each later run with the first run, as a document."""
     first, *others = runs
     sections = [Section("", (_facts(runs),))]
     for other in others:
@@ -164,21 +169,22 @@ def _row(each: Difference) -> tuple[str, ...]:
 def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Iterator[Note]:
     moved = [each.name for each in found if each.moved]
     known = sum(each.moved is not None for each in found)
-    words = f"moved by more than their uncertainty: {', '.join(moved) or 'none'}"
+    words = f"changed by more than their uncertainty: {', '.join(moved) or 'none'}"
     yield Note(words)
     yield Note(
-        f"without any change, {0.1 * known:.2g} of {known} constants exceed it by chance (one in "
+        f"without any change, {0.1 * known:.2g} of {known} constants exceed their uncertainty "
+        "by chance (one in "
         "ten)",
         "aside",
     )
     for role, name in first.details.devices.items():
         now = other.details.devices.get(role, "none")
         if now != name:
-            yield Note(f"another {role}: {name} before, {now} now", "warning")
+            yield Note(f"the {role} was replaced: {name} before, {now} now", "warning")
     if first.entry.head.bench != other.entry.head.bench:
         yield Note("the runs are of different benches", "warning")
     if first.entry.head.digest and first.entry.head.digest == other.entry.head.digest:
-        yield Note("the second is a copy of the first", "warning")
+        yield Note("the second run is a copy of the first run", "warning")
 
 
 def _figures(first: Compared, other: Compared) -> SideBySide:
@@ -187,9 +193,11 @@ def _figures(first: Compared, other: Compared) -> SideBySide:
 
 
 def _stored(each: Compared) -> tuple[Block, ...]:
-    """Return the figures of a run's own report that are beside it."""
+    """Return the figures that each run's own report contains, if their files exist."""
     picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
-    missing = Note(f"{each.run / FIGURE} is not there; `rig identify {each.run}` draws it", "aside")
+    missing = Note(
+        f"{each.run / FIGURE} does not exist; draw it with `rig identify {each.run}`", "aside"
+    )
     shown: list[Block] = [picture or missing]
     for file in sorted((each.run / "figures").glob("response_*.png"))[:4]:
         name = file.stem.removeprefix("response_")

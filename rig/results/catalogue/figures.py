@@ -1,4 +1,4 @@
-"""Figures of several runs: constants side by side, and over a history."""
+"""Figures of several runs: parameters side by side, and parameters over a history."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ _COLUMNS = 3
 
 
 def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
-    """Draw the constants of several runs in percent of the first run's, with 90 % intervals."""
+    """Draw the parameters of several runs in percent of the first run's values, with 90 %
+    intervals.
+    """
     made, (axis,) = figure(1, height=0.45 * len(names) + 1.6)
     first = next(iter(runs.values()))
     offset = 0.6 / len(runs)
@@ -44,7 +46,7 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
 def courses(
     histories: Mapping[str, Sequence[Constant]], alarms: Mapping[str, int | None]
 ) -> Figure:
-    """Draw each constant over the runs with its intervals; changes that were found are red.
+    """Draw each parameter over the runs with its intervals; detected changes are red.
 
     Args:
         histories: Name to the constants in the order of time.

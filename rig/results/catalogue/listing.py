@@ -18,7 +18,7 @@ _MOST_PROBLEMS = 10
 
 
 def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> Document:
-    """Return runs as a table, with what is wrong with the folders that are no whole runs.
+    """Return runs as a table, and the problems of folders that contain no complete run.
 
     Args:
         root: The searched folder.
@@ -70,7 +70,7 @@ def _count(entries: Sequence[Entry], hidden: int) -> Iterator[str]:
 
 
 def copies_of(entries: Sequence[Entry]) -> dict[str, list[Entry]]:
-    """Return digest of a record to the folders that hold it, where there are several."""
+    """Return the digest of each record that occurs in several folders, with these folders."""
     counted = Counter(entry.head.digest for entry in entries if entry.head.digest)
     same: dict[str, list[Entry]] = {}
     for entry in entries:
@@ -95,6 +95,6 @@ def listing_record(root: Path, entries: Sequence[Entry]) -> dict[str, Any]:
 
 
 def run_record(root: Path, entry: Entry) -> dict[str, Any]:
-    """Return one run of a list."""
+    """Return the record of one run in a list."""
     head = dataclasses.asdict(entry.head)
     return {"run": place(root, entry), **head, "state": state(root, entry).lower()}

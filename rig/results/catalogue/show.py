@@ -34,13 +34,13 @@ PAGES = (
     ("certificate.html", "certificate"),
     ("certificate.pdf", "certificate, for paper"),
 )
-"""Pages that a run folder may hold, and what they show."""
+"""Pages that a run folder may contain, and their content."""
 FIGURE = "figures/stribeck_default.png"
-"""Figure of a run that says its result, where it was identified."""
+"""Name of the figure that shows the result of an identified run."""
 
 
 def show_document(root: Path, entry: Entry) -> Document:
-    """Return everything known of one run as a document."""
+    """Return all known properties of one run as a document."""
     folder = root / entry.folder
     details, record = entry.parsed(), _record(folder)
     blocks = [
@@ -70,7 +70,7 @@ def _figure(folder: Path) -> Iterator[Section]:
 
 
 def stored_picture(folder: Path, name: str, caption: str) -> Picture | None:
-    """Return a figure that is a file of a run folder; None if it cannot be read."""
+    """Return a figure from a file of a run folder; None if the file cannot be read."""
     try:
         data = (folder / name).read_bytes()
     except OSError:

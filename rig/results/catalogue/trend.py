@@ -1,4 +1,6 @@
-"""Trend of each constant over the runs of a bench, with a test for change at a stated rate."""
+"""Trend of each identified parameter over the runs of a bench, with a test for change at a stated
+false-alarm rate.
+"""
 
 from __future__ import annotations
 
@@ -16,14 +18,14 @@ from rig.results.catalogue.words import place
 from rig.runs.catalogue.entry import Constant, Details, Entry
 
 FALSE_ALARMS = 0.01
-"""Share of unchanged histories in which any constant is reported to have changed."""
+"""Greatest share of unchanged histories in which a parameter is reported to have changed."""
 _HALF_WIDTHS = 1.6448536269514722
-"""Half width of a 90 % interval over the standard error."""
+"""Ratio of the half width of a 90 % interval to the standard error."""
 
 
 @dataclass(frozen=True)
 class Course:
-    """One constant over the runs that determine it.
+    """Values of one identified parameter in the runs that determine it, in the order of the runs.
 
     Attributes:
         name: Name of the constant.
@@ -49,7 +51,7 @@ class Course:
 
 @dataclass(frozen=True)
 class History:
-    """The runs of one bench in the order of time.
+    """The runs of one bench in order of time.
 
     Attributes:
         bench: Name of the bench.
@@ -71,8 +73,8 @@ class History:
 
 
 def histories(root: Path, entries: Sequence[Entry], seed: int = 0) -> list[History]:
-    """Return the histories of the benches of some runs; runs without constants do not count, and
-    of a run and its copies one counts.
+    """Return the histories of the benches of some runs. Runs without identified parameters are left
+    out, and a run and its copies count once.
 
     Args:
         root: The searched folder.
@@ -120,7 +122,8 @@ def _history(
 
 
 def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
-    """Yield every constant over a history; the rate of false alarms is of all of them together.
+    """Yield the values of every parameter over a history, with a test for a change; the false-alarm
+    rate is that of all parameters together.
 
     Args:
         history: Details of the runs in the order of time.
@@ -147,8 +150,8 @@ def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
 
 
 def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeTest:
-    """Return the test for errors relative to their median; constants with the same ones share
-    it.
+    """Return the test for errors relative to their median; parameters with equal relative errors
+    share one test.
     """
     key = np.round(relative, 6).tobytes()
     if key not in known:
@@ -159,7 +162,7 @@ def _test(relative: Array, seed: int, known: dict[bytes, ChangeTest]) -> ChangeT
 def _determined(
     name: str, history: Sequence[Details]
 ) -> tuple[tuple[int, ...], tuple[Constant, ...]]:
-    """Return the runs that determine a constant, with an interval of some width."""
+    """Return the runs that determine a parameter with an interval of positive width."""
     first = next(each.constants[name].unit for each in history if name in each.constants)
     kept = [
         (index, each.constants[name])
@@ -171,7 +174,7 @@ def _determined(
 
 
 def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None) -> tuple[str, ...]:
-    """Return the devices that were others before a step than after it."""
+    """Return the devices that were replaced at a step."""
     if start is None:
         return ()
     before, after = history[runs[start - 1]].devices, history[runs[start]].devices
@@ -183,7 +186,5 @@ def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None)
 
 
 def alarms(history: History) -> Mapping[str, int | None]:
-    """Return the constants that changed, and the run before which they stepped; None for a
-    drift.
-    """
+    """Return the parameters that changed, with the first run after the step; None for a drift."""
     return {each.name: each.change.start for each in history.courses if each.alarm and each.change}

@@ -15,8 +15,8 @@ from rig.results.look import picture
 
 TREND_SCHEMA = "loadrig.trend/1"
 _RATE = (
-    f"In at most {100 * FALSE_ALARMS:g} of 100 histories without change, one or more constants are "
-    f"reported; looking again after every further run gives more chances. At least {LEAST_RUNS} "
+    f"In at most {100 * FALSE_ALARMS:g} of 100 histories without change, one or more constants "
+    f"are reported; a test after every further run increases this share. At least {LEAST_RUNS} "
     "runs are needed."
 )
 _MOST_LEFT_OUT = 6
@@ -25,7 +25,7 @@ _MOST_LEFT_OUT = 6
 def trend_document(histories: Sequence[History]) -> Document:
     """Return the histories of benches as a document."""
     if not histories:
-        note = Note("no identified runs; `rig identify RUN` finds their constants")
+        note = Note("no identified runs; identify runs with `rig identify RUN`")
         return Document("Trend", "", (Section("", (note,)),))
     summary = tuple(_section(each, pictures=False) for each in histories)
     pages = tuple(_section(each, pictures=True) for each in histories)
@@ -96,7 +96,7 @@ def _word(course: Course) -> str:
 
 
 def _step_at(course: Course) -> int:
-    """Return the index, in the history, of the first run after a step."""
+    """Return the index of the first run after a step in the history."""
     assert course.change is not None
     assert course.change.start is not None
     return course.runs[course.change.start]

@@ -1,4 +1,4 @@
-"""Words for the properties of a run that several documents show."""
+"""Texts for the properties of a run that several documents show."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from rig.runs.catalogue.select import state_of
 
 
 def begun(head: Head) -> str:
-    """Return the time of the start to the minute, UTC."""
+    """Return the start time of a run to the minute, UTC."""
     return head.created[:16].replace("T", " ")
 
 
 def operators(head: Head) -> str:
-    """Return who ran it."""
+    """Return the operators of a run."""
     return ", ".join(head.operators) or "-"
 
 
 def masses(head: Head) -> str:
-    """Return the masses on the lever, kg."""
+    """Return the masses that hung on the lever, kg."""
     return ", ".join(f"{mass:g}" for mass in head.masses_kg) or "-"
 
 
 def state(root: Path, entry: Entry) -> str:
-    """Return how it ended, or what else the folder is."""
+    """Return the ending of a run; for a folder without a complete run, the kind of the folder."""
     return state_of(root, entry) if entry.head.kind == "run" else entry.head.kind.upper()
 
 
 def verdict(head: Head) -> str:
-    """Return acceptance, diagnosis and weight checks in a few words."""
+    """Return acceptance, diagnosis and weight checks of a run as a short text."""
     weights = [f"weight {word}" for word in head.weights]
     words = [head.acceptance, head.diagnosis.replace("_", " "), *weights]
     return ", ".join(filter(None, words)) or "-"
 
 
 def place(root: Path, entry: Entry) -> str:
-    """Return the path of the folder, as it can be given to other commands."""
+    """Return the path of a run folder in the form that other commands accept."""
     return str(root / entry.folder)
 
 
 def head_record(schema: str) -> dict[str, Any]:
-    """Return the head of a result file that is made of many runs."""
+    """Return the first keys of a result file on several runs."""
     known = versions()
     return {
         "schema": schema,

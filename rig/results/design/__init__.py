@@ -1,1 +1,1 @@
-"""Proposed experiments for a bench, and their output."""
+"""Proposes experiments for a bench, and writes the proposals."""

@@ -1,4 +1,4 @@
-"""Output of ``rig identify --plan``: a planned experiment as a document, for the terminal only."""
+"""Output of ``rig identify --plan``: a planned experiment as a document for the terminal."""
 
 from __future__ import annotations
 
@@ -14,7 +14,9 @@ from rig.results.document import Document, Note, Section, Table
 
 
 def plan_document(experiment: Experiment) -> Document:
-    """Return the parameters determined by both sequences, and the stages of the proposal."""
+    """Return the parameters that the given and the proposed sequence determine, and the stages of
+    the proposal.
+    """
     title = f"Experiment in place of {experiment.sequence.name}"
     return Document(title, "", tuple(_summary(experiment)))
 
@@ -68,14 +70,19 @@ def _stages(experiment: Experiment) -> Table:
 
 
 def _advice(experiment: Experiment) -> str:
-    """State the purpose of the proposal, or that none was better than the given sequence."""
+    """Return the purpose of the proposal, or a statement that no proposal was better than the given
+    sequence.
+    """
     aim = f"aimed at {experiment.proposal.weakest}, which is determined least accurately now"
     if experiment.proposal.pinned == experiment.proposal.present:
         return (
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
             "identified, so the sequence is proposed as it is; another --seed tries others"
         )
-    return f"{aim}; where another parameter comes out wider, run both and identify them together"
+    return (
+        f"{aim}; if another parameter gets a wider interval, run both sequences and "
+        "identify both runs together"
+    )
 
 
 def _drive(experiment: Experiment) -> str:
@@ -96,7 +103,7 @@ def _gain(now: Pinned, then: Pinned, name: str) -> str:
 
 
 def excitation_words(stage: StageSection) -> str:
-    """Return a description of a stage's excitation: sines or ramps."""
+    """Return a description of the excitation of a stage: sines or ramps."""
     if stage.ramp is not None:
         ramp = stage.ramp
         return (

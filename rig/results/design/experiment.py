@@ -1,5 +1,5 @@
-"""``rig identify --plan``: predicts which parameters a sequence determines, and searches a
-sequence that determines the weakest one better.
+"""``rig identify --plan``: predicts which parameters a sequence determines, and searches for a
+sequence that determines the weakest parameter better.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ def plan_experiment(
     seed: int,
     progress: Callable[[str, float], None],
 ) -> Experiment:
-    """Assess a sequence on the nominal model of a bench, and search a better one of the same
-    duration.
+    """Assess a sequence on the nominal model of a bench, and search for a better sequence of the
+    same duration.
 
     Args:
         sequence: The experiment in mind.
@@ -188,8 +188,8 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
-        """Return the joint angles of all repeats; the sequence's phases apply only to its own
-        tones.
+        """Return the joint angles of all repeats; the phases of the tones in the sequence file
+        apply only to the tones of that file.
         """
         section = stage if e is present else _with(stage, e, stage.name)
         once = np.concatenate(
@@ -205,7 +205,9 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
 def _stages(
     stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]
 ) -> tuple[StageSection, ...]:
-    """Return the stages of a proposal; stages that replace one stage have its name and a number."""
+    """Return the stages of a proposal; several stages that replace one stage have the name of that
+    stage and a number.
+    """
     out = []
     for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
         own = [p.excitation for p in parts if p.frame == number]
@@ -217,7 +219,9 @@ def _stages(
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the same centre, rounded as in the file."""
+    """Return a stage with another excitation about the same centre, rounded as in a sequence
+    file.
+    """
     changes: dict[str, Any] = {
         "name": name,
         "weight_kg": e.weight,

@@ -1,5 +1,5 @@
-"""Nominal values for `rig identify --plan`: an identification result, and the drive from its
-recordings.
+"""Nominal values for `rig identify --plan`: the parameters of an identification result, and the
+drive loop from its recordings.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class NominalValues:
 
 
 def nominal_values(path: Path | None) -> NominalValues:
-    """Return the values of a result of `rig identify --json`; undetermined ones are the default
-    nominal values.
+    """Return the values of a result of `rig identify --json`; a parameter that the result does not
+    determine gets the default nominal value.
 
     Raises:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
@@ -96,7 +96,9 @@ def _half_width(parameter: dict[str, Any]) -> float:
 
 
 def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
-    """Return the recordings of those input runs that are unchanged; others are omitted."""
+    """Return the recordings of the input runs that are unchanged; recordings of changed runs are
+    omitted.
+    """
     out: list[Recording] = []
     for folder in sorted({file.parent for file in inputs}):
         mine = {file: digest for file, digest in inputs.items() if file.parent == folder}

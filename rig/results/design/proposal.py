@@ -1,4 +1,6 @@
-"""A proposed sequence as a sequence file, and a message on the parameters it determines."""
+"""Writes a proposed sequence as a sequence file, and a message on the parameters that it
+determines.
+"""
 
 from __future__ import annotations
 
@@ -29,13 +31,13 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
 
 
 def plain_sequence(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence as in its file; most keys at their default are omitted."""
+    """Return a sequence as the mapping of its file; most keys with default values are omitted."""
     given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
     return {"sequence": sequence.sequence, **given}
 
 
 def pinned_words(found: Pinned) -> str:
-    """Return a message on how many parameters are determined, and which one least accurately."""
+    """Return a message on the number of determined parameters and on the least accurate one."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
         return f"does not determine {', '.join(open_names)}"

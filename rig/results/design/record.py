@@ -1,4 +1,4 @@
-"""A planned experiment as the JSON of the contract."""
+"""JSON record of a planned experiment, in the form of the contract."""
 
 from __future__ import annotations
 

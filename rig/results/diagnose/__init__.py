@@ -1,1 +1,1 @@
-"""Diagnosis of a run or a campaign, its report and the corrected model's files."""
+"""Diagnosis of a run or a campaign: result, report, and files of the corrected model."""

@@ -1,4 +1,4 @@
-"""Diagnoses a source; adds run time and provenance."""
+"""Diagnoses a source, and adds run time and provenance to the result."""
 
 from __future__ import annotations
 
@@ -32,9 +32,11 @@ from rig.sources import load_source
 
 RESULT_FILE = "diagnose.json"
 EFFORT = frozenset({"torque", "current", "voltage"})
-"""Channels from any of which the drive's torque follows."""
+"""Channels from any of which the drive torque can be computed."""
 REFINED_SAMPLES = 60_000
-"""Number of samples up to which refining takes about as long as the search, some ten seconds."""
+"""Number of samples up to which the refinement takes about as long as the search, some ten
+seconds.
+"""
 
 
 @dataclass(frozen=True)
@@ -119,21 +121,21 @@ def diagnose_source(
 
 
 def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
-    """Return a dataset without priors and uncertainties of constants, which a diagnosis does not
-    use, and the warnings that say so.
+    """Return a dataset without priors and without uncertainties of constants, because a diagnosis
+    does not use them, and the warnings that state this.
     """
     constants = uncertain_constants(dataset.part("fit"))
     warnings = []
     if constants:
         listed = ", ".join(f"{c.place} {c.value:.4g} +- {c.uncertainty:.2g}" for c in constants)
         warnings.append(
-            f"the diagnosis takes known constants as exact: intervals do not hold the uncertainty "
-            f"of {listed}; those of rig identify do"
+            "the diagnosis takes known constants as exact: its intervals do not contain the "
+            f"uncertainty of {listed}; the intervals of rig identify do"
         )
     if dataset.model.priors:
         warnings.append(
-            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it fits "
-            f"them freely"
+            f"the diagnosis does not use the priors of {', '.join(dataset.model.priors)}: it "
+            "fits these parameters freely"
         )
     recordings = tuple(dataclasses.replace(r, uncertainties={}) for r in dataset.recordings)
     model = dataclasses.replace(dataset.model, priors={})
@@ -141,7 +143,9 @@ def _as_exact(dataset: Dataset) -> tuple[Dataset, list[str]]:
 
 
 def without_torque(dataset: Dataset) -> bool:
-    """Whether no recording has torque, and all have the pressure of a gas generator."""
+    """Return whether no recording has torque and all recordings have the pressure of a gas
+    generator.
+    """
     return all(has_gas_channels(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
 
 
@@ -164,7 +168,8 @@ def burning(dataset: Dataset) -> Dataset:
 
 
 def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
-    """Return a diagnosis with nominal parameters by the default estimator, the effects subtracted.
+    """Return a diagnosis whose nominal parameters are from the default estimator, after the effects
+    have been subtracted.
 
     Args:
         dataset: The diagnosed dataset.
@@ -194,8 +199,8 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
 def _identified(
     dataset: Dataset, seed: int, progress: Callable[[str, float], None] | None
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Return the nominal parameters as ``rig identify`` gives them, None for those that are not
-    determined, and its warnings.
+    """Return the nominal parameters by ``rig identify``, None for parameters that are not
+    determined, and the warnings of the identification.
     """
     try:
         result = identify_any_length(dataset, rng=np.random.default_rng(seed), progress=progress)
@@ -210,8 +215,8 @@ def _refined(
     seed: int,
     progress: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """Return a diagnosis of something missing with nominal parameters by prediction errors, the
-    effects subtracted, where that takes no longer than the search.
+    """If physics is missing, return a diagnosis with nominal parameters from prediction errors,
+    after the effects have been subtracted; only where this takes no longer than the search.
     """
     if found.verdict is Verdict.NOTHING_MISSING:
         return found
@@ -229,7 +234,9 @@ def _refined(
 
 
 def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
-    """Refine if the recordings allow it; otherwise report why and keep the values of the search."""
+    """Refine the diagnosis if the recordings allow this; otherwise add a warning with the reason,
+    and keep the values of the search.
+    """
     try:
         return refined(dataset, found, seed)
     except RecordingError as error:
@@ -237,7 +244,8 @@ def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagn
 
 
 def settled(found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis without static friction if its recordings do not determine it.
+    """Return a diagnosis in which static friction equals Coulomb friction if the recordings do not
+    determine static friction.
 
     Equation errors at a low bandwidth may give an arbitrarily high static friction below the
     resolvable speed, and a machine simulated with it never breaks away. Static friction is then set
@@ -249,7 +257,7 @@ def settled(found: Diagnosis) -> Diagnosis:
         if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
             parameters[static] = parameters[coulomb]
             notes.append(
-                f"{static} is not determined by these recordings; the corrected model has it equal "
-                f"to {coulomb}"
+                f"{static} is not determined by these recordings; the corrected model sets it "
+                f"equal to {coulomb}"
             )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))

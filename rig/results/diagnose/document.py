@@ -1,4 +1,4 @@
-"""Output of ``rig diagnose``: a diagnosis as a document."""
+"""Output of ``rig diagnose`` as a document."""
 
 from __future__ import annotations
 
@@ -135,7 +135,7 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
 
 
 def _if_any(cells: Table) -> tuple[Table, ...]:
-    """Return a table, or nothing if it has no rows."""
+    """Return a table; nothing if the table has no rows."""
     return (cells,) if cells.rows else ()
 
 
@@ -196,7 +196,9 @@ def _maps(found: Diagnosis) -> list[Picture]:
 def _rivals(found: Diagnosis) -> list[Picture]:
     return [
         Picture.of(
-            f"rivals_{e.name}", f"{e.name} and what was considered instead", mismatch.rivals(e)
+            f"rivals_{e.name}",
+            f"{e.name} and the effects that were considered instead",
+            mismatch.rivals(e),
         )
         for e in found.effects
         if e.rivals
@@ -207,8 +209,8 @@ def _curve(found: Diagnosis) -> list[Picture]:
     if found.curve is None:
         return []
     caption = (
-        f"What is missing, as a smooth curve over {found.curve.coordinate}; a simulation "
-        f"can carry it"
+        f"The missing physics as a smooth curve over {found.curve.coordinate}; a simulation "
+        "can use this curve"
     )
     return [Picture.of("missing", caption, mismatch.curve(found.curve))]
 

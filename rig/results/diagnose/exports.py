@@ -24,7 +24,7 @@ SEQUENCE_FILE = "split.yaml"
 
 
 class Export(NamedTuple):
-    """A file: its name, what it is for, and its text."""
+    """One file: name, purpose and text."""
 
     name: str
     use: str
@@ -32,7 +32,7 @@ class Export(NamedTuple):
 
 
 class Exports(NamedTuple):
-    """Files next to the report, and notes on what they lack and which could not be made."""
+    """Files next to the report, with notes on files that are incomplete or could not be made."""
 
     files: tuple[Export, ...]
     notes: tuple[str, ...]
@@ -58,21 +58,25 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
         if splitting is not None:
             files.append(splitting)
         else:
-            notes.append("no sequence splits this group; the experiment needs a hand on the bench")
+            notes.append(
+                "no sequence splits this group; the experiment needs a manual change of the bench"
+            )
     return Exports(tuple(files), tuple(notes))
 
 
 def _models(
     name: str, base: Mapping[str, Any], outcome: Outcome, record: Mapping[str, Any]
 ) -> tuple[list[Export], list[str]]:
-    """Return the corrected model in all possible formats, and why others are not possible."""
+    """Return the corrected model in all possible formats, and the reasons why other formats are not
+    possible.
+    """
     files: list[Export] = []
     recordings = outcome.dataset.recordings
     first = recordings[0]
     try:
         model = model_of(record, [r.name for r in recordings], "the corrected model")
         files.append(Export(YAML_FILE, "the corrected model", yaml_text(model, first)))
-        use = "the corrected model as plain Python functions; needs numpy alone"
+        use = "the corrected model as plain Python functions; needs only numpy"
         files.append(Export(PYTHON_FILE, use, python_text(model, first, name)))
         bench, left_out = model_bench(base, model, first.bench)
         use = f"the corrected model as a simulated bench: rig run SEQUENCE --bench {BENCH_FILE}"

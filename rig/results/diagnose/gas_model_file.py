@@ -18,17 +18,18 @@ _KEYS = {
     "C_r": "characteristic_velocity",
     "V_0": "free_volume",
 }
-"""Constant that is fitted to its key in a campaign file."""
+"""Name of a fitted constant to its key in a campaign file."""
 _VALVE_KEYS = {"d": "hole_diameter", "D": "opening_diameter", "b": "plate_width"}
 
 
 def of_gas(found: Diagnosis) -> bool:
-    """Whether a diagnosis is one of the gas generator."""
+    """Return whether a diagnosis is a diagnosis of the gas generator."""
     return found.fit.equation == PRESSURE
 
 
 def gas_text(found: Diagnosis, bench: Bench) -> str:
-    """Return the corrected gas generator as YAML (a block of a campaign file), and what it lacks.
+    """Return the corrected gas generator as YAML (a block of a campaign file), and notes on what
+    the YAML cannot state.
 
     Args:
         found: The diagnosis.

@@ -1,4 +1,7 @@
-"""A result file as a simulated bench: the corrected model becomes the machine behind the bus.
+"""Converts a result file to a simulated bench, whose machine is the corrected model.
+
+Effects and parameters have the same names in results and in the simulated machine; only this module
+maps the names.
 
 Effects and parameters have the same names in results and in the simulated machine; only this module
 maps them.
@@ -38,7 +41,8 @@ Tree = dict[str, Any]
 
 
 def base_bench(source: Path) -> Tree:
-    """Return the bench that a source was recorded on, on the simulated bus, as plain data.
+    """Return the file of the bench on which a source was recorded, changed to the simulated bus, as
+    plain data.
 
     Campaigns lack drive loops and limits; these come from the packaged practical bench.
 
@@ -68,8 +72,8 @@ def _plain(text: str) -> Tree:
 def model_bench(
     base: Mapping[str, Any], model: CorrectedModel, constants: Constants
 ) -> tuple[Tree, list[str]]:
-    """Return bench file data with the model of a result as simulated machine, and what it cannot
-    represent.
+    """Return bench file data in which the model of a result is the simulated machine, and notes on
+    the parts of the model that the machine cannot represent.
 
     Args:
         base: Bench whose drive loops, sensors and limits are kept.
@@ -110,7 +114,8 @@ def model_bench(
     mock["effects"] = effects
     if model.curve is not None:
         notes.append(
-            "the empirical curve of what is missing is left out of the simulated bench, which has "
+            "the empirical curve of the missing physics is left out of the simulated bench, "
+            "which has "
             "no such term"
         )
     bench["name"] = f"{bench['name']}-corrected"
@@ -118,7 +123,7 @@ def model_bench(
 
 
 def bench_text(bench: Mapping[str, Any], notes: Sequence[str]) -> str:
-    """Return a bench file, checked against the schema.
+    """Return the text of a bench file after a check against the schema.
 
     Raises:
         InputError: The corrected machine is not one that can be simulated.

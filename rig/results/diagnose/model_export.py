@@ -1,5 +1,5 @@
-"""The corrected model for other tools: as YAML, and as a file of plain Python that needs nothing
-but numpy.
+"""Writes the corrected model for other tools: as YAML, and as a file of plain Python that needs
+only numpy.
 """
 
 from __future__ import annotations
@@ -83,7 +83,9 @@ def _curve(equation: str, s: Any) -> Array:
 
 
 def yaml_text(model: CorrectedModel, recording: Recording) -> str:
-    """Return the model as YAML: parameters, constants of the bench, effects and curve, SI."""
+    """Return the model as YAML: parameters, constants of the bench, effects and curve, in SI
+    units.
+    """
     record: dict[str, Any] = {
         "model": 1,
         "parameters": {name: float(value) for name, value in model.parameters.items()},
@@ -113,7 +115,8 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
 
 
 def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
-    """Return the model as a Python file, with the source of the functions of this program.
+    """Return the model as a Python file that contains the source of the model functions of this
+    program.
 
     Args:
         model: The corrected model.
@@ -142,7 +145,7 @@ def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
 
 
 def _with_helpers(used: list[Callable[..., Any]]) -> list[Callable[..., Any]]:
-    """Return the functions with those that they call, helpers first."""
+    """Return the functions and the functions that they call; called functions come first."""
     helpers = {
         name: function
         for module in (states, arrays, torque)

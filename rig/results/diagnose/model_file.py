@@ -1,4 +1,4 @@
-"""The model in a result file: nominal parameters, effects, and the empirical curve."""
+"""Reads the model from a result file: nominal parameters, effects, and the empirical curve."""
 
 from __future__ import annotations
 
@@ -41,7 +41,8 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
-    """Refuse a result of a rotary bench for a linear one and vice versa, as units differ.
+    """Refuse a result of a rotary bench for a linear bench and vice versa, because their units
+    differ.
 
     Raises:
         InputError: The result is of the other motion, as stated or by the unit of its inertia.
@@ -62,7 +63,7 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
 def model_of(
     record: Mapping[str, Any], recordings: Sequence[str], place: str = "result"
 ) -> CorrectedModel:
-    """Return the model of a result.
+    """Return the model that a result file contains.
 
     Args:
         record: Record of ``rig identify --json`` or ``rig diagnose --json``.
@@ -75,7 +76,8 @@ def model_of(
     """
     if record.get("fit", {}).get("equation") == PRESSURE:
         raise InputError(
-            f"{place}: a diagnosis of a gas generator has no torque model; give one of the motion"
+            f"{place}: a diagnosis of a gas generator has no torque model; give a result on "
+            "the motion"
         )
     given = record.get("fitted") or record.get("parameters") or {}
     parameters = {}

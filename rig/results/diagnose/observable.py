@@ -26,7 +26,9 @@ from rig.sources import load_source
 
 OBSERVABLE_SCHEMA = "loadrig.observable/1"
 HIDDEN = 0.01
-"""Share of a regressor beyond the nominal constants, below which they take the effect up."""
+"""Share of a regressor beyond the nominal parameters below which the effect counts as collinear
+with the nominal model.
+"""
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Seen:
 
 
 def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -> Seen:
-    """Say of a run folder or campaign file which effects it can show.
+    """Return which effects the recordings of a run folder or campaign file can show.
 
     Raises:
         InputError: The source cannot be read, or its recordings do not determine the nominal model.
@@ -89,7 +91,7 @@ def observe_source(source: Path, seed: int, bandwidth_Hz: float | None = None) -
 
 
 def observable_document(source: Path, seen: Seen) -> Document:
-    """Return what recordings can show as a document."""
+    """Return the effects that recordings can show as a document."""
     shown = [e for e in seen.effects if e.sizes]
     alike = [e for e in shown if e.alike]
     text = (

@@ -1,4 +1,4 @@
-"""A diagnosis as the JSON of the contract."""
+"""JSON record of a diagnosis, in the form of the contract."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The experiment that splits an alias group, as a sequence file within a bench's limits."""
+"""Writes the experiment that splits an alias group as a sequence file within the limits of a
+bench.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,14 @@ _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
 _RESTS_S = (0.1, 0.5, 2.0, 8.0)
 _STILL_DEG = 0.02
-"""Amplitude at which a joint with friction stays at rest while its holding torque is recorded."""
+"""Amplitude, deg, at which a joint with friction stays at rest while its holding torque is
+recorded.
+"""
 
 
 @dataclass(frozen=True)
 class Room:
-    """Limits of a bench for an experiment."""
+    """Part of a bench's limits that an experiment may use."""
 
     travel_deg: float
     speed_deg_s: float
@@ -30,7 +34,7 @@ class Room:
 
     @classmethod
     def of(cls, bench: Bench) -> Room:
-        """Return the room within a bench's limits, symmetric about zero."""
+        """Return the part of a bench's limits for an experiment, symmetric about zero."""
         limits = bench.limits
         per_kg = bench.machine.lever_ratio * bench.machine.gravity_m_s2
         return cls(
@@ -40,8 +44,8 @@ class Room:
         )
 
     def frequency(self, amplitude_deg: float, share: float = 1.0) -> float:
-        """Return the frequency, Hz, at which a sine of this amplitude reaches a share of the
-        speed.
+        """Return the frequency, Hz, at which a sine of this amplitude reaches a share of the speed
+        limit.
         """
         return share * self.speed_deg_s / (2.0 * math.pi * amplitude_deg)
 
@@ -215,7 +219,8 @@ shaft.
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
-    """Return a sequence file that splits an alias group on a bench, or None where no sequence can.
+    """Return a sequence file that splits an alias group on a bench; None if no sequence can split
+    the group.
 
     Args:
         names: The group, the likeliest first.

@@ -23,13 +23,14 @@ READABLE = {
     "s/m": "%/(m/s)",
     "W": "kW",
 }
-"""Displayed unit for a unit of the records."""
+"""Unit of the records to the unit that is shown."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
 def effect_table(found: Diagnosis, motion: str) -> Table:
-    """Return one row per parameter of each effect, named with the units of the bench.
+    """Return one row for each parameter of each effect, with the name that states the unit of the
+    bench.
 
     Args:
         found: The diagnosis.
@@ -48,7 +49,7 @@ def effect_table(found: Diagnosis, motion: str) -> Table:
 
 
 def rival_table(found: Diagnosis) -> Table:
-    """Return the rivals of each effect, and why they were rejected."""
+    """Return the rivals of each effect, and the reason why each rival was rejected."""
     rows = tuple(
         (
             effect.name,
@@ -63,8 +64,8 @@ def rival_table(found: Diagnosis) -> Table:
 
 
 def fit_table(found: Diagnosis) -> Table:
-    """Return the errors before and after the correction, one row per equation and role, at one
-    bandwidth each.
+    """Return the errors before and after the correction, one row per equation and role; each
+    equation has one bandwidth.
     """
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
@@ -98,7 +99,9 @@ def shift_table(found: Diagnosis) -> Table:
 
 
 def where_table(found: Diagnosis) -> Table:
-    """Return the location of the mismatch of each effect, or of the mismatch as a whole."""
+    """Return the location of the mismatch of each effect or, without an effect, of the whole
+    mismatch.
+    """
     places = [(e.name, e.where) for e in found.effects]
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]
@@ -116,7 +119,7 @@ def where_table(found: Diagnosis) -> Table:
 
 
 def step_table(found: Diagnosis) -> Table:
-    """Return the search's steps in order."""
+    """Return the steps of the search in their order."""
     rows = tuple(
         (
             str(k),

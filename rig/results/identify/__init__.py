@@ -1,1 +1,1 @@
-"""Identification of a run or a campaign, and its report."""
+"""Identification of a run or a campaign: result and report."""

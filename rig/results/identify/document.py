@@ -1,4 +1,4 @@
-"""Output of ``rig identify``: an identification by one or several methods as a document."""
+"""Output of ``rig identify`` as a document, for one or several methods."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _TRUTH = (
 
 
 class Extra(NamedTuple):
-    """An optional part of the result: title, table, and explanatory lines."""
+    """An optional part of the result: title, table and explanatory lines."""
 
     title: str
     table: Table
@@ -174,7 +174,7 @@ def _how_sure(results: Sequence[Identification]) -> Iterator[Table | Note | Pict
 
 
 def _lead(outcome: Outcome) -> Picture:
-    """Return the figure that the page opens with."""
+    """Return the figure at the top of the page."""
     recordings, first = outcome.dataset.recordings, outcome.results[0]
     drawn = opening.result(first, _moments(recordings), recordings)
     what = "friction against speed, measured (dots) and identified (black); below it the recordings"

@@ -1,4 +1,4 @@
-"""Identifies a source by the requested methods; adds run time and provenance."""
+"""Identifies a source by the requested methods, and adds run time and provenance to the result."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from rig.weighing.label_check import comparable, off_label
 
 
 class Method(Protocol):
-    """Signature of an estimator for the command line."""
+    """Signature of an estimator as the commands call it."""
 
     def __call__(
         self,
@@ -48,15 +48,14 @@ class Method(Protocol):
 
 
 METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
-"""Name on the command line to estimator."""
+"""Name of a method in the command line to its estimator."""
 COMPARED_SEEDS = 5
-"""Number of seeds of each stochastic search."""
+"""Number of seeds from which each stochastic search is run."""
 _FED = (
     "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
     "and breakaways are "
     "lost; static friction and Stribeck speeds may be off by tens of percent, outside their "
-    "intervals; identify a run "
-    "without it"
+    "intervals; identify a run without feed-forward"
 )
 
 
@@ -158,7 +157,9 @@ def identify_source(
 def _ladders(
     source: Path, dataset: Dataset, request: Request, progress: Callable[[str, float], None]
 ) -> tuple[tuple[Rung, ...], tuple[SimulatedRung, ...]]:
-    """Return the rungs fitted to the torque and those fitted to the simulated angle, if asked."""
+    """Return the friction models fitted to the torque, and those fitted to the simulated angle, if
+    requested.
+    """
     if not request.ladder:
         return (), ()
     hertz = request.bandwidth_Hz
@@ -176,7 +177,7 @@ def _identified(
     warnings: tuple[str, ...],
     progress: Callable[[str, float], None],
 ) -> Identification:
-    """Identify by one method, timed."""
+    """Identify by one method, and measure the time."""
     begun = time.perf_counter()
     estimate = METHODS[method]
     if method == "default":
@@ -199,7 +200,7 @@ def _identified(
 
 
 def _warnings(source: Path, dataset: Dataset) -> tuple[str, ...]:
-    """Return the warnings on the recordings for all their results."""
+    """Return the warnings on the recordings, which apply to the results of all methods."""
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
     fed = is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs
     return (*partial_warnings(dataset), *off, *((_FED,) if fed else ()))
@@ -207,7 +208,7 @@ def _warnings(source: Path, dataset: Dataset) -> tuple[str, ...]:
 
 @contextmanager
 def _named(source: Path, remedy: str = "") -> Iterator[None]:
-    """Name the source of recordings that cannot be used."""
+    """Add the name of the source to the error of recordings that cannot be used."""
     try:
         yield
     except RecordingError as error:
@@ -220,8 +221,8 @@ def compare_methods(
     truth: Mapping[str, float] | None,
     progress: Callable[[str, float], None],
 ) -> Outcome:
-    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS``
-    seeds.
+    """Return an outcome with the results of all estimators; each search is run from
+    ``COMPARED_SEEDS`` seeds.
 
     Args:
         source: The source, for messages.

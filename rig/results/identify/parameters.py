@@ -43,7 +43,7 @@ def parameter_table(
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:
-    """Return the reasons behind the last column of :func:`parameter_table`, a line each."""
+    """Return the reasons behind the last column of :func:`parameter_table`, one line each."""
     return [
         f"{r.method}: {p.name}: {p.reason}"
         for r in results
@@ -53,8 +53,8 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
 
 
 def pinned_notes(results: Sequence[Identification]) -> list[str]:
-    """Return for each method with intervals how many parameters are determined, and which is
-    least accurate.
+    """Return for each method with intervals the number of determined parameters, and the least
+    accurate one.
     """
     lines = []
     for result in results:

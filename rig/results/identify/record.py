@@ -1,4 +1,4 @@
-"""An identification as the JSON of the contract."""
+"""JSON record of an identification, in the form of the contract."""
 
 from __future__ import annotations
 
@@ -62,7 +62,9 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 
 def parameter_record(parameter: Parameter) -> dict[str, Any]:
-    """Return one parameter; ``value`` is null if not identifiable, ``floor`` if not computed."""
+    """Return the record of one parameter; ``value`` is null if the parameter is not identifiable,
+    ``floor`` is null if it was not computed.
+    """
     return {
         "value": finite(parameter.value),
         "low": finite(parameter.low),
@@ -76,7 +78,9 @@ def parameter_record(parameter: Parameter) -> dict[str, Any]:
 
 
 def fit_record(fit: Fit) -> dict[str, Any]:
-    """Return one fit; the ``validate`` values are null if nothing was set aside."""
+    """Return the record of one fit; the ``validate`` values are null if no recording has role
+    validate.
+    """
     return {
         "unit": fit.unit,
         "bandwidth_Hz": finite(fit.bandwidth_Hz),
@@ -88,7 +92,7 @@ def fit_record(fit: Fit) -> dict[str, Any]:
 
 
 def known_record(result: Identification) -> dict[str, Any]:
-    """Return the keys on what was known with an uncertainty."""
+    """Return the keys on priors and on constants with a stated uncertainty."""
     return {
         "priors": {
             p.name: {
@@ -227,7 +231,7 @@ def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
 
 
 def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
-    """Return the comparison for the result file; errors are relative."""
+    """Return the comparison of methods for the result file; errors are relative."""
     return [
         {
             "name": c.name,

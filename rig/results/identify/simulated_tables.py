@@ -1,4 +1,4 @@
-"""Table of the friction models fitted to the simulated angle, and the lines that explain it."""
+"""Table of the friction models fitted to the simulated angle, with explanatory lines."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ _WORDS = {
 
 
 def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
-    """Return one row per fit: errors of the simulated angle, and the change of each constant."""
+    """Return one row for each fit: errors of the simulated angle, and the change of each
+    constant.
+    """
     small, scale = ("um", 1e6) if motion == LINEAR else ("mrad", 1e3)
     names = [c.name for c in next((r.constants for r in rungs if r.constants), ())]
     header = (
@@ -56,7 +58,7 @@ def simulated_table(rungs: Sequence[SimulatedRung], motion: str) -> Table:
 
 
 def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
-    """Return explanations of the table, and by how much each constant moved in the fits that
+    """Return explanations of the table, and the change of each constant in the fits that
     cross-validation does not reject.
     """
     longest = max(rung.horizon_s for rung in rungs)

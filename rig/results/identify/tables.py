@@ -1,5 +1,5 @@
-"""Tables of an identification and the lines that explain them: fits, stages, recordings, other
-estimators, the ladder of friction models, transfer to other recordings.
+"""Tables of an identification with explanatory lines: fits, stages, recordings, other estimators,
+the ladder of friction models, transfer to other recordings.
 """
 
 from __future__ import annotations
@@ -25,7 +25,9 @@ _FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
 def fit_table(results: Sequence[Identification]) -> Table:
-    """Return the error of each fit and on the recordings set aside, one row each."""
+    """Return one row for each fit: the error of the fit, and the error on the recordings with role
+    validate.
+    """
     rows = []
     for result in results:
         fit = result.fit
@@ -86,7 +88,7 @@ def stage_table(results: Sequence[Identification]) -> Table:
 
 
 def recording_table(recordings: Sequence[Recording]) -> Table:
-    """Return the identified recordings and the corrections on reading."""
+    """Return the identified recordings, and the corrections that were made on reading."""
     rows = tuple(
         (
             r.name,
@@ -105,7 +107,9 @@ def recording_table(recordings: Sequence[Recording]) -> Table:
 
 
 def comparison_table(contenders: Sequence[Contender]) -> Table:
-    """Return one row per estimator; the error column is omitted if the truth is unknown."""
+    """Return one row for each estimator; the error column is omitted if the true values are
+    unknown.
+    """
     known = any(c.true_error is not None for c in contenders)
     header = (
         "estimator",
@@ -135,8 +139,8 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
 
 
 def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """Return one row per rung: error of the fit, on the recordings set aside, and of the
-    simulated angle there.
+    """Return one row for each rung of the ladder: the error of the fit, the error on the recordings
+    with role validate, and the error of the simulated angle on these.
     """
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
@@ -188,8 +192,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
 
 
 def transfer_table(found: Transfer) -> Table:
-    """Return one row per parameter: both values, their difference, and whether it exceeds the
-    joint interval.
+    """Return one row for each parameter: its value from either source, the difference, and whether
+    the difference exceeds the joint interval.
     """
     rows = tuple(
         (
@@ -209,19 +213,21 @@ def transfer_table(found: Transfer) -> Table:
 
 
 def transfer_notes(found: Transfer) -> list[str]:
-    """Return the errors as text."""
+    """Return the errors of the transfer as text."""
     fit, own = found.fit, found.own
     line = (
-        f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "
-        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; identified "
-        f"there it would by "
+        "on the other source, the error of the model with the parameters of this source is "
+        f"{number(fit.train_rms, 3)} {fit.unit} rms "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; with "
+        "parameters identified on the other source it is "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
     floor = found.floor
     if floor is None:
         return [
             line,
-            "the noise floor there is unknown: nothing is done twice under the same command",
+            "the noise floor of the other source is unknown: no motion is repeated under the "
+            "same command",
         ]
     ways = [
         f"{count} {what}"
@@ -230,10 +236,9 @@ def transfer_notes(found: Transfer) -> list[str]:
     ]
     return [
         line,
-        f"the noise floor there is {number(floor.rms, 3)} {fit.unit}, from {floor.samples} pairs "
-        f"of samples of "
-        f"{' and '.join(ways)} recordings: the error is {number(fit.train_rms / floor.rms, 3)} "
-        f"times that",
+        f"the noise floor of the other source is {number(floor.rms, 3)} {fit.unit}, from "
+        f"{floor.samples} pairs of samples of {' and '.join(ways)} recordings: the error is "
+        f"{number(fit.train_rms / floor.rms, 3)} times this floor",
     ]
 
 

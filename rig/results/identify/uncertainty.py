@@ -14,32 +14,31 @@ from rig.common.tables import interval, number
 from rig.results.document import Picture, Table
 
 PROFILE_NOTE = (
-    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what "
-    "the likelihood was "
-    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower "
-    "arm of the range."
+    "Profile: the range in which -2 log likelihood rises by at most 2.71, with all other "
+    "parameters optimised. Scaled: factor on the likelihood, because the scatter of the scores "
+    "contradicts its curvature. Skew: ratio of the upper to the lower arm of the range."
 )
 
 
 BOOTSTRAP_NOTE = (
     "Bootstrap: the central 90 % of estimates from motion segments drawn with replacement. It "
-    "assumes nothing of the noise but that the errors of segments are independent; with few "
+    "assumes only that the errors of different segments are independent; with few "
     "segments the ranges are somewhat narrow."
 )
 
 
 CONSTANTS_NOTE = (
-    "The 90 % intervals of the parameters hold the uncertainty (one standard deviation) of these "
-    "constants; values stay those of the constants as given. Floor, profiles and bootstrap do not "
-    "hold it."
+    "The 90 % intervals of the parameters contain the uncertainty (one standard deviation) of "
+    "these constants; the values are those for the constants as given. Floor, profiles and "
+    "bootstrap do not contain this uncertainty."
 )
 PRIORS_NOTE = (
-    "Prior and recordings are joined as independent; +- is one standard deviation, of the "
+    "Prior and recordings are combined as independent; +- is one standard deviation, of the "
     "recordings with the uncertainty of the constants. All other values and intervals follow by "
     "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
 )
 _MOVED = 4
-"""Parameters named in a row of the constants."""
+"""Number of parameters that a row of the constants names."""
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
@@ -76,13 +75,13 @@ def _noise_statement(noise: MeasuredNoise, motion: str) -> str:
         f"{number(factor * each, 3)} {unit}" for each in (noise.encoder_step_rad, noise.angle_rad)
     )
     return (
-        f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and "
-        f"{beyond} rms beyond it"
+        f"noise estimated from the prediction errors: {torque}; encoder step {step}, and "
+        f"{beyond} rms in addition"
     )
 
 
 def profile_table(result: Identification) -> Table:
-    """Return one row per profile: its 90 % range and the interval."""
+    """Return one row for each profile: the 90 % range of the profile and the interval."""
     rows = [_profile_row(curve, result) for curve in result.profiles]
     return Table(
         ("parameter", "90 % interval", "profile", "skew", "scaled", "unit"),
@@ -109,7 +108,7 @@ def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
 
 
 def _open(curve: Profile) -> str:
-    """Return a range as text, with one or both ends beyond the scanned range."""
+    """Return a range as text; an end may be open if it lies beyond the scanned range."""
     low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
     high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
     return f"[{low}, {high}]"
@@ -130,7 +129,9 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
 
 
 def priors_table(result: Identification) -> Table:
-    """Return one row per prior: it, the recordings alone, and both together."""
+    """Return one row for each prior: the prior, the estimate from the recordings alone, and the
+    combined estimate.
+    """
     rows = tuple(
         (
             p.name,
@@ -145,7 +146,9 @@ def priors_table(result: Identification) -> Table:
 
 
 def constants_table(result: Identification) -> Table:
-    """Return one row per uncertain constant: what it is, and the parameter it moves most."""
+    """Return one row for each uncertain constant: value, uncertainty, and the parameters that it
+    changes most.
+    """
     rows = []
     for constant in result.known_constants:
         shares = {
@@ -166,7 +169,7 @@ def constants_table(result: Identification) -> Table:
 
 
 def bootstrap_table(result: Identification) -> Table:
-    """Return one row per parameter: the spread of its draws and the interval."""
+    """Return one row for each parameter: the spread of the bootstrap estimates and the interval."""
     rows = [_bootstrap_row(r, result) for r in result.resampled]
     return Table(
         ("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3)

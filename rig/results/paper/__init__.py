@@ -1,3 +1,3 @@
-"""Reproduction of the paper's figures: each with the paper's statement, our result, and the
+"""Reproduction of the paper's figures: each figure with the paper's statement, our result, and the
 plotted data.
 """

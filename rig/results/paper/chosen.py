@@ -1,4 +1,4 @@
-"""Values chosen because the paper lacks them, read from the code that sets them."""
+"""Values that we chose because the paper does not state them, read from the code that sets them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from rig.results.paper.parameters import DURATION_S, RATE_HZ
 
 
 def chosen() -> list[str]:
-    """Return one line per value."""
+    """Return one line for each chosen value."""
     gas = GasGenerator()
     practical, soft, literal = (
         true_machine(name) for name in ("practical", "practical_soft", "literal")

@@ -1,4 +1,4 @@
-"""Output of ``rig paper``: the paper's tables and figures with our results, as a document."""
+"""Output of ``rig paper`` as a document: the paper's tables and figures with our results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One figure or table of the paper with our result."""
+"""One figure or table of the paper, with our result."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from identification.recording import Array
 from rig.results.document import Picture, Table
 
 Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
-"""Column titles with their units, and the rows under them."""
+"""Column titles with their units, and the rows of the table."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Exhibit:
 
 
 def columns(**named: Array) -> Rows:
-    """Return arrays of one length, shape (n,), as rows; the titles are ``name`` with its unit
+    """Return arrays of one length, shape (n,), as rows; each title is a ``name`` with its unit
     (``time_s``).
     """
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
@@ -54,7 +54,7 @@ def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
 
 
 def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
-    """Return picture name to its files, the picture and its numbers, relative to the page."""
+    """Return picture name to the paths of the picture and of its numbers, relative to the page."""
     files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
         for name in exhibit.data or {}:

@@ -23,7 +23,7 @@ from rig.results.paper.machine import true_machine
 
 BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02
-"""A flow has settled when it stays within this share of the command."""
+"""Share of the command within which a flow counts as settled."""
 _SMOOTHING_S = (
     0.05  # a settling is judged on means over this time, so that sensor noise does not count
 )

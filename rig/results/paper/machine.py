@@ -1,4 +1,6 @@
-"""Data of the packaged benches for the figures: true machine and identification from a run."""
+"""Data of the packaged benches for the figures: the true machine, and an identification from a
+run.
+"""
 
 from __future__ import annotations
 

@@ -23,16 +23,18 @@ CONTACT_FORCE_N = 3000.0
 """F_P of Case 2 (Sec. 4.2.2)."""
 DURATION_S = 5.0
 RATE_HZ = 1000.0
-"""One period of the command, at a rate the paper does not give; the fitness sqrt(sum e^2) is over
-these samples.
+"""Duration (one period of the command) and sample rate; the paper does not state the rate. The
+fitness sqrt(sum e^2) is over these samples.
 """
 WRONG_BASIN_PERCENT = 20.0
-"""A seed whose largest error, except of J, exceeds this has converged to a wrong basin."""
+"""Largest error of a parameter other than J above which a seed counts as converged to a wrong
+basin, %.
+"""
 
 
 @dataclass(frozen=True)
 class Printed:
-    """One column of Table 1 or 2 as printed.
+    """One column of Table 1 or 2 with the printed values.
 
     Attributes:
         original: "Original value".
@@ -75,7 +77,7 @@ class Reproduction:
     runs: Mapping[str, Mapping[int, Identification]]
 
     def found(self, method: str, name: str) -> dict[int, float | None]:
-        """Return the estimates of one parameter by one method, per seed.
+        """Return the estimates of one parameter by one method, one for each seed.
 
         A genetic search always ends with some J, which the result withholds if the data do not
         determine it; for the comparison with Table 1 it is read from the search history.
@@ -83,7 +85,9 @@ class Reproduction:
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
     def errors(self, method: str, name: str) -> dict[int, float]:
-        """Return the error per seed, percent of the true value; infinite without an estimate."""
+        """Return the error for each seed, percent of the true value; infinite without an
+        estimate.
+        """
         return {
             seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
             for seed, value in self.found(method, name).items()
@@ -95,7 +99,7 @@ class Reproduction:
         return max(errors, key=lambda seed: errors[seed])
 
     def wrong_basins(self, method: str) -> list[int]:
-        """Return the seeds that ended far from the truth in a parameter other than J."""
+        """Return the seeds that ended far from the true value of a parameter other than J."""
         worst = {seed: 0.0 for seed in self.runs[method]}
         for name in (*TABLE_1, *TABLE_2):
             if name != "J":
@@ -147,7 +151,7 @@ def command(time: Array) -> Array:
 
 
 def _case(machine: Machine, bench: Bench, name: str, force_N: float) -> Recording:
-    """Simulate one case; the current is sampled at the instant and nothing is quantised."""
+    """Simulate one case; the current is sampled at an instant, and no channel is quantised."""
     out = simulate(machine, command, DURATION_S, RATE_HZ, contact_force_N=force_N)
     return Recording(
         name=name,

@@ -1,4 +1,4 @@
-"""Fig. 2 and 9: a low-speed ramp on soft gains, before and after friction feed-forward."""
+"""Fig. 2 and 9: a low-speed ramp with soft gains, without and with friction feed-forward."""
 
 from __future__ import annotations
 
@@ -25,14 +25,16 @@ _THIN = 10  # of the samples, in the data files
 
 @dataclass(frozen=True)
 class RampStudy:
-    """The same ramps, unloaded and loaded, without and with feed-forward."""
+    """The same ramps unloaded and loaded, without and with feed-forward."""
 
     plain: Dataset
     fed: Dataset
 
 
 def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
-    """Run the ramps twice on the soft gains, with other noise than the identification saw."""
+    """Run the ramps with soft gains, without and with feed-forward; the noise differs from that of
+    the identification.
+    """
     bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
     return RampStudy(
         run_simulated(bench, sequence, seed + 1, scratch / "plain"),

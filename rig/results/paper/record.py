@@ -1,4 +1,4 @@
-"""The paper's tables and figures, done again, as the JSON of the contract."""
+"""JSON record of the reproduced tables and figures, in the form of the contract."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The sine of the paper's cases on stiff gains, before and after feed-forward: tracking and energy
-per cycle.
+"""The sine of the paper's cases with stiff gains, without and with feed-forward: tracking error and
+energy per cycle.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ _THIN = 10  # of the samples, in the data file
 
 
 def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
-    """Run the paper's two cases without and with feed-forward, with other noise than the
-    identification saw.
+    """Run the paper's two cases without and with feed-forward; the noise differs from that of the
+    identification.
     """
     bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
     plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
@@ -69,7 +69,9 @@ def _load(recording: Recording) -> str:
 
 
 def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
-    """Return the time from the start of a recording, s, and which samples are of whole cycles."""
+    """Return the time from the start of a recording, s, and a mask of the samples of whole
+    cycles.
+    """
     time = np.asarray(recording.time - recording.time[0])
     return time, (time >= _SPAN[0]) & (time < _SPAN[1])
 

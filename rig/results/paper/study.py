@@ -1,5 +1,5 @@
-"""The runs behind the paper's figures: low-speed ramps, uniform motion, areas, through the whole
-simulated chain.
+"""The runs behind the paper's figures: low-speed ramps, uniform motion and areas, each through the
+whole simulated chain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rig.results.paper.exhibit import Exhibit
 
 
 def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
-    """Run and draw all figures except those of the tables, in the paper's order.
+    """Run and draw all figures except those of the tables, in the order of the paper.
 
     Args:
         seed: Seed of the simulated benches' noise.

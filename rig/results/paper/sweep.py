@@ -14,7 +14,7 @@ _ENDS_DEG = np.array([5.0, 29.0])
 
 
 def exhibit(seed: int) -> Exhibit:
-    """Return Fig. 4 as the paper runs it, and slowly enough for the pressure to follow the
+    """Return Fig. 4 at the speed of the paper, and at a speed at which the pressure follows the
     throat.
     """
     machine = true_machine("practical_hot")

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 PAPER_DEG_S = 50.0
 """Opening speed in the paper."""
 SLOW_DEG_S = 5.0
-"""Speed at which the pressure follows the throat within 7 % without stick-slip."""
+"""Speed at which the pressure follows the throat within 7 % and the joint does not stick."""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 UNIFORM = 0.05
@@ -33,7 +33,7 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as the sensors of the bench measure it; arrays of shape (n,), from
+    """One opening of the valve as measured by the sensors of the bench; arrays of shape (n,), from
     the start of the motion.
 
     Attributes:
@@ -130,7 +130,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
 
 
 def _uniform(angle: Array, wanted: float) -> NDArray[np.bool_]:
-    """Mark the samples at this speed (rad/s)."""
+    """Return a mask of the samples at this speed (rad/s)."""
     width = round(SMOOTHING_S / CYCLE_S)
     kernel = np.ones(width) / width
     speed = np.convolve(np.gradient(angle, CYCLE_S), kernel, mode="same")

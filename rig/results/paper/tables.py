@@ -119,8 +119,8 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
 
 
 def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return each method's worst parameter of this table, except J, which is reported
-    separately.
+    """Return the worst parameter of each method in this table; J is left out, because it is
+    reported separately.
     """
     lines = []
     for method, runs in found.runs.items():
@@ -200,8 +200,8 @@ def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
 
 
 def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:
-    """Return stage, target, seeds that reached it, median cost, unit and median generations of
-    every search.
+    """Return for every search its stage, target, number of seeds that reached the target, median
+    cost, unit and median number of generations.
     """
     runs = list(found.runs[method].values())
     out = []

@@ -30,14 +30,16 @@ from rig.runs.truth import true_parameters
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
 WEIGHT_KG = 30.6
 TRAVEL_DEG = {0.0: 8.0, WEIGHT_KG: 14.0}
-"""Weight to travel: more than a soft drive deflects before breakaway, 1.7 and 5.2 deg."""
+"""Weight, kg, to travel, deg: more than the deflection of a soft drive before breakaway, 1.7 and
+5.2 deg.
+"""
 LEAST_LEG_S = 0.6
 GAINS = {"stiff": "practical", "soft": "practical_soft"}
 
 
 @dataclass(frozen=True)
 class UniformStudy:
-    """Points of both gain sets, and the machine's true parameters for comparison."""
+    """Points of both gain sets, with the machine's true parameters for comparison."""
 
     points: Mapping[str, Sequence[UniformPoint]]
     truth: Mapping[str, float]
@@ -45,7 +47,7 @@ class UniformStudy:
 
 
 def sequence(scratch: Path) -> Document[SequenceFile]:
-    """Write the ramps, out and back at every speed, unloaded and loaded, as a sequence file."""
+    """Write a sequence file with ramps out and back at every speed, unloaded and loaded."""
     lines = ["sequence: 1", "name: uniform", "stages:"]
     for weight, least in TRAVEL_DEG.items():
         load = "loaded" if weight else "unloaded"
@@ -64,8 +66,8 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
 
 
 def measure(scratch: Path, seed: int) -> UniformStudy:
-    """Run the ramps on both gain sets of the practical bench; return a point for each interval
-    of constant speed.
+    """Run the ramps with both gain sets of the practical bench; return a point for each interval of
+    constant speed.
     """
     plan = sequence(scratch)
     points = {}

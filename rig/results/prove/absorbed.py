@@ -1,10 +1,10 @@
-"""Remaining strength of an injected effect: what a new fit of the nominal constants leaves of it,
-over the noise.
+"""Remaining strength of an injected effect: the part of the effect that a new fit of the nominal
+parameters does not explain, over the noise.
 
-Strength is the change of a channel by the effect. An effect may be collinear with the nominal
-model: a gear's loss where friction is all the load makes every constant larger by one factor. So
-the nominal model is fitted to the trial's recordings and to those of its reference simulation
-without the effect, and the residuals are compared.
+The strength of an effect is the change that it makes in a channel. An effect may be collinear with
+the nominal model; for example, if the load consists only of friction, the loss of a gear increases
+every parameter by one factor. So the nominal model is fitted to the trial's recordings and to those
+of its reference simulation without the effect, and the residuals are compared.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def residual_rms(joint: Joint) -> dict[str, float]:
 
 
 def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
-    """Return the nominal model's residual of a reference simulation without effects; empty where it
-    cannot be fitted.
+    """Return the nominal model's residual on a reference simulation without effects; empty if the
+    model cannot be fitted.
 
     Raises:
         OSError: It cannot be written.
@@ -49,8 +49,8 @@ def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
 
 
 def floors_of(campaign: Path) -> dict[str, float]:
-    """Return the nominal model's residual of a campaign of a rig without effects; empty where it
-    cannot be fitted.
+    """Return the nominal model's residual on a campaign of a rig without effects; empty if the
+    model cannot be fitted.
 
     Raises:
         InputError: It cannot be read.
@@ -67,7 +67,9 @@ def floors_of(campaign: Path) -> dict[str, float]:
 
 
 def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return the remaining strength by equation: the residual beyond the noise, over the noise."""
+    """Return the remaining strength for each equation: the part of the residual beyond the noise,
+    over the noise.
+    """
     return {
         name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]
         for name in left

@@ -1,4 +1,4 @@
-"""One blind trial drawn at random: true constants, noise and injected effects."""
+"""Draws one blind trial: true constants, noise and injected effects."""
 
 from __future__ import annotations
 
@@ -15,10 +15,12 @@ from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
 
 Kind = Literal["nothing", "one", "two", "outside"]
 SPREAD = 0.4
-"""Nominal constants lie within this share of the practical bench's."""
+"""Greatest relative deviation of the nominal constants from those of the practical bench."""
 NOISE_SPREAD = (0.5, 1.5)
 SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "outside": 40.0}
-"""Trials of each kind in a full proof; other sizes have the same proportions."""
+"""Number of trials of each kind in a full proof; proofs of other sizes have the same
+proportions.
+"""
 
 _NEEDS_GRAVITY = frozenset({"load_dependent_friction"})
 _NEEDS_LEVER = frozenset(
@@ -33,8 +35,8 @@ _NEEDS_LEVER = frozenset(
     }
 )
 _GRAVITY_SHARE = 0.1
-"""Share of trials with a weight on the joint where either load is possible, so that the kind of
-load carries no information.
+"""Share of trials with a weight on the joint among the trials that permit either load, so that the
+kind of load carries no information.
 """
 
 Effects = dict[str, dict[str, float]]
@@ -43,7 +45,7 @@ Assigned = tuple[Kind, tuple[str, ...]]
 
 
 class Rig(NamedTuple):
-    """One trial as drawn.
+    """Drawn data of one trial.
 
     Attributes:
         kind: Number of effects, and whether the catalogue has them.
@@ -88,7 +90,7 @@ def _pair(names: list[str], rng: np.random.Generator) -> tuple[str, str]:
 
 
 def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, int]:
-    """Return the number of trials of each kind (largest remainders)."""
+    """Return the number of trials of each kind (method of largest remainders)."""
     total = sum(shares.values())
     exact = {kind: rigs * share / total for kind, share in shares.items()}
     counts = {kind: math.floor(value) for kind, value in exact.items()}
@@ -99,7 +101,9 @@ def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, in
 
 
 def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
-    """Return names in rounds of random order, so that their counts differ by at most one."""
+    """Return names in rounds, each in random order, so that the counts of the names differ by at
+    most one.
+    """
     order: list[str] = []
     while len(order) < count:
         order += [names[k] for k in rng.permutation(len(names))]

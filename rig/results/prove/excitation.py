@@ -1,10 +1,11 @@
-"""The experiments of a blind trial: thirteen recordings that together separate similar effects of
-the catalogue.
+"""Experiments of a blind trial: thirteen recordings that together separate similar effects of the
+catalogue.
 
-They are wide and small, slow and fast, at four weights; ramps from slow to fast; rests from 0.1 to
-8 s; loops below breakaway; one experiment twice, for the noise floor; and one with a weight on the
-joint itself, which drives the motor back: where friction is all the load, the gear's loss is
-collinear with the constants. Recordings to validate repeat none of the others.
+The motions are large and small, slow and fast, with four weights. The trial has ramps from slow to
+fast, rests of 0.1 to 8 s, loops below breakaway, one experiment twice for the noise floor, and one
+experiment with a weight on the joint itself, which drives the motor: if the load consists only of
+friction, the loss of the gear is collinear with the nominal parameters. The recordings with role
+validate repeat no other recording.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ NOTHING_FIXED = FixedWeight(0.0, 0.0, 0.0)
 
 
 class Experiment(NamedTuple):
-    """One recording to make.
+    """Plan of one recording.
 
     Attributes:
         name: Name of its file.
@@ -57,8 +58,8 @@ class Experiment(NamedTuple):
 
 
 def tones(*parts: tuple[float, float, float]) -> Array:
-    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), eased in and
-    out.
+    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), with a smooth
+    start and end.
     """
     t = _time()
     swing = np.zeros_like(t)
@@ -68,8 +69,7 @@ def tones(*parts: tuple[float, float, float]) -> Array:
 
 
 def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
-    """Return ramps to and fro between both ends of a span, one speed after another until the time
-    is over.
+    """Return ramps between both ends of a span, one speed after another until the time is over.
 
     At slow speeds only the part of the span that fits their share of the time is covered. Corners
     are rounded over 0.12 s, which keeps the torque of the fastest within the drive's limit.
@@ -91,7 +91,7 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
 def dwells(
     rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center_deg: float = 0.0
 ) -> Array:
-    """Return moves to and fro, each after a rest of a duration from ``rests_s``."""
+    """Return moves back and forth, each after a rest with a duration from ``rests_s``."""
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     at = 0.0
     stops = [np.deg2rad(center_deg + s * step_deg) for s in (1.0, -1.0)]
@@ -107,8 +107,8 @@ def dwells(
 def small_loops(
     amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]
 ) -> Array:
-    """Return loops of rising size around several angles: below breakaway first, beyond it at the
-    end.
+    """Return loops of increasing size around several angles: first below breakaway, at the end
+    beyond it.
     """
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(centers_deg)
@@ -128,7 +128,7 @@ def small_loops(
 
 
 def _filled(pieces: list[Array]) -> Array:
-    """Join pieces, cut or hold to the recording's length, and come to rest at zero."""
+    """Join pieces, cut or extend them to the recording's length, and come to rest at zero."""
     n = round(DURATION_S / CYCLE_S)
     path = np.concatenate(pieces)[:n]
     path = np.concatenate((path, np.full(n - len(path), path[-1])))
@@ -189,7 +189,7 @@ _FIXED = {
     20.0: FixedWeight(15.0, 0.1, 0.8),
     30.6: FixedWeight(15.0, 0.1, -1.4),
 }
-"""Weight fixed to the joint instead of a weight on the lever."""
+"""Weight that is fixed to the joint, instead of a weight on the lever."""
 
 
 @cache

@@ -1,4 +1,6 @@
-"""The two proofs: trials with effects in the motion, and with effects in the gas generator."""
+"""The two kinds of proof: trials with effects in the motion, and trials with effects in the gas
+generator.
+"""
 
 from __future__ import annotations
 

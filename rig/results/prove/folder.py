@@ -1,5 +1,5 @@
-"""A blind trial on disk: a campaign file and its recordings, without any trace of the injected
-effects.
+"""Writes a blind trial to disk: a campaign file and its recordings, without any trace of the
+injected effects.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def write(
 
 
 def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any]:
-    """Return the campaign file's content: constants that an engineer knows, recordings and
+    """Return the content of the campaign file: constants that an engineer knows, recordings and
     channels.
     """
     motor, joint = machine.motor, machine.joint

@@ -1,4 +1,4 @@
-"""One blind gas trial drawn at random: true constants, noise and injected effect."""
+"""Draws one blind gas trial: true constants, noise and injected effect."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from rig.results.prove.sizes import Draw, either, log
 
 GAS_SHARES: Mapping[Kind, float] = {"one": 50.0, "nothing": 40.0, "outside": 10.0}
 RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05, 0.2
-"""Relative deviation of the true constants from the campaign's values; absolute for the
-exponent.
+"""Relative deviation of the true constants from the values of the campaign; for the exponent the
+absolute deviation.
 """
 GRAIN_SPREAD = 0.03
-"""Relative scatter of the free volumes within a trial, since grain lengths vary."""
+"""Relative scatter of the free volumes within a trial, which comes from different grain lengths."""
 NOISE_SHARES = (0.001, 0.0025)
 """Noise of the transmitter as a share of its range."""
 ZERO_SHARE = 0.0003
@@ -52,7 +52,7 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
 
 
 class GasRig(NamedTuple):
-    """One gas trial as drawn.
+    """Drawn data of one gas trial.
 
     Attributes:
         kind: Kind of trial: no effect, one of the catalogue, or one outside it.
@@ -74,7 +74,9 @@ class GasRig(NamedTuple):
 
 
 def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
-    """Return kind and effect of each trial, in random order; effects are drawn in turn."""
+    """Return kind and effect of each trial, in random order; every effect occurs about equally
+    often.
+    """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs, GAS_SHARES)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]

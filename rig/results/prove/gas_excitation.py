@@ -1,9 +1,9 @@
-"""The firings of a blind gas trial: six to fit and two set aside; together they separate similar
-effects of the catalogue.
+"""Firings of a blind gas trial: six with role fit and two with role validate, which together
+separate similar effects of the catalogue.
 
-They contain constant throats early and late in a firing; steps between the smallest and the largest
-throat; sines and sweeps around the chamber's time constant. The firings to validate repeat none of
-the others.
+The firings contain constant throats early and late in a firing, steps between the smallest and the
+largest throat, and sines and sweeps around the time constant of the chamber. The firings with role
+validate repeat no other firing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ MOVE_S = 0.25
 
 
 class GasExperiment(NamedTuple):
-    """One firing to make: name of its file, role as in the campaign file, valve angle sent in
+    """Plan of one firing: name of its file, role as in the campaign file, valve angle commanded in
     each cycle, rad, (n,).
     """
 
@@ -33,7 +33,9 @@ class GasExperiment(NamedTuple):
 
 
 def steps(levels_deg: Sequence[float]) -> Array:
-    """Return pauses of equal length at each level, from the closed valve."""
+    """Return valve angles with a pause of equal length at each level, starting with the closed
+    valve.
+    """
     n, move = round(BURN_S / CYCLE_S), round(MOVE_S / CYCLE_S)
     rise = raised_cosine(np.arange(1, move + 1) * CYCLE_S, MOVE_S)
     out = np.zeros(n)
@@ -46,7 +48,9 @@ def steps(levels_deg: Sequence[float]) -> Array:
 
 
 def sweep(centre_deg: float, amplitude_deg: float, first_Hz: float, last_Hz: float) -> Array:
-    """Return a sine whose frequency rises evenly, around an angle with ramps to and from it."""
+    """Return a sine whose frequency rises linearly, around an angle, with ramps to and from this
+    angle.
+    """
     t = np.arange(round(BURN_S / CYCLE_S)) * CYCLE_S
     phase = 2.0 * np.pi * (first_Hz * t + 0.5 * (last_Hz - first_Hz) * t**2 / BURN_S)
     window = raised_cosine(t, 1.0)
@@ -67,5 +71,5 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], Callable[[], Array]], ...] =
 
 @cache
 def gas_experiments() -> tuple[GasExperiment, ...]:
-    """Return the eight firings in the order in which they are made."""
+    """Return the eight firings in the order of their execution."""
     return tuple(GasExperiment(name, role, command()) for name, role, command in _PLAN)

@@ -1,5 +1,5 @@
-"""A blind gas trial: seals its truth, simulates and writes its firings, computes its effect's
-strength.
+"""Makes a blind gas trial: seals its truth, simulates and writes its firings, and computes the
+strength of its effect.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from rig.results.prove.gas_excitation import gas_experiments
 from rig.results.prove.generate import Sealed, seal_truth
 
 CHANNELS = ("time", "command", "angle", "pressure")
-"""Channels that a diagnosis of the gas uses; the drive's current shows the gas only through
-friction.
+"""Channels that a diagnosis of the gas generator uses. The drive's current is not used, because it
+shows the gas only through friction.
 """
 
 
 def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
-    """Draw a trial, write and seal its truth; nothing is simulated yet.
+    """Draw a trial, and write and seal its truth; nothing is simulated yet.
 
     Raises:
         OSError: It cannot be written.
@@ -80,8 +80,8 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
 
 
 def campaign(rig: GasRig) -> list[Samples]:
-    """Simulate all firings with motor, drive loops and sensors, each from ignition with a fresh
-    grain.
+    """Simulate all firings with motor, drive loops and sensors; each firing starts with ignition of
+    a fresh grain.
 
     Zero errors and delay are added to the sensor values; a delayed pressure is padded with its
     first sample.
@@ -117,7 +117,7 @@ def write(file: Path, burns: Sequence[Samples]) -> None:
 
 
 def description() -> dict[str, Any]:
-    """Return the campaign file's content, the same for every trial."""
+    """Return the content of the campaign file, which is the same for every trial."""
     return {
         "campaign": 1,
         "bench": {"moment_arm": Machine().joint.moment_arm_m, "gas_generator": {}},

@@ -29,7 +29,7 @@ from rig.runs.truth import true_parameters
 
 
 class Sealed(NamedTuple):
-    """One trial whose truth is sealed.
+    """Files and digest of one trial whose truth is sealed.
 
     Attributes:
         number: Number of the trial, from 1.
@@ -45,7 +45,7 @@ class Sealed(NamedTuple):
 
 
 def place(out: Path, number: int, digest: str = "") -> Sealed:
-    """Return the files of the trial of this number."""
+    """Return the file paths of the trial with this number."""
     return Sealed(
         number,
         out / f"rig-{number:04d}" / CAMPAIGN_FILE,
@@ -64,7 +64,7 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
 
 
 def truth_of(rig: Rig) -> dict[str, Any]:
-    """Return what is sealed of a trial."""
+    """Return the sealed content of a trial."""
     maker = {
         "machine": asdict(rig.machine),
         "pauses_s": rig.pauses_s,

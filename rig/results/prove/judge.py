@@ -1,5 +1,5 @@
-"""One blind trial judged by the diagnosis, by the baseline methods and, once its truth is open, by
-the oracle.
+"""Judges one blind trial: by the diagnosis, by the baseline methods and, after its truth is opened,
+by the oracle.
 """
 
 from __future__ import annotations
@@ -45,7 +45,9 @@ class Judgement(NamedTuple):
 
 
 Judge = Callable[[Path, int], Judgement]
-"""Judge a campaign file with a seed; only the oracle gets the truth, afterwards."""
+"""Function that judges a campaign file with a seed; only the oracle gets the truth, after the
+judgement.
+"""
 
 
 def judge(source: Path, seed: int) -> Judgement:
@@ -72,7 +74,7 @@ def judge(source: Path, seed: int) -> Judgement:
 
 
 def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
-    """Fit the true structure to a campaign, some time after its diagnosis.
+    """Fit the true structure to a campaign, after the diagnosis.
 
     Args:
         source: The campaign file.

@@ -1,4 +1,6 @@
-"""Whether the diagnosis found the mismatch where the catalogue locates the injected effect."""
+"""Scores whether the diagnosis found the mismatch where the catalogue locates the injected
+effect.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,15 @@ LIKE: Mapping[str, frozenset[str]] = {
     "travel since reversal": frozenset({"time since reversal"}),
     "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
-"""Coordinate of the catalogue to equivalent ones on these trials: speed and torque carry
-the direction in their sign, torque rises with the load, the machine warms with time, what changes
-with frequency shows where torque turns.
+"""Coordinate of the catalogue to the equivalent coordinates on these trials: the sign of speed and
+torque contains the direction, torque rises with the load, the machine warms up with time, and a
+mismatch that changes with frequency shows where the torque reverses.
 """
 REFUSED = "refused"
 """Verdict of a trial that could not be diagnosed."""
 OWN_RECORDING = ("wrong_weight", "encoder_slip")
-"""Effects that show in one recording; that recording, rather than any coordinate, is their
-place.
+"""Effects that show in one recording; for these the recording, and not a coordinate, is the
+location.
 """
 
 
@@ -34,7 +36,7 @@ def located(
     diagnosis: Mapping[str, Any],
     recordings: Sequence[str],
 ) -> dict[str, Any]:
-    """Score the place that a diagnosis gives for one injected effect.
+    """Score the location that a diagnosis states for one injected effect.
 
     Args:
         name: The effect.

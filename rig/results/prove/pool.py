@@ -1,4 +1,4 @@
-"""Work shared among processes that do not outlive the one that started them."""
+"""Shares work among processes that end when the process that started them ends."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ORPHANED = 1
 
 
 def each(one: Callable[[Task], Result], todo: Sequence[Task], jobs: int) -> Iterator[Result]:
-    """Yield results as they come.
+    """Yield results in the order in which they arrive.
 
     Args:
         one: The work on one item; with more than one job it must be importable.
@@ -40,13 +40,13 @@ def each(one: Callable[[Task], Result], todo: Sequence[Task], jobs: int) -> Iter
 
 
 def begin_worker() -> None:
-    """Set a worker up as the command line does its own process."""
+    """Set up a worker process as the command line sets up its own process."""
     keep_freed_memory()
     follow_parent()
 
 
 def follow_parent() -> None:
-    """End this worker when its parent ends, by whatever signal.
+    """End this worker when its parent ends, whatever signal ends the parent.
 
     A worker that waits for work holds both ends of its queue, so it never reads an end of file.
     """

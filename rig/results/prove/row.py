@@ -1,4 +1,4 @@
-"""One trial's row of the proof: its injected effects and its diagnosis."""
+"""Row of one trial in the proof: its injected effects and its diagnosis."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from rig.results.prove.judge import Judgement
 from rig.results.prove.located import REFUSED, located
 
 CONFIDENT = 0.9
-"""Confidence above which an effect identified on a trial outside the catalogue counts as a gross
-error.
+"""Confidence above which an effect that is identified on a trial outside the catalogue counts as a
+gross error.
 """
 MOST_NAMED = 3
-"""Effects of a baseline method that count where two are injected: the most that the diagnosis
-gives.
+"""Greatest number of a baseline method's effects that count where two effects are injected; a
+diagnosis gives at most as many.
 """
 WORTH = 0.05
 """Least held-out gain of the oracle over the noise at which gains are compared."""
 FAINT = 1e-12
 VERSION = 6
-"""Version of the rows and recordings: a proof begun with another one is not continued."""
+"""Version of the rows and recordings; a proof that began with another version is not continued."""
 
 
 def row_of(
@@ -141,9 +141,7 @@ def _parameters(
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the nominal parameters' errors, as shares of their values, before and after the
-    correction.
-    """
+    """Return the relative errors of the nominal parameters, before and after the correction."""
     rows = {}
     for name, shift in diagnosis["parameter_shift"].items():
         if name in true and shift["before"] is not None and shift["after"] is not None:
@@ -155,7 +153,8 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return held-out errors, and the achieved share of the possible gain down to the noise floor.
+    """Return held-out errors, and the achieved share of the possible gain, which ends at the noise
+    floor.
 
     A model fitted to the same data falls below the floor only by chance.
     """
@@ -176,7 +175,8 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the ratio of held-out gains, diagnosis to oracle, in the oracle's best equation.
+    """Return the ratio of the held-out gains of diagnosis and oracle, in the equation where the
+    oracle gains most.
 
     Null where the true structure itself gains nothing there, or where the diagnosis has no such
     equation.

@@ -1,5 +1,5 @@
-"""Run of the proof: seal every trial, show the digests, then diagnose, unseal and score one after
-another.
+"""Runs a proof: seals every trial, shows the digests, then diagnoses, unseals and scores one trial
+after another.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class Proof(NamedTuple):
     family: str = MOTION
 
     def row_file(self, number: int) -> Path:
-        """Return the file of a trial's row."""
+        """Return the path of the file with a trial's row."""
         return self.out / ROWS / f"{number:04d}.json"
 
 
@@ -74,7 +74,7 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the seals of a proof that was begun before: rig to digest.
+    """Return the seals of a proof that was begun before: number of a rig to digest.
 
     Raises:
         InputError: The file is not this program's, or belongs to a proof with other settings.
@@ -96,7 +96,7 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
 def work(
     proof: Proof, judge: Judge, jobs: int, keep: bool, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
-    """Diagnose and score the trials that are not done yet; return all rows in order.
+    """Diagnose and score the trials that have no row yet; return all rows in order.
 
     Args:
         proof: The proof as begun.
@@ -143,5 +143,7 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
 
 
 def diagnosis_seed(seed: int, number: int) -> int:
-    """Return a seed for the diagnosis from which the draws of the truth cannot be repeated."""
+    """Return a seed for the diagnosis; the draws of the truth cannot be reproduced from this
+    seed.
+    """
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

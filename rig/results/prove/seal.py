@@ -1,4 +1,4 @@
-"""Writing of a trial's truth with its digest, and reading of it with a check of the digest."""
+"""Writes the truth of a trial with its digest, and reads the truth with a check of the digest."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rig.results.prove.truth import Truth, load_truth
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
-    """Write the truth with a salt, which keeps it from being guessed from the digest; return the
+    """Write the truth with a salt, so that the truth cannot be guessed from the digest; return the
     SHA-256.
     """
     text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
@@ -24,7 +24,7 @@ def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
 
 
 def unseal(path: Path, digest: str) -> Truth:
-    """Read a truth back and check it against the digest that was shown.
+    """Read a truth, and check it against the digest that was shown.
 
     Raises:
         InputError: It is missing, no longer what was sealed, or no truth.

@@ -1,4 +1,4 @@
-"""A blind trial's campaign simulated, and the strength of its effects."""
+"""Simulates the campaign of a blind trial, and computes the strength of its effects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,9 @@ _CYCLE_NS = round(CYCLE_S * 1e9)
 
 
 class Recorded(NamedTuple):
-    """One recording of a campaign; ``start_s`` is its start since the start of the campaign."""
+    """One recording of a campaign; ``start_s`` is the time from the start of the campaign to the
+    start of the recording.
+    """
 
     experiment: Experiment
     start_s: float
@@ -52,7 +54,7 @@ def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
 
 
 def reference_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Return a trial's reference simulation: without effects, with the same commands and noise."""
+    """Return the reference simulation of a trial: the same commands and noise without effects."""
     return campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
 
 
@@ -79,8 +81,8 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
 
 
 def _gap(name: str, a: Samples, b: Samples) -> Array:
-    """Return the difference of two recordings of one experiment in a channel, where it is
-    comparable.
+    """Return the difference of two recordings of one experiment in a channel, at the samples that
+    can be compared.
     """
     difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
     if name not in ("current", "voltage"):

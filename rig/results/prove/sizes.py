@@ -1,4 +1,4 @@
-"""Size of an injected effect: log-uniform from just above the noise to obvious."""
+"""Draws the size of an injected effect, log-uniformly, from just above the noise to obvious."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def log(low: float, high: float) -> Draw:
 
 
 def either(low: float, high: float) -> Draw:
-    """Draw log-uniformly, of either sign."""
+    """Draw log-uniformly with a random sign."""
     return lambda rng: float(
         math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
     )
@@ -28,7 +28,7 @@ def even(low: float, high: float) -> Draw:
 
 
 def one_of(*values: float) -> Draw:
-    """Draw one of these."""
+    """Draw one of these values."""
     return lambda rng: float(rng.choice(values))
 
 
@@ -104,7 +104,8 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "recording": one_of(1.0, 2.0, 4.0, 5.0, 7.0, 10.0),
     },
 }
-"""Effect of the catalogue -> parameter -> its draw.
+"""Effect of the catalogue -> parameter -> the function that draws it. ``wrong_weight.mass_kg`` is
+the relative error of the label.
 
 ``wrong_weight.mass_kg`` is the relative error of the label.
 """
@@ -139,4 +140,4 @@ OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
     "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},
 }
-"""Effect outside the catalogue -> parameter -> its draw."""
+"""Effect outside the catalogue -> parameter -> the function that draws it."""

@@ -1,4 +1,6 @@
-"""The sealed truth of one rig: what it hides, in names and values, and what is not scored."""
+"""The sealed truth of one rig: names and values of the injected effects, and the effects that are
+not scored.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
 INJECTED: Mapping[str, Mapping[str, object]] = {**CATALOGUE, **GAS_CATALOGUE}
-"""Effect to the parameters that a simulated machine takes, some of which no diagnosis gives."""
+"""Effect to the parameters that a simulated machine accepts; a diagnosis gives only some."""
 Axis = bool | float | str | None
 
 
@@ -68,7 +70,9 @@ class Truth(Schema):
 
     @property
     def kind(self) -> Kind:
-        """Return the kind of trial: how many scored effects, and whether the catalogue has them."""
+        """Return the kind of trial: the number of scored effects, and whether they are in the
+        catalogue.
+        """
         if any(name in self.outside for name in self.scored):
             return "outside"
         kinds: tuple[Kind, ...] = ("nothing", "one", "two")
@@ -80,7 +84,7 @@ class Truth(Schema):
         return tuple(n for n in self.not_scored if n in ENTRIES or n in self.effects)
 
     def record(self, rig: int | str) -> dict[str, Any]:
-        """Return the truth as rows of the proof take it."""
+        """Return the truth in the form that the rows of the proof use."""
         constants = {k: v for k, v in self.parameters.items() if k not in self.not_scored}
         return {"rig": rig, "kind": self.kind, "effects": self.scored, "parameters": constants}
 
@@ -97,7 +101,7 @@ def load_truth(path: Path) -> Truth:
 
 
 def strangers(effects: Iterable[str]) -> list[str]:
-    """Return the effects that the catalogue does not have."""
+    """Return the effects that are not in the catalogue."""
     return [name for name in effects if name not in ENTRIES]
 
 

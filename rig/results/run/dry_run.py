@@ -24,10 +24,10 @@ from rig.wiring.bench_text import Watcher, watcher_of
 
 SCHEMA = "loadrig.dry_run/1"
 PROMPT_S = 60.0
-"""Assumed time for hanging a weight and answering its prompt, s."""
+"""Assumed time for hanging a weight and answering the prompt, s."""
 NOT_PREDICTED = (
-    "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
-    "simulated benches that is up to a fifth."
+    "The peaks do not contain the torque that the drive's loops add when the joint breaks "
+    "away, or sticks and slips; on the simulated benches this is up to a fifth."
 )
 _FROM_PAPER = (
     "predicted from the paper's friction, which may differ from this bench's: run a small, slow "
@@ -116,7 +116,7 @@ class DryRun:
         return found
 
     def _measured(self, peak: PredictedPeak) -> bool:
-        """Return whether the friction of a peak's stage was measured on this bench."""
+        """Return whether the friction of the stage of a peak was measured on this bench."""
         loaded = any(
             stage.weight_kg > 0.0 or stage.stage == "hot_fire"
             for stage in self.plan.stages

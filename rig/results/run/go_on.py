@@ -1,4 +1,4 @@
-"""Advice after a run that stopped: remedies first, then the command to continue."""
+"""Advice after a run that stopped: the remedies first, then the command that continues the run."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ NOT_READ_BACK = (
     "switch the main supply off, or make sure that the drive is off: that was not read back"
 )
 NEW_RUN = (
-    "where the bench or sequence file is changed for that, start a new run: a run goes on "
-    "with unchanged files only"
+    "if the bench or sequence file is changed for this, start a new run: a run can continue "
+    "only with unchanged files"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
 _BY_FILE = frozenset(
@@ -25,7 +25,9 @@ _BY_FILE = frozenset(
 
 
 def first_words(record: RunRecord) -> list[str]:
-    """Return the steps required before continuing, in order; empty if none are known."""
+    """Return the steps that are required before the run can continue, in order; empty if none are
+    known.
+    """
     words = [] if record.de_energised else [NOT_READ_BACK]
     check = _tripped(record)
     if check is not None:
@@ -36,7 +38,7 @@ def first_words(record: RunRecord) -> list[str]:
 
 
 def go_on_notes(record: RunRecord) -> list[str]:
-    """Return further notes for continuing the run."""
+    """Return further notes on continuing the run."""
     return [NEW_RUN] if _tripped(record) in _BY_FILE else []
 
 
@@ -51,7 +53,7 @@ def go_on_command(record: RunRecord, folder: Path) -> str | None:
 
 
 def go_on_words(record: RunRecord, folder: Path) -> str:
-    """Return the last lines of the message on an unfinished run; empty for a finished one.
+    """Return the last lines of the message on an unfinished run; empty for a finished run.
 
     Args:
         record: ``run.json`` at the end of the run.
@@ -63,19 +65,17 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
     command = go_on_command(record, folder)
     lines += [f"note: {words}" for words in go_on_notes(record)]
     lines.append(
-        f"go on with: {command}"
-        if command
-        else "every stage is done; nothing is left to go on with"
+        f"go on with: {command}" if command else "every stage is done; there is no stage to resume"
     )
     return "\n".join(lines)
 
 
 def _in_fault(record: RunRecord) -> bool:
-    """Whether the drive was left in a fault, which a run clears only on request."""
+    """Return whether the drive was left in a fault, which a run clears only on request."""
     return record.drive_state in _FAULTS or RESET_HINT in record.message
 
 
 def _tripped(record: RunRecord) -> Check | None:
-    """Return the check that tripped the run, if any."""
+    """Return the check that tripped the run; None if no check did."""
     name = record.trip.get("check") if record.trip else None
     return next((check for check in Check if check.value == name), None)

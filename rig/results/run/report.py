@@ -1,4 +1,4 @@
-"""The page of a run: bench, operator, outcome, advice on how to continue, and recordings."""
+"""Writes the page of a run: bench, operator, outcome, advice on how to continue, and recordings."""
 
 from __future__ import annotations
 
@@ -55,7 +55,8 @@ _STYLE = (
 
 
 def write_run_report(folder: Path, record: RunRecord) -> Path:
-    """Write ``run.html`` into a run folder. A part that cannot be made is replaced by a message.
+    """Write ``run.html`` into a run folder. A message replaces a part of the page that cannot be
+    made.
 
     The page is written without template engine and plotting library, whose import would take longer
     than the rest of a run's end.
@@ -107,7 +108,7 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
-    """Return one part of the page, or a message if it cannot be made.
+    """Return one part of the page; a message if the part cannot be made.
 
     The page is read after failures and made from files that may be damaged or edited, so an error
     in one part must not prevent the others.
@@ -122,7 +123,7 @@ def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
 
 
 def _recorded(folder: Path, record: RunRecord, number: int) -> Recorded | str:
-    """Read one recording for plotting; a message if this is impossible."""
+    """Read one recording for plotting; return a message if this is impossible."""
     try:
         return Recorded(folder, record, number)
     except InputError as error:
@@ -157,8 +158,8 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield bench, time and operator in a line; the bench's name is in the file attached to the
-    recording.
+    """Yield bench, time and operator in one line; the name of the bench is in the file attached to
+    the recording.
     """
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
@@ -180,7 +181,7 @@ def _heading(record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
 
 
 def _facts(folder: Path, record: RunRecord) -> Iterator[str]:
-    """Yield what was recorded, and where."""
+    """Yield the recorded data and their places."""
     facts = (
         ("recorded", f"{record.cycles} cycles of {1e3 * record.cycle_s:g} ms"),
         ("run folder", escape(str(folder.resolve()))),
@@ -225,7 +226,7 @@ def _timing(timing: Mapping[str, Any]) -> Iterator[str]:
     )
     for name, words in (
         ("lateness", "How late cycles started"),
-        ("answer", "Age of a sample when it is judged"),
+        ("answer", "Age of a sample when the program checks it"),
     ):
         histogram = timing[name]
         counts, edges = histogram["counts"], [f"up to {edge}" for edge in histogram["edges_us"]]

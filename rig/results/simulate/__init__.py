@@ -1,1 +1,1 @@
-"""Prediction of recordings with a fitted model."""
+"""Predicts recordings with a fitted model."""

@@ -1,4 +1,4 @@
-"""Output of ``rig simulate``: predicted and simulated responses as a document."""
+"""Output of ``rig simulate`` as a document: predicted and simulated responses."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def _left_out(found: Simulation) -> list[str]:
 
 
 def _errors_of_equations(found: Simulation) -> Table:
-    """Return one row per model, equation and role."""
+    """Return one row for each model, equation and role."""
     rows = []
     units = {"transmission": "mrad" if found.rotary else "um", "voltage": "V"}
     small = 1e3 if found.rotary else 1e6
@@ -99,7 +99,7 @@ def _errors_of_equations(found: Simulation) -> Table:
 
 
 def _pooled(found: Simulation) -> Table:
-    """Return one row per model, share of friction and role."""
+    """Return one row for each model, share of friction and role."""
     rows = [
         (
             case.model.file.stem,
@@ -144,7 +144,9 @@ def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
 
 
 def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
-    """Return figures of the first model's torque equation, a few recordings of each role."""
+    """Return figures of the torque equation of the first model, for a few recordings of each
+    role.
+    """
     parts = [p for p in found[0].parts if p.equation == "torque"]
     return [
         Picture.of(
@@ -157,7 +159,9 @@ def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
 
 
 def _simulated(found: Simulation) -> list[Picture]:
-    """Return figures of the first model in closed loop, a few recordings of each role."""
+    """Return figures of the closed-loop simulation of the first model, for a few recordings of each
+    role.
+    """
     pairs = list(zip(found.prepared, found.responses, strict=True))
     shown = few_of_each_role(pairs, lambda pair: pair[0].recording.role, _SHOWN_PER_ROLE)
     return [

@@ -1,4 +1,6 @@
-"""Equation errors of result files on a source, with and without their effects."""
+"""Predicts the recordings of a source with models from result files, once with and once without the
+effects of the model, and returns the equation errors.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model, and models with effects also without them.
+    """Predict every recording with every model; a model with effects also predicts without its
+    effects.
 
     Raises:
         RecordingError: A recording that cannot be brought to this bandwidth.

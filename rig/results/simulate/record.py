@@ -1,4 +1,4 @@
-"""A simulation as the JSON of the contract."""
+"""JSON record of a simulation, in the form of the contract."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Simulates responses from a source and result files, and compares them with the recordings."""
+"""Simulates the responses of models from result files to the commands of a source, and compares
+them with the recordings.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from rig.sources import load_source
 
 RESULT_FILE = "simulate.json"
 SHARES = (1.0, 0.5, 0.0)
-"""Factors on the result's friction: errors with half and without friction serve as reference."""
+"""Factors on the friction of a result; the errors with half of the friction and without friction
+serve as references.
+"""
 
 
 @dataclass(frozen=True)
@@ -101,8 +105,8 @@ def simulate_source(
     bandwidth_Hz: float | None,
     progress: Callable[[str, float], None],
 ) -> Simulation:
-    """Predict every recording of a source with the model of each result file, in closed loop if
-    known.
+    """Predict every recording of a source with the model of each result file, in closed loop if the
+    loop is known.
 
     Args:
         source: Campaign file or run folder.
@@ -150,7 +154,9 @@ def simulate_source(
 def _models(
     dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]]
 ) -> tuple[FittedModel, ...]:
-    """Return the models of result files, which must be of a bench of the same motion."""
+    """Return the models of result files; all must be from a bench with the same kind of motion as
+    the recordings.
+    """
     names = [r.name for r in dataset.recordings]
     for path, record in zip(files, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
@@ -166,7 +172,7 @@ def _closed_loop(
     progress: Callable[[str, float], None],
 ) -> tuple[list[Case], list[Response]]:
     """Simulate every model with every share of its friction; return the cases, and the responses of
-    the first one.
+    the first case.
     """
     cases: list[Case] = []
     shown: list[Response] = []

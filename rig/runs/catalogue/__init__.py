@@ -1,5 +1,6 @@
-"""Finds runs in folders and returns what is in them, with an index that saves reading them again.
+"""Finds runs in folders and returns their content, with an index that saves reading the folders
+again.
 
-The folders decide which runs there are and what is in them. The index is a cache: without it, or
-with a damaged one, every answer is the same and takes longer.
+The answers depend only on the folders. The index is a cache: without it, or with a damaged one,
+every answer is the same and takes longer.
 """

@@ -1,4 +1,6 @@
-"""Records of a run as it is listed: the head for lists, the constants for comparisons."""
+"""Records of a run in a list of runs: the head for lists, the identified parameters for
+comparisons.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +10,12 @@ from typing import Any, Literal
 
 Kind = Literal["run", "half written", "other version", "unreadable"]
 GOING_ON, DIED = "going on", "died"
-"""States of a run whose record says `running`: a program holds the folder, or none does."""
+"""States of a run whose record says `running`: a program either holds the folder or has died."""
 
 
 @dataclass(frozen=True)
 class Head:
-    """What a list shows of a run.
+    """The properties of a run that a list shows.
 
     Attributes:
         kind: `run`; or what else the folder is: `half written` (its record is missing or
@@ -58,14 +60,14 @@ class Head:
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Head:
-        """Return the head of which ``record`` is the JSON form."""
+        """Return the head from its JSON form ``record``."""
         lists = ("operators", "masses_kg", "weights", "notes")
         return cls(**{**record, **{name: tuple(record[name]) for name in lists}})
 
 
 @dataclass(frozen=True)
 class Constant:
-    """One identified constant with its 90 % interval.
+    """One identified parameter with its 90 % interval.
 
     Attributes:
         value: Estimate; None where it is not identifiable.
@@ -83,8 +85,8 @@ class Constant:
 
     @property
     def half_width(self) -> float | None:
-        """Half the width of the interval; None without value or interval, or for an estimate at a
-        bound.
+        """Half the width of the interval; None if value or interval is missing, or if the estimate
+        is at a bound.
         """
         if self.value is None or self.low is None or self.high is None or self.at_bound:
             return None
@@ -93,7 +95,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Details:
-    """What a comparison needs of a run.
+    """The properties of a run that a comparison uses.
 
     Attributes:
         constants: Name to identified constant.
@@ -111,14 +113,14 @@ class Details:
 
     @classmethod
     def of(cls, record: Mapping[str, Any]) -> Details:
-        """Return the details of which ``record`` is the JSON form."""
+        """Return the details from their JSON form ``record``."""
         constants = {name: Constant(**each) for name, each in record["constants"].items()}
         return cls(**{**record, "constants": constants})
 
 
 @dataclass(frozen=True)
 class Entry:
-    """A run of a list.
+    """One run in a list of runs.
 
     Attributes:
         folder: Its folder, relative to the folder that was searched.
@@ -131,7 +133,7 @@ class Entry:
     details: str
 
     def parsed(self) -> Details:
-        """Return the details."""
+        """Return the details of the run."""
         import json
 
         return Details.of(json.loads(self.details))

@@ -1,8 +1,9 @@
-"""An index of run folders in sqlite, which can be thrown away at any time.
+"""Index of run folders in SQLite, which can be deleted at any time.
 
-Each row holds the entry of one folder as JSON, with the signature of the files that it was made of
-and a checksum. A row counts only if its signature is that of the files now and its checksum holds;
-any other folder is read again. So a deleted, damaged or older index changes no answer.
+Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
+made, and a checksum. A row is used only if its signature is that of the present files and its
+checksum is right; any other folder is read again. So a deleted, damaged or older index changes no
+answer.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ from rig.runs.catalogue.walk import Found, find_runs, signature_of
 INDEX_FILE = ".runs.sqlite"
 """Name of the index in the searched folder."""
 _FORMAT = 1
-"""Raised whenever an entry is made in another way, so that older rows are not used."""
+"""Format number of the entries. It is raised when the content of an entry changes, so that older
+rows are not used.
+"""
 _TABLE = (
     "CREATE TABLE IF NOT EXISTS runs (folder TEXT PRIMARY KEY, signature TEXT NOT NULL, "
     "head TEXT NOT NULL, checksum INTEGER NOT NULL, details TEXT NOT NULL, "
@@ -44,7 +47,9 @@ _NOT_DAMAGED = frozenset(
         sqlite3.SQLITE_IOERR,
     }
 )
-"""Errors of a sound index that cannot be written now; after any other it is made anew."""
+"""Errors after which an intact index is kept although it cannot be written now; after other errors
+the index is created again.
+"""
 
 
 class _Row(NamedTuple):
@@ -59,14 +64,16 @@ class _Row(NamedTuple):
 
     @property
     def sound(self) -> bool:
-        """Whether the row is as it was written; details that were not asked for are not judged."""
+        """Whether the row is unchanged since it was written; details that were not read are not
+        checked.
+        """
         return self.checksum == _checksum(self.folder, self.signature, self.head) and (
             self.details_checksum == _checksum(self.details) if self.details else True
         )
 
 
 class Listing(NamedTuple):
-    """Runs below a folder.
+    """Result of a search for the runs below a folder.
 
     Attributes:
         entries: Runs, the earliest first; folders without a date come first.
@@ -85,7 +92,7 @@ def list_runs(
     *,
     details: bool = True,
 ) -> Listing:
-    """Return the runs in and below a folder, from the index where it is current.
+    """Return the runs in and below a folder, from the index if the index is current.
 
     Args:
         root: The folder.
@@ -98,7 +105,7 @@ def list_runs(
     try:
         found = list(find_runs(root))
     except OSError as error:
-        raise InputError(f"{root}: cannot be looked into: {error.strerror}") from error
+        raise InputError(f"{root}: cannot be searched: {error.strerror}") from error
     file = root / INDEX_FILE
     rows = _load(file, details)
     entries, fresh = [], []
@@ -120,7 +127,7 @@ def list_runs(
 def _read(
     root: Path, fresh: Iterable[Found], progress: Callable[[int, int], None] | None
 ) -> list[_Row]:
-    """Return the rows of folders, read now."""
+    """Read folders, and return their rows."""
     waiting = list(fresh)
     if not waiting:
         return []
@@ -149,7 +156,7 @@ def _checksum(*fields: str) -> int:
 
 
 def _load(file: Path, details: bool) -> Mapping[str, _Row]:
-    """Return the rows of an index; none if it is missing, damaged or of another format."""
+    """Return the rows of an index; empty if the index is missing, damaged or of another format."""
     if not os.path.isfile(file):
         return {}
     try:
@@ -169,7 +176,7 @@ def _open(file: Path) -> sqlite3.Connection:
 
 
 def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
-    """Write rows and remove those of folders that are gone; returns a message if that fails.
+    """Write rows, and remove the rows of deleted folders; return a message if that fails.
 
     Rows whose files changed while they were read are not written.
     """
@@ -182,7 +189,10 @@ def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str
         except (sqlite3.Error, UnicodeError) as error:
             code = getattr(error, "sqlite_errorcode", sqlite3.SQLITE_ERROR) & 0xFF
             if again or code in _NOT_DAMAGED:
-                return f"{file}: the index is not written ({error}); every list reads all runs"
+                return (
+                    f"{file}: the index cannot be written ({error}); each list therefore "
+                    "reads all runs again"
+                )
         with contextlib.suppress(OSError):
             file.unlink()
     return ""

@@ -1,4 +1,6 @@
-"""Makes the entry of a run folder from its files; whatever is in them, there is an entry."""
+"""Makes the entry of a run folder from its files; every folder gives an entry, whatever its files
+contain.
+"""
 
 from __future__ import annotations
 
@@ -50,7 +52,9 @@ def read_entry(folder: Path, benches: Benches) -> tuple[Head, Details]:
     results = [_result(folder / name, notes) for name in RESULTS]
     identified, diagnosed, accepted = results
     if identified and identified["schema"] != IDENTIFY_SCHEMA:
-        notes.append(f"{IDENTIFY}: of the format {identified['schema']}, which is not read")
+        notes.append(
+            f"{IDENTIFY}: its format {identified['schema']} cannot be read by this version"
+        )
         identified = {}
     head = dataclasses.replace(
         _head(folder, record, benches),
@@ -99,7 +103,9 @@ def _details(record: RunRecord, identified: Mapping[str, Any]) -> Details:
 
 
 def constants_of(identified: Mapping[str, Any]) -> dict[str, Constant]:
-    """Return the constants of a result of ``rig identify``; values that are no numbers are None."""
+    """Return the parameters of a result of ``rig identify``; a value that is not a number becomes
+    None.
+    """
     parameters = identified.get("parameters")
     return {
         str(name): Constant(
@@ -123,7 +129,7 @@ def _verdict(result: Mapping[str, Any], schema: str) -> str:
 
 
 def _result(path: Path, notes: list[str]) -> dict[str, Any]:
-    """Return a result file; empty where there is none, or with a note where it cannot be read."""
+    """Return a result file; empty if there is none, or with a note if it cannot be read."""
     if not is_file(path):
         return {}
     try:
@@ -132,13 +138,13 @@ def _result(path: Path, notes: list[str]) -> dict[str, Any]:
         notes.append(error.problems[0])
         return {}
     if not isinstance(found, dict) or not isinstance(found.get("schema"), str):
-        notes.append(f"{path}: no result file of this program")
+        notes.append(f"{path}: not a result file of this program")
         return {}
     return found
 
 
 def _not_a_run(path: Path, error: InputError | OSError) -> Head:
-    """Return the entry of a folder whose record cannot be read as a run, with what it says."""
+    """Return the entry of a folder whose record cannot be read, with the message of the error."""
     problem = error.problems[0] if isinstance(error, InputError) else f"{path}: {error}"
     try:
         raw = json.loads(path.read_bytes())
@@ -154,7 +160,9 @@ def _not_a_run(path: Path, error: InputError | OSError) -> Head:
 
 
 def bench_name(folder: Path, record: RunRecord, benches: Benches | None = None) -> str:
-    """Return the bench's name from the file attached to the recording, else the file's name."""
+    """Return the bench's name from the bench file that is attached to the recording, else the name
+    of the file.
+    """
     benches = {} if benches is None else benches
     source = record.inputs[BENCH_ATTACHMENT]
     digest = source["sha256"]

@@ -1,4 +1,4 @@
-"""Chooses runs of a list by what is known of them."""
+"""Chooses runs of a list by their properties."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ VERDICTS = (
     "other-version",
     "unreadable",
 )
-"""Verdicts that runs can be chosen by."""
+"""Verdicts by which runs can be chosen."""
 _SAME_MASS = 1e-3
-"""Relative difference up to which two masses are the same."""
+"""Relative difference up to which two masses count as equal."""
 
 
 @dataclass(frozen=True)
 class Wanted:
-    """What runs are asked for; None leaves a property open.
+    """Properties of the runs that are asked for; None accepts every value of a property.
 
     Attributes:
         bench: Name of the bench, or a pattern with `*` and `?`.
@@ -62,7 +62,9 @@ class Wanted:
     until: datetime | None = None
 
     def fits(self, root: Path, entry: Entry) -> bool:
-        """Whether a run is wanted; what is not known of it fits no choice."""
+        """Return whether a run has the wanted properties; a run with an unknown property does not
+        have it.
+        """
         head = entry.head
         names = (
             (self.bench, (head.bench,)),
@@ -88,7 +90,7 @@ class Wanted:
 
 
 def time_of(created: str) -> datetime | None:
-    """Return a time of a record in UTC; None if it is none."""
+    """Return a time of a record in UTC; None if the text is not a time."""
     try:
         found = datetime.fromisoformat(created)
     except ValueError:
@@ -97,19 +99,21 @@ def time_of(created: str) -> datetime | None:
 
 
 def chosen(root: Path, entries: Iterable[Entry], wanted: Wanted) -> list[Entry]:
-    """Return the runs that are wanted."""
+    """Return the runs that have the wanted properties."""
     return [entry for entry in entries if wanted.fits(root, entry)]
 
 
 def state_of(root: Path, entry: Entry) -> str:
-    """Return the state of a run; one that says `running` is going on or has died."""
+    """Return the state of a run; if the record says `running`, whether its program still runs or
+    has died.
+    """
     if entry.head.kind != "run" or entry.head.state != "running":
         return entry.head.state
     return GOING_ON if is_held(root / entry.folder / OWNER_FILE) else DIED
 
 
 def verdicts(root: Path, entry: Entry) -> set[str]:
-    """Return everything that a run can be chosen by with ``verdict``."""
+    """Return all verdicts of a run that ``verdict`` can ask for."""
     head = entry.head
     if head.kind != "run":
         return {head.kind.replace(" ", "-")}

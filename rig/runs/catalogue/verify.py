@@ -1,4 +1,4 @@
-"""Holds the files of a run against the digests that were recorded of them."""
+"""Compares the files of a run with the digests that were recorded of them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rig.runs.seal import SEAL_FILE, read_seal
 
 
 class Finding(Enum):
-    """What is found of a file."""
+    """Result of the comparison of one file."""
 
     UNCHANGED = "unchanged"
     WHOLE = "whole, not sealed"
@@ -31,13 +31,13 @@ class Finding(Enum):
 
     @property
     def good(self) -> bool:
-        """Whether the file is as it was, as far as is known."""
+        """Whether the file is unchanged, as far as this can be determined."""
         return self in (Finding.UNCHANGED, Finding.WHOLE, Finding.OPEN)
 
 
 @dataclass(frozen=True)
 class Verified:
-    """One file.
+    """One file and the result of its comparison.
 
     Attributes:
         file: Path relative to the run folder.
@@ -72,12 +72,14 @@ class Verification:
 
     @property
     def good(self) -> bool:
-        """Whether nothing is changed, damaged or missing."""
+        """Whether no file is changed, damaged or missing."""
         return not self.problems and all(each.finding.good for each in self.files)
 
 
 def verify(folder: Path) -> Verification:
-    """Verify the files of a run; a recording without a digest is read, and its checksums tested."""
+    """Verify the files of a run; a recording without a digest is read, and the checksums in it are
+    tested.
+    """
     problems: list[str] = []
     try:
         record = read_record(folder)
@@ -103,7 +105,9 @@ def verify(folder: Path) -> Verification:
 
 
 def _inputs(folder: Path, recordings: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield recording, digest and file of the digests that results state of their inputs."""
+    """Yield recording, digest and file of the digests that the results state of their input
+    files.
+    """
     for name in RESULTS:
         try:
             found = read_json(folder / name) if is_file(folder / name) else {}
@@ -147,7 +151,7 @@ def _verified(
 
 
 def _damage(path: Path) -> str:
-    """Return what is wrong with a recording by its own checksums; empty if nothing is."""
+    """Return the damage of a recording that the checksums in it show; empty if there is none."""
     try:
         for _ in run_items(path, ("time",)):
             pass

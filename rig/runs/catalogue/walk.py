@@ -1,4 +1,4 @@
-"""Finds run folders, with a signature of the files that an entry is made of."""
+"""Finds run folders, and computes a signature of the files from which an entry is made."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RUN_JSON, RECORDING = "run.json", "recording.mcap"
 RESULTS = ("identify.json", "diagnosis/diagnose.json", "acceptance.json")
 """Result files of a run folder whose verdicts are listed."""
 MOST_DEEP = 8
-"""Folders below the searched one in which runs are sought."""
+"""Number of folder levels below the searched folder in which runs are sought."""
 
 
 class Found(NamedTuple):
@@ -28,7 +28,7 @@ class Found(NamedTuple):
 
 
 def find_runs(root: Path) -> Iterator[Found]:
-    """Yield the run folders in and below ``root``, in no order; links are followed once.
+    """Yield the run folders in and below ``root``, in no order; each link is followed once.
 
     A run folder has a ``run.json`` or a ``recording.mcap``; no runs are sought inside one.
     """
@@ -62,7 +62,7 @@ def _found(root: str, folder: str, depth: int, seen: set[str]) -> Iterator[Found
 
 
 def signature_of(path: str) -> str | None:
-    """Return the signature of a run folder; None if it is none."""
+    """Return the signature of a run folder; None if the folder is not a run folder."""
     first = _stamp(f"{path}/{RUN_JSON}")
     if not first:
         # Half written: the recording is all there is.
@@ -74,7 +74,7 @@ def signature_of(path: str) -> str | None:
 
 
 def _stamp(path: str) -> str:
-    """Return inode, time of change and size of a file; empty where there is none."""
+    """Return inode, time of change and size of a file; empty if the file does not exist."""
     try:
         found = os.stat(path)
     except OSError:

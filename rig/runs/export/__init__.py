@@ -1,4 +1,4 @@
-"""Recordings and raw traffic for other tools, and recordings read back from such files."""
+"""Exports recordings and raw traffic for other tools, and reads exported recordings back."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ READERS: Mapping[str, Callable[[Path], list[Read] | None]] = {
     "parquet": tables.read_parquet,
     "mcap": read_mcap,
 }
-"""Format to the reader of such a file, which returns None for a file of another program."""
+"""Format to the reader of its files, which returns None for a file of another program."""
 
 FORMATS = (*WRITERS, *TRAFFIC)
-"""Formats by name: those of recordings, then those of raw traffic."""
+"""Formats by name: first those of recordings, then those of raw traffic."""
 __all__ = [
     "FORMATS",
     "TRAFFIC",
@@ -54,7 +54,7 @@ def extension(kind: str) -> str:
 
 
 def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
-    """Return the files of an export, and the recordings in each.
+    """Return the files of an export, and the recordings in each file.
 
     A CSV file is one table with one time base, so that other tools and campaign files can use it
     directly. Of several recordings, each gets its own file, named ``path`` plus the recording's
@@ -73,7 +73,9 @@ def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
 
 
 def beside(path: Path, kind: str) -> Path | None:
-    """Return the file with the description of an export, where the format cannot hold it."""
+    """Return the path of the description of an export; None if the exported file contains the
+    description.
+    """
     return sidecar(path) if kind == "csv" else None
 
 
@@ -99,7 +101,7 @@ def export(
 
 
 def export_beside(dataset: Dataset, path: Path) -> None:
-    """Write the file of :func:`beside`.
+    """Write the description of an export beside the exported file.
 
     Raises:
         OSError: It cannot be written.
@@ -108,7 +110,7 @@ def export_beside(dataset: Dataset, path: Path) -> None:
 
 
 def read_back(path: Path, kind: str, bench: Mapping[str, object]) -> list[Recording] | None:
-    """Return the recordings of an export; None if it is another program's file.
+    """Return the recordings of an export; None if another program wrote the file.
 
     Args:
         path: The file.

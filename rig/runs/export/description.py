@@ -1,7 +1,8 @@
-"""What the numbers of an export do not say: stage, mass, loads and constants of each recording.
+"""Description of an export: stage, mass, loads and constants of each recording, which the exported
+numbers do not contain.
 
-One JSON text a file: inside MATLAB, Parquet and MCAP files, beside a CSV file. With it a campaign
-reads an export back without being told anything again.
+The description is one JSON text per file: inside MATLAB, Parquet and MCAP files, beside a CSV file.
+With the description, a campaign can read an export back without further statements.
 """
 
 from __future__ import annotations
@@ -31,11 +32,12 @@ KEY = "loadrig"
 """Name of the description inside a file."""
 _STRICT = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 Read = tuple["Described", Mapping[str, Array]]
-"""What a reader returns of each recording: its description and its channels."""
+"""Result of a reader for each recording: its description and its channels."""
 
 
 class Described(BaseModel):
-    """A recording without its samples; fields as in :class:`identification.recording.Recording`.
+    """A recording without its samples; the fields are those of
+    :class:`identification.recording.Recording`.
 
     Attributes:
         samples: Number of samples.
@@ -83,7 +85,7 @@ class Described(BaseModel):
             averaged=frozenset(self.averaged),
             source=source,
             sha256=sha256,
-            notes=("as exported: stage, load and constants are the file's",),
+            notes=("stage, load and constants are taken from the exported file",),
             partial=self.partial,
             start=self.start,
             uncertainties=self.uncertainties,
@@ -134,10 +136,12 @@ def parse(text: str | bytes, path: Path) -> tuple[Described, ...]:
 
 
 def sidecar(path: Path) -> Path:
-    """Return the file beside a CSV file that holds its description."""
+    """Return the path of the file beside a CSV file that contains the description."""
     return path.with_name(f"{path.name}.json")
 
 
 def misfit(path: Path, error: RecordingError | str) -> InputError:
-    """Return the error of a file whose numbers do not fit its description."""
-    return InputError(f"{path}: does not fit its description ({error}); export it again")
+    """Return the error for a file whose numbers contradict its description."""
+    return InputError(
+        f"{path}: the numbers contradict the description of this export ({error}); export it again"
+    )

@@ -1,7 +1,8 @@
-"""A run or campaign as one MCAP file that ROS 2, Foxglove and PlotJuggler read without more.
+"""A run or campaign as one MCAP file, which ROS 2, Foxglove and PlotJuggler read without
+extensions.
 
-Topics: ``/recording/NAME``, one message a sample with the canonical channels; and, of a run,
-``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and ``/serial``. Log times are UTC.
+Topics: ``/recording/NAME`` with one message per sample, which contains the canonical channels; and,
+of a run, ``/event`` (JSON), ``/can`` (can_msgs/msg/Frame) and ``/serial``. Log times are UTC.
 """
 
 from __future__ import annotations
@@ -29,11 +30,11 @@ from rig.runs.run_record import RunRecord
 
 RECORDING_TYPE = "loadrig/msg/Recording"
 _CDR_HEAD = 4
-"""Bytes before the first field of a message."""
+"""Number of bytes before the first field of a message."""
 
 
 def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None) -> None:
-    """Write the recordings, and a run's events and raw frames.
+    """Write the recordings and, of a run, its events and raw frames.
 
     Args:
         dataset: The recordings.
@@ -66,7 +67,9 @@ def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None)
 
 
 def topics(names: Sequence[str]) -> list[str]:
-    """Return the topic of each recording: letters, digits and underscores, numbered where equal."""
+    """Return the topic of each recording: letters, digits and underscores; equal topics are
+    numbered.
+    """
     found: list[str] = []
     for name in names:
         plain = re.sub(r"\W+", "_", name, flags=re.ASCII).strip("_") or "recording"
@@ -119,7 +122,7 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
 
 
 def read_mcap(path: Path) -> list[Read] | None:
-    """Read the recordings back; None if the file holds no description.
+    """Read the recordings back; None if the file contains no description.
 
     Raises:
         InputError: Its numbers do not fit its description.

@@ -20,8 +20,8 @@ from rig.runs.export.description import KEY, Described, Read, describe, misfit, 
 
 
 def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
-    """Stack all recordings: the recording's name for every row, and the channels, NaN where one has
-    none.
+    """Stack all recordings: the name of the recording for every row, and the channels, with NaN
+    where a recording lacks a channel.
     """
     present = {name for recording in dataset.recordings for name in recording.channels}
     names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]

@@ -1,4 +1,7 @@
-"""The raw CAN traffic of a run, as candump and Vector's tools write it.
+"""Exports the raw CAN traffic of a run in the formats of candump and of Vector's tools.
+
+Identifiers, data, direction and order are exact; times are rounded to microseconds, the resolution
+of both formats.
 
 Identifiers, data, direction and order are exact; times are rounded to microseconds, which is what
 both formats hold.
@@ -29,7 +32,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
-    """Yield recorded topic and message of one recording of a run, in order.
+    """Yield topic and message of one recording of a run, in recorded order.
 
     Of a recording that was never closed, everything up to its last whole chunk.
 
@@ -56,7 +59,8 @@ def utc_ns(created: str) -> int:
 
 @dataclass
 class FrameClock:
-    """Places the stamps of raw frames in UTC: they count from an origin of the host's clock.
+    """Converts the time stamps of raw frames, which count from an origin of the host's clock, to
+    UTC.
 
     The first frame of a recording is taken as sent when the recording was created.
     """
@@ -65,7 +69,7 @@ class FrameClock:
     first_ns: int | None = None
 
     def at(self, frame: RawFrame) -> RawFrame:
-        """Return the frame with its time in ns since 1970."""
+        """Return the frame and its time, ns since 1970."""
         if self.first_ns is None:
             self.first_ns = frame.time_ns
         return frame._replace(time_ns=self.created_ns + frame.time_ns - self.first_ns)
@@ -73,7 +77,7 @@ class FrameClock:
 
 @dataclass
 class Count:
-    """What was written, and what has no place in the format."""
+    """Numbers of frames that were written, and of data that the format cannot hold."""
 
     frames: int = 0
     serial: int = 0
@@ -82,8 +86,8 @@ class Count:
 
 
 def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFrame]:
-    """Yield the CAN frames of all recordings of a run, with their times in ns since 1970; bytes of
-    serial lines are counted only.
+    """Yield the CAN frames of all recordings of a run and their times, ns since 1970; bytes of
+    serial lines are only counted.
 
     Raises:
         InputError: A recording is damaged, or cannot be read.
@@ -104,8 +108,8 @@ def can_frames(folder: Path, record: RunRecord, count: Count) -> Iterator[RawFra
 
 
 def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
-    """Write a log of ``candump -L -x``: time since 1970, interface, identifier, data, and T for
-    frames of the host.
+    """Write a log in the format of ``candump -L -x``: time since 1970, interface, identifier, data,
+    and T for frames that the host sent.
     """
     for frame in frames:
         flags = frame.identifier
@@ -124,8 +128,9 @@ def write_candump(stream: TextIO, frames: Iterator[RawFrame]) -> None:
 
 
 def write_asc(stream: TextIO, frames: Iterator[RawFrame]) -> None:
-    """Write a log of Vector's CANalyzer: seconds since its start, channel 1, identifier, direction
-    and data. An error frame has neither identifier nor data there.
+    """Write a log in the format of Vector's CANalyzer: seconds since the start of the log, channel
+    1, identifier, direction and data. In this format an error frame has neither identifier nor
+    data.
     """
     first = next(frames, None)
     start = 0 if first is None else _microseconds(first.time_ns)
@@ -157,7 +162,7 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 
 
 def _date(microseconds: int) -> str:
-    """Return a date as Vector writes it, in the computer's local time and English whatever the
+    """Return a date as Vector writes it: in the computer's local time, and in English for every
     locale.
     """
     at = (_EPOCH + timedelta(microseconds=microseconds)).astimezone()
@@ -188,7 +193,7 @@ def export_traffic(folder: Path, record: RunRecord, path: Path, kind: str) -> Co
     with open(path, "w", encoding="ascii", newline="\n") as stream:
         TRAFFIC[kind][1](stream, can_frames(folder, record, count))
     if not count.frames:
-        wire = "its wire is a serial line" if count.serial else "none was recorded"
+        wire = "its bus is a serial line" if count.serial else "none was recorded"
         raise InputError(
             f"{folder}: no CAN frames to export ({wire}); --format mcap holds serial bytes too"
         )

@@ -1,4 +1,6 @@
-"""Recordings shown live by other tools: Foxglove and PlotJuggler.
+"""Streams recordings to Foxglove and PlotJuggler.
+
+The modules here only read recordings, and have no way to command a bench.
 
 Everything here reads; nothing can command a bench.
 """

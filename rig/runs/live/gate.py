@@ -1,4 +1,8 @@
-"""Who may watch: checks the first request of a client before anything answers it.
+"""Checks the first request of a client of the live stream before the server behind the gate
+answers.
+
+The protocol has no password, and a browser lets every web page open a WebSocket to this computer.
+The address therefore contains a token, and a request without the token is refused.
 
 The protocol itself has no password, and a browser lets every web page open a WebSocket to this
 computer. So the address carries a token, and a request without it is refused.
@@ -12,11 +16,11 @@ from dataclasses import dataclass
 from urllib.parse import parse_qs, urlsplit
 
 HEAD_BYTES = 8192
-"""Most bytes of a request's head."""
+"""Greatest length of the head of a request, bytes."""
 END = b"\r\n\r\n"
 NAMES = frozenset({"127.0.0.1", "localhost"})
-"""Names under which this computer may be asked: another name in ``Host`` is a web page's whose
-owner lets it point here (DNS rebinding).
+"""Accepted names of this computer in ``Host``. Another name belongs to a web page whose owner makes
+the name point to this computer (DNS rebinding).
 """
 APP = "https://app.foxglove.dev"
 """Origin of Foxglove in a browser."""
@@ -27,18 +31,18 @@ _PASSED = (
     "sec-websocket-version",
     "sec-websocket-protocol",
 )
-"""Fields that the server behind the gate needs. Compression is not among them: the bytes that pass
-are counted, and loopback needs none.
+"""Fields that the server behind the gate needs. Compression is left out, because the session counts
+the bytes that pass, and loopback needs no compression.
 """
 
 
 class RefusedError(Exception):
-    """A request is refused; the message says why and what to do."""
+    """A request is refused; the message states the reason and the remedy."""
 
 
 @dataclass(frozen=True)
 class Gate:
-    """What a request must show.
+    """Conditions that a request must meet.
 
     Attributes:
         port: The port that it came to.
@@ -49,7 +53,7 @@ class Gate:
     token: str | None
 
     def pass_on(self, head: bytes, inner: str) -> bytes:
-        """Return the head for the server behind the gate.
+        """Return the head of a request for the server behind the gate.
 
         Args:
             head: The request's head, with its last blank line.
@@ -68,7 +72,10 @@ class Gate:
             if origin not in ("", APP):
                 raise RefusedError(f"a page of {origin} may not watch without a token")
         elif not self._carries_token(target):
-            raise RefusedError("the address lacks this start's token; use the address printed")
+            raise RefusedError(
+                "the address lacks the token of this start; use the address "
+                "that the command printed"
+            )
         lines = [f"{key}: {fields[key]}" for key in _PASSED if key in fields]
         return "\r\n".join(["GET / HTTP/1.1", f"Host: {inner}", *lines]).encode("latin-1") + END
 

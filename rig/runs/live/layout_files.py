@@ -9,5 +9,5 @@ _FILES = {"foxglove": "foxglove.json", "plotjuggler": "plotjuggler.xml"}
 
 
 def layout(tool: Literal["foxglove", "plotjuggler"]) -> Path:
-    """Return the file of a tool's layout."""
+    """Return the path of the layout file for a tool."""
     return Path(__file__).parent / "layouts" / _FILES[tool]

@@ -1,4 +1,4 @@
-"""Serves a recording on this computer, to as many clients as come."""
+"""Serves a recording as a live stream on this computer, to several clients."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from rig.runs.mcap.tail import Tail
 HOST = "127.0.0.1"
 MOST_CLIENTS = 16
 _HEAD_S = 5.0
-"""How long a client may take for its first request, s."""
+"""Greatest time from the connection of a client to its first request, s."""
 _READ_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
 class Offer:
-    """What is served.
+    """Recording that is served, and how it is served.
 
     Attributes:
         recording: The file.
@@ -54,7 +54,7 @@ def inner_host() -> str:
 
 
 async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None:
-    """Serve until cancelled.
+    """Serve the recording until the task is cancelled.
 
     Args:
         offer: What is served.
@@ -76,7 +76,7 @@ async def serve(offer: Offer, port: int, started: Callable[[int], None]) -> None
 
 
 class _Doors:
-    """Lets clients in, each to a session of its own."""
+    """Accepts clients, and starts a session for each."""
 
     def __init__(self, offer: Offer, inner: str) -> None:
         self._offer = offer
@@ -85,7 +85,7 @@ class _Doors:
         self.port = 0
 
     async def open(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve one client, from its request to its end."""
+        """Serve one client from its request to the end of its connection."""
         task = asyncio.current_task()
         assert task is not None
         self._inside.add(task)
@@ -112,7 +112,9 @@ class _Doors:
         try:
             gate.pass_on(head, "")
             if len(self._inside) > MOST_CLIENTS:
-                raise RefusedError(f"{MOST_CLIENTS} clients watch already; close one")
+                raise RefusedError(
+                    f"{MOST_CLIENTS} clients are already connected; close one of them"
+                )
         except RefusedError as error:
             writer.write(refusal(str(error)))
             await writer.drain()
@@ -148,7 +150,9 @@ async def _pump(
 
 
 async def _until_one_ends(*work: Coroutine[Any, Any, None]) -> None:
-    """Run all until the first ends, then cancel the others; raises what the first raised."""
+    """Run all tasks until the first one ends, then cancel the others; raise the error of the first
+    one.
+    """
     tasks = [asyncio.ensure_future(one) for one in work]
     try:
         done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)

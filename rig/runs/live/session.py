@@ -1,8 +1,10 @@
-"""One client: a server of the Foxglove SDK of its own, fed with the recording from its start.
+"""Serves one client of the live stream: starts a Foxglove SDK server for this client, and sends the
+recording from its start.
 
-Each client has its own server so that each gets the whole recording at its own pace. The server's
-queue drops messages where a client reads slowly; so no more is handed to it than fits, which is
-known from the bytes that have left it.
+Each client has a server of its own, so that it receives the whole recording at its own pace. The
+queue of a server drops messages when the client reads slowly. The session therefore counts the
+bytes that have left the server, and passes on new messages only while at most
+:data:`IN_FLIGHT_BYTES` are waiting.
 """
 
 from __future__ import annotations
@@ -120,7 +122,7 @@ class Session:
             try:
                 piece = self._tail.at(offset)
             except (DamageError, OSError) as error:
-                self._say(f"the recording cannot be read on: {error}")
+                self._say(f"the rest of the recording cannot be read: {error}")
                 self._at.clear()
                 continue
             if piece is None:

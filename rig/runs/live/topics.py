@@ -1,4 +1,6 @@
-"""What a client can subscribe to, and how the recording's messages are written for it."""
+"""Topics of the live stream for Foxglove and PlotJuggler: names, schemas, and the conversion of
+recorded messages to the messages of the stream.
+"""
 
 from __future__ import annotations
 
@@ -47,8 +49,8 @@ TOPICS = (
     _ros(ros.CAN_TOPIC, FRAMES_TOPIC, ros.FRAME_TYPE, ros.FRAME_TEXT),
     _ros(ros.SERIAL_TOPIC, FRAMES_TOPIC, ros.SERIAL_TYPE, ros.SERIAL_TEXT),
 )
-"""Samples and frames are as ROS 2 writes them, as PlotJuggler takes nothing else from a live
-stream.
+"""PlotJuggler reads only ROS 2 messages from a live stream; samples and frames are therefore
+encoded as ROS 2 messages.
 """
 
 

@@ -1,1 +1,1 @@
-"""The recording's file format: MCAP channels written while a run goes on, and read back."""
+"""File format of a recording: MCAP channels that are written during a run, and read back."""

@@ -1,5 +1,9 @@
-"""Message layout of a recording: one protobuf message per sample, one packed message for a cycle's
-raw frames.
+"""Message layout of a recording: one protobuf message per sample, one packed message for the raw
+frames of a cycle.
+
+The module writes out the sample schema as a FileDescriptorSet, so that PlotJuggler and Foxglove can
+open a recording, and neither writer nor reader needs a protobuf library. Every field is a double at
+a fixed place, zeros included, so that consecutive messages form an array.
 
 The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open
 a recording while neither side needs a protobuf library: every field is a double at a fixed place,
@@ -34,7 +38,9 @@ EVENT_JSON_SCHEMA = (
 _DOUBLE_WIRE_TYPE = 1
 _BYTES_WIRE_TYPE = 2
 _FRAME = "qI9p?"
-"""Time ns, identifier, up to 8 data bytes after their count, sent by the host."""
+"""One raw frame: time, ns; identifier; number of data bytes; up to 8 data bytes; whether the host
+sent the frame.
+"""
 FRAME_BYTES = struct.calcsize("<" + _FRAME)
 
 
@@ -76,7 +82,7 @@ _TEMPLATE: list[bytes | float] = [part for tag in _TAGS for part in (tag, 0.0)]
 SAMPLE_BYTES = _SAMPLE.size
 
 _FIRST_FIELDS = 16
-"""Fields of a sample in the oldest recordings; later ones were added behind them."""
+"""Number of fields of a sample in the oldest recordings; later fields follow these."""
 
 
 def _sample_dtype(count: int) -> np.dtype[np.void]:
@@ -126,7 +132,7 @@ _frame_structs: dict[int, struct.Struct] = {}
 
 
 def encode_frames(frames: list[RawFrame]) -> bytes:
-    """Pack the frames of a cycle; data beyond 8 bytes (classical CAN) do not fit."""
+    """Pack the frames of a cycle; a frame must have at most 8 data bytes (classical CAN)."""
     count = len(frames)
     packer = _frame_structs.get(count)
     if packer is None:

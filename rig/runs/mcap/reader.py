@@ -1,4 +1,6 @@
-"""Reads a recording back, whole or damaged: all sound records, and a message on the lost ones."""
+"""Reads a recording back, intact or damaged: returns all sound records, and a message on the lost
+ones.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 _DATA_END_BYTES = 4
 _TOLD = 3
-"""Number of damaged places that are described; further ones are only counted."""
+"""Number of damaged places that the message describes; further places are only counted."""
 
 
 class NotARecordingError(ValueError):
@@ -45,7 +47,7 @@ class NotARecordingError(ValueError):
 
 
 class Message(NamedTuple):
-    """One message as logged."""
+    """One message of a recording."""
 
     time_ns: int
     data: bytes
@@ -101,7 +103,7 @@ def read_run(path: Path) -> Log:
 
 
 class _Reading:
-    """State of a reading."""
+    """State while a recording is read."""
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -113,7 +115,7 @@ class _Reading:
         self.metadata: dict[str, Mapping[str, str]] = {}
 
     def read(self) -> None:
-        """Read to the end, noting every damaged place."""
+        """Read to the end of the file, and note every damaged place."""
         data, offset = self._data, len(MAGIC)
         while offset < len(data):
             try:
@@ -132,7 +134,7 @@ class _Reading:
         self._note(offset, None, "the end of the recording was never written")
 
     def samples(self) -> dict[str, NDArray[np.float64]]:
-        """Return the samples, one array a field."""
+        """Return the samples, one array per field."""
         return decode_samples(
             b"".join(m.data for m in self.messages[SAMPLE_TOPIC]),
             self._sample_bytes or SAMPLE_BYTES,
@@ -159,7 +161,7 @@ class _Reading:
         self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
 
     def _take(self, found: Found) -> None:
-        """Sort one record into its place.
+        """Store the content of one record by its kind.
 
         Raises:
             DamageError: The record is damaged.
@@ -174,7 +176,8 @@ class _Reading:
                     or TOPICS[described.id - 1] != described.topic
                 ):
                     raise DamageError(
-                        f"channel {described.id} is {described.topic!r}, which is none of a run's"
+                        f"channel {described.id} is {described.topic!r}, which is not a topic "
+                        "of a run"
                     )
             case Opcode.ATTACHMENT:
                 file = attachment(found.content)
@@ -184,7 +187,7 @@ class _Reading:
                 self.metadata[item.name] = item.metadata
 
     def _take_messages(self, records: bytes) -> None:
-        """Sort a chunk's messages by topic; all of them or none.
+        """Sort the messages of a chunk by topic; an error in one message drops the whole chunk.
 
         Raises:
             DamageError: The chunk is another program's, or from another time.
@@ -199,15 +202,18 @@ class _Reading:
                 _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
                 content = records[offset + MESSAGE.size : end]
                 if not 1 <= number <= len(TOPICS):
-                    raise DamageError(f"a message on channel {number}: another program's recording")
+                    raise DamageError(
+                        f"a message on channel {number}, which runs do not have: "
+                        "another program wrote this recording"
+                    )
                 topic = TOPICS[number - 1]
                 if topic == SAMPLE_TOPIC:
                     expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
                     if len(content) not in expected:
                         sizes = " or ".join(map(str, sorted(expected)))
                         text = (
-                            f"a sample of {len(content)} bytes, expected {sizes}: another "
-                            f"program's recording"
+                            f"a sample has {len(content)} bytes, expected {sizes}: another "
+                            "program wrote this recording"
                         )
                         raise DamageError(text)
                     sample_bytes = len(content)
@@ -221,7 +227,7 @@ class _Reading:
             self.messages[topic].append(message)
 
     def _compare(self, offset: int) -> None:
-        """Compare what was read with the counts at the end of the file."""
+        """Compare the number of messages with the counts at the end of the file."""
         try:
             counts = statistics(self._data, offset)
         except DamageError as error:
@@ -236,7 +242,7 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return the times of the samples around a loss, if there is one on both sides."""
+    """Return a text on the times of the samples around a loss, if there is one on both sides."""
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
         if 0 < before < len(times)

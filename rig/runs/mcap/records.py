@@ -1,4 +1,4 @@
-"""Extracts and checks records of a recording file, and finds the next one after damage."""
+"""Extracts and checks records of a recording file, and finds the next sound record after damage."""
 
 from __future__ import annotations
 
@@ -118,8 +118,8 @@ def channel(content: bytes) -> Channel:
 
 
 def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
-    """Return the counts at the end of a whole recording, whose summary begins at ``offset``,
-    checked against its CRC.
+    """Return the counts at the end of a complete recording, whose summary begins at ``offset``;
+    their CRC is checked.
 
     ``before`` is the number of bytes of the recording before ``data``.
 

@@ -1,4 +1,8 @@
-"""Messages of a recording as ROS 2 writes them, for tools that read nothing else.
+"""Encodes the messages of a recording as ROS 2 messages, for tools that read only ROS 2.
+
+Foxglove and PlotJuggler decode the messages by the message definition of each channel. The encoding
+is CDR, little endian (OMG DDSI-RTPS 2.5, 10.2): four bytes that identify the encoding, then the
+fields, each at a multiple of its size.
 
 Foxglove and PlotJuggler decode them by the message definition that travels with each channel. The
 encoding is CDR, little endian (OMG DDSI-RTPS 2.5, 10.2): four bytes that say so, then the fields,
@@ -39,7 +43,7 @@ int32 sec
 uint32 nanosec
 """
 SAMPLE_TEXT = "".join(f"float64 {name}\n" for name in Sample._fields)
-"""Definition of a sample: every field a double, in the order of the recording."""
+"""Definition of a sample: every field is a double, in the order of the recording."""
 FRAME_TEXT = f"""std_msgs/Header header
 uint32 id
 bool is_rtr
@@ -65,13 +69,13 @@ _NS = 1_000_000_000
 
 
 def is_serial(frame: RawFrame) -> bool:
-    """Whether a raw frame holds bytes of a serial line instead of a CAN frame."""
+    """Return whether a raw frame holds bytes of a serial line instead of a CAN frame."""
     flags = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG | SERIAL_FLAG
     return frame.identifier & flags == SERIAL_FLAG
 
 
 def samples(messages: Sequence[bytes]) -> list[bytes]:
-    """Return recorded samples of equal size as CDR; a field that they lack is NaN.
+    """Return recorded samples of equal size as CDR; fields that the samples lack are NaN.
 
     Raises:
         KeyError: The size is none of :data:`rig.runs.mcap.layout.SAMPLE_SIZES`.
@@ -85,7 +89,7 @@ def samples(messages: Sequence[bytes]) -> list[bytes]:
 
 
 def can_frame(frame: RawFrame) -> bytes:
-    """Return a CAN frame as CDR. Data beyond 8 bytes (CAN FD) do not fit."""
+    """Return a CAN frame as CDR; the frame must have at most 8 data bytes (classical CAN)."""
     flags = frame.identifier
     return _header(frame) + struct.pack(
         "<I???B8s",
@@ -106,7 +110,7 @@ def serial_bytes(frame: RawFrame) -> bytes:
 
 
 def _header(frame: RawFrame) -> bytes:
-    """Return encapsulation and std_msgs/Header, padded to a multiple of four."""
+    """Return encapsulation header and std_msgs/Header, padded to a multiple of four bytes."""
     word = (SENT if frame.sent else RECEIVED).encode() + b"\x00"
     seconds, nanoseconds = divmod(frame.time_ns, _NS)
     padding = -len(word) % 4

@@ -1,8 +1,9 @@
-"""Reads a whole recording piece by piece, in memory that does not grow with its length.
+"""Reads a whole recording piece by piece; the memory that it uses does not grow with the length of
+the recording.
 
-For recordings that were closed in order. A damaged one is read by
-:func:`rig.runs.mcap.reader.read_run`, which keeps all of it in memory and finds sound records after
-the damage.
+The module is for recordings that were closed regularly. A damaged recording is read by
+:func:`rig.runs.mcap.reader.read_run`, which keeps the whole recording in memory and finds sound
+records after the damage.
 """
 
 from __future__ import annotations
@@ -23,34 +24,34 @@ from rig.runs.mcap.writer import MAGIC, MESSAGE
 
 BLOCK_BYTES = 1 << 20
 MAX_ATTACHMENT = 1 << 26
-"""Length of a record before the first messages beyond which it is taken for damage, bytes."""
+"""Length of a record before the first messages above which the record counts as damaged, bytes."""
 _SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
 _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 _ATTACHMENTS = 0
-"""Stands for attachments where messages have the number of their channel."""
+"""Key of attachments, where messages have the number of their channel as key."""
 
 
 class Block(NamedTuple):
-    """Samples in a row: field to array, shape (n,)."""
+    """Consecutive samples: field to array, shape (n,)."""
 
     samples: Mapping[str, NDArray[np.float64]]
 
 
 class Happening(NamedTuple):
-    """One event as recorded, with ``time`` and ``event``."""
+    """One recorded event, with ``time`` and ``event``."""
 
     event: Mapping[str, Any]
 
 
 class Attached(NamedTuple):
-    """One attachment."""
+    """One attachment of a recording."""
 
     name: str
     content: bytes
 
 
 def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
-    """Yield the samples in order, a block of about :data:`BLOCK_BYTES` at a time.
+    """Yield the samples in order, in blocks of about :data:`BLOCK_BYTES`.
 
     Args:
         path: The recording.
@@ -124,8 +125,8 @@ def _items(
                 wrong = next((len(content) for content in contents if len(content) != size), None)
                 if wrong is not None or size not in SAMPLE_SIZES:
                     raise DamageError(
-                        f"a sample of {wrong or size} bytes, which this program does not write: "
-                        "another program's recording"
+                        f"a sample has {wrong or size} bytes, a size that this program does "
+                        "not write: another program wrote this recording"
                     )
                 pending += contents
                 waiting += size * len(contents)
@@ -142,7 +143,7 @@ def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block
 
 
 def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
-    """Yield channel and contents of the messages wanted, chunk by chunk, events first.
+    """Yield channel and contents of the wanted messages, chunk by chunk, events first.
 
     At the end the number of messages is compared with the count in the file.
 
@@ -176,8 +177,8 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
 
 
 def chunk_messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
-    """Return the contents of a chunk's messages by channel, those that are wanted, and how many
-    messages there are.
+    """Return the contents of the wanted messages of a chunk by channel, and the number of all
+    messages in the chunk.
     """
     found: dict[int, list[bytes]] = {}
     offset, size, count = 0, len(records), 0

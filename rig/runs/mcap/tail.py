@@ -1,4 +1,4 @@
-"""Reads a recording record by record while it is still being written."""
+"""Reads a recording record by record while the run still writes it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Tail:
         self._stream.close()
 
     def at(self, offset: int) -> Piece | None:
-        """Read the record at ``offset``; None where it is not written to its end yet.
+        """Read the record at ``offset``; None if the record is not complete yet.
 
         Raises:
             OSError: The file cannot be read.
@@ -79,8 +79,8 @@ class Tail:
         return Piece(_messages(chunk(content)), end) if len(content) == length else None
 
     def since(self, seconds: float) -> int:
-        """Return the offset of the first chunk that holds anything of the last ``seconds`` of what
-        is recorded; reads the heads of the records only.
+        """Return the offset of the first chunk with data of the last ``seconds`` of the recording;
+        only the heads of the records are read.
 
         Raises:
             OSError: The file cannot be read.
@@ -100,7 +100,9 @@ class Tail:
         return next(recent, START)
 
     def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``, if they are written."""
+        """Return opcode and length of the record at ``offset``; None if they are not written
+        yet.
+        """
         self._stream.seek(offset)
         head = self._stream.read(HEADER.size)
         if len(head) < HEADER.size:
@@ -131,7 +133,10 @@ def _messages(records: bytes) -> tuple[tuple[str, Message], ...]:
         if opcode == Opcode.MESSAGE:
             _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
             if not 1 <= number <= len(TOPICS):
-                raise DamageError(f"a message on channel {number}: another program's recording")
+                raise DamageError(
+                    f"a message on channel {number}, which runs do not have: "
+                    "another program wrote this recording"
+                )
             message = Message(time_ns, records[offset + MESSAGE.size : end])
             found.append((TOPICS[number - 1], message))
         offset = end

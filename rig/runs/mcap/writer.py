@@ -1,9 +1,9 @@
-"""An MCAP file writer with a short path for messages.
+"""Writer of MCAP files with a fast path for messages.
 
-The ``mcap`` library's own writer spends 2.6 microseconds a message; a control cycle has two. Here a
-message is one ``struct.pack``, and the library's record types do everything that is written once.
-Chunks, message indexes and summary are as the specification asks (https://mcap.dev/spec), so that
-every reader can seek.
+The writer of the ``mcap`` library needs 2.6 microseconds per message, and a control cycle writes
+two messages. Here one ``struct.pack`` writes a message, and the record types of the library write
+everything that occurs once. Chunks, message indexes and summary follow the specification
+(https://mcap.dev/spec), so that every reader can seek.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ from mcap.records import (
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 16 * 1024
-"""A killed writer loses at most the chunk in hand; a usual 1 MiB would lose seconds."""
+"""Size of a chunk, bytes. A killed writer loses at most the present chunk; with the usual size of 1
+MiB that would be seconds of samples.
+"""
 MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, length, channel, sequence, log time, publish time; the data follow."""
+"""Head of a message: opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEADER = MESSAGE.size - 9
 FOOTER_START = struct.Struct("<BQQQ")
-"""The part of the footer covered by its checksum."""
+"""Part of the footer that its checksum covers."""
 
 
 class McapWriter:
-    """Writes one file. Channels are registered before the first message.
+    """Writes one MCAP file. Channels are registered before the first message.
 
     Args:
         stream: A seekable buffered stream at its start; not closed here.
@@ -75,7 +77,7 @@ class McapWriter:
         return schema.id
 
     def channel(self, topic: str, encoding: str, schema: int) -> int:
-        """Register a channel; return its number. Schema 0 is none."""
+        """Register a channel; return its number. Schema 0 means that the channel has no schema."""
         number = len(self._channels) + 1
         channel = Channel(
             id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata={}
@@ -87,7 +89,7 @@ class McapWriter:
         return number
 
     def message(self, channel: int, time_ns: int, data: bytes) -> None:
-        """Add a message to the chunk in hand, and write the chunk when it is full."""
+        """Add a message to the present chunk, and write the chunk when it is full."""
         length = len(data) + _MESSAGE_HEADER
         self._parts += (MESSAGE.pack(Opcode.MESSAGE, length, channel, 0, time_ns, time_ns), data)
         self._index[channel].append((time_ns, self._size))
@@ -117,12 +119,12 @@ class McapWriter:
         self._metadata.append(MetadataIndex(offset=offset, length=length, name=name))
 
     def flush(self) -> None:
-        """Write the chunk in hand and hand everything to the operating system."""
+        """Write the present chunk, and pass all data to the operating system."""
         self._finish_chunk()
         self._stream.flush()
 
     def finish(self) -> None:
-        """Write what is left, the summary and the end."""
+        """Write the remaining data, the summary and the end of the file."""
         self._finish_chunk()
         self._write(DataEnd(0))
         start = self._stream.tell()

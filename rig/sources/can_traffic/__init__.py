@@ -1,4 +1,6 @@
-"""Recorded CAN traffic: frames of any logger, and their signals by a DBC file or a bench file."""
+"""Reads recorded CAN traffic: frames from any logger, and their signals by a DBC file or a bench
+file.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The map that a run of a bench uses, as the signals of recorded traffic: canonical channels in SI
-units.
+"""Maps recorded CAN traffic to canonical channels in SI units, in the same way as a run of the
+bench.
 """
 
 from __future__ import annotations
@@ -36,13 +36,15 @@ from rig.wiring.scales import encoder_scales, servo_motion, servo_scales
 _UNITS = {name: unit.replace("deg C", "degC") for name, unit in CHANNELS.items()}
 _COUNTER_BITS = 32
 _PDO_STEP = 0x100
-"""Distance of the identifiers of a node's PDOs in the predefined connection set."""
+"""Difference of the identifiers of two successive PDOs of a node in the predefined connection
+set.
+"""
 _Scale = tuple[str, float, float]
 """Name of a column, its SI units per raw unit, and its value at raw 0."""
 
 
 def messages_of_bench(path: Path) -> list[BusMessage]:
-    """Return the messages of a bench's drive and joint encoder, as a run maps them.
+    """Return the messages of a bench's drive and joint encoder as a run maps them.
 
     Raises:
         InputError: The bench file or a device file cannot be used, or its bus is not CAN.
@@ -55,7 +57,9 @@ def messages_of_bench(path: Path) -> list[BusMessage]:
         elif isinstance(bench.servo, ServoSection) and getattr(bench.bus, "bitrate", None):
             found = list(_drive(document, bench.servo))
         else:
-            raise InputError(f"{path}: its drive is not on a CAN bus; name a DBC file instead")
+            raise InputError(
+                f"{path}: the drive of this bench is not on a CAN bus; name a DBC file instead"
+            )
         if isinstance(bench.encoder, EncoderSection):
             found += _encoder(document, bench.encoder)
     except ConfigurationError as error:
@@ -64,7 +68,7 @@ def messages_of_bench(path: Path) -> list[BusMessage]:
 
 
 def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessage]:
-    """Yield the PDOs of a CiA 402 drive."""
+    """Yield the PDOs of a CiA 402 drive as messages."""
     data = servo.device_data(document.path.parent)
     scales = servo_scales(servo, document.value.machine, data)
     motion = servo_motion(servo, scales, data)
@@ -98,7 +102,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
 
 
 def _encoder(document: Document[Bench], encoder: EncoderSection) -> Iterator[BusMessage]:
-    """Yield the PDO of a CiA 406 encoder, its time stamp left out."""
+    """Yield the PDO of a CiA 406 encoder as a message, without its time stamp."""
     scales = encoder_scales(encoder, document.value.limits)
     position = (0x6004, 0)
     meaning = {position: ("angle", scales.rad_per_count, scales.offset_rad)}
@@ -139,7 +143,9 @@ def _pdo(
 
 
 def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessage]:
-    """Yield the messages of the drive's DBC; what the map reads as a channel has its name."""
+    """Yield the messages of the drive's DBC; a signal that the map reads as a channel has the name
+    of the channel.
+    """
     gear = document.value.machine.gear_ratio
     channels = {
         "position": ("motor_angle", 1.0, gear * servo.drive(gear, 1.0).offset_rad),
@@ -177,4 +183,4 @@ def _dbc(document: Document[Bench], servo: DbcServoSection) -> Iterator[BusMessa
 
 
 def _never_opened() -> NoReturn:
-    raise AssertionError("a bench whose map is read is not opened")
+    raise AssertionError("only the map of this bench is read, and its bus must not be opened")

@@ -1,4 +1,4 @@
-"""Messages of a DBC file, as the signals of recorded traffic."""
+"""Reads the messages of a DBC file as signals of recorded CAN traffic."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def _message(message: Any, fault: str) -> BusMessage:
 
 
 def _obstacle(signal: Any) -> str:
-    """Return why a signal cannot be read; empty where it can."""
+    """Return the reason why a signal cannot be read; empty if it can be read."""
     if signal.length > MOST_BITS:
         return f"{signal.length} bits, at most {MOST_BITS} are read"
     if signal.is_float and signal.length not in _FLOAT_WIDTHS:
@@ -65,7 +65,9 @@ def _obstacle(signal: Any) -> str:
 
 
 def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
-    """Return a signal after its multiplexers, kept in ``found``; None without one of them."""
+    """Return a signal, after its multiplexers were added to ``found``; None if a multiplexer cannot
+    be read.
+    """
     if signal.name in found:
         return found[signal.name]
     selector = None

@@ -1,4 +1,4 @@
-"""Frames of recorded CAN traffic, through python-can: candump, Vector ASC and BLF, PEAK TRC, and
+"""Reads frames of recorded CAN traffic with python-can: candump, Vector ASC and BLF, PEAK TRC, and
 the bus logging of MDF.
 """
 
@@ -40,7 +40,7 @@ _DAMAGED = (
     struct.error,
     zlib.error,
 )
-"""What python-can raises on damaged files."""
+"""Exceptions that python-can raises on damaged files."""
 _REMEDY = "check that it was copied whole"
 _READERS: Mapping[str, Any] = {
     "log": can.io.CanutilsLogReader,
@@ -48,10 +48,10 @@ _READERS: Mapping[str, Any] = {
     "trc": can.io.TRCReader,
 }
 _FROM_ZERO = frozenset({"asc", "blf"})
-"""Formats whose channels python-can counts from 0, while the file counts from 1."""
+"""Formats whose channels python-can counts from 0 although the file counts from 1."""
 
 Key = tuple[str, int]
-"""Bus, and identifier with :data:`EXTENDED_FLAG` where it has 29 bits."""
+"""Bus and identifier; a 29-bit identifier has :data:`EXTENDED_FLAG` set."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Frames:
 
 @dataclass
 class Traffic:
-    """What a file of CAN traffic holds.
+    """Content of a file of CAN traffic.
 
     Attributes:
         frames: By bus and identifier, in order of appearance.
@@ -83,7 +83,7 @@ class Traffic:
 
 
 def read_traffic(path: Path) -> Traffic:
-    """Read all frames of a file; error frames and remote frames are left out and counted.
+    """Read all data frames of a file; error frames and remote frames are left out and counted.
 
     Raises:
         InputError: It is damaged, or holds no frames; names the line of a text format.
@@ -123,7 +123,9 @@ def read_traffic(path: Path) -> Traffic:
     if remote:
         traffic.notes.append(f"{remote} remote frames left out")
     if lines.stamped > read + lines.errors:
-        traffic.notes.append(f"{lines.stamped - read - lines.errors} lines are no frames: left out")
+        traffic.notes.append(
+            f"{lines.stamped - read - lines.errors} lines that are not frames left out"
+        )
     if not stamps:
         raise InputError(f"{path}: holds no data frames" + "".join(f"; {n}" for n in traffic.notes))
     first = min(times[0] for times in stamps.values())
@@ -152,7 +154,7 @@ def _messages(path: Path, kind: str, lines: Lines) -> Iterator[can.Message]:
 
 
 class _Source:
-    """Lines as the file that python-can reads."""
+    """File object of filtered lines, from which python-can reads."""
 
     def __init__(self, lines: Iterator[str]) -> None:
         self._lines = lines
@@ -161,15 +163,15 @@ class _Source:
         return self._lines
 
     def read(self, size: int = -1) -> str:
-        """Return the next line; there so that the object counts as a file."""
+        """Return the next line; python-can requires this method."""
         return next(self._lines, "")
 
     def close(self) -> None:
-        """Do nothing; the stream is closed by who opened it."""
+        """Do nothing; the function that opened the stream closes it."""
 
 
 def _mf4(path: Path) -> Iterator[can.Message]:
-    """Yield the frames of the bus logging of an MF4 file, stamps since its start."""
+    """Yield the frames of the bus logging of an MF4 file, with time stamps since its start."""
     library("asammdf", path, "MDF", "mdf")
     with heard("asammdf"), quiet_ends(), open_binary(path) as stream:
         reader = can.io.MF4Reader(cast(BinaryIO, stream))
@@ -179,7 +181,7 @@ def _mf4(path: Path) -> Iterator[can.Message]:
 
 
 def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
-    """Yield the frames of a BLF file, stamps since its start."""
+    """Yield the frames of a BLF file, with time stamps since its start."""
     with open_binary(path) as stream:
         reader = can.io.BLFReader(cast(BinaryIO, stream))
         # Seconds since 1970 leave a double a quarter of a microsecond.
@@ -191,9 +193,10 @@ def _blf(path: Path, lines: Lines) -> Iterator[can.Message]:
     size = path.stat().st_size if path.suffix.lower() == ".blf" else reader.file_size
     if size < reader.file_size:
         lines.notes.append(
-            f"the file is cut off: {size} of {reader.file_size} bytes, read as far as it goes"
+            f"the file is cut off: {size} of {reader.file_size} bytes; the frames before the "
+            "cut are read"
         )
     elif not reader.file_size:
-        lines.notes.append("the file was not closed by its logger: read as far as it goes")
+        lines.notes.append("the logger did not close the file; its complete frames are read")
     if 0 < yielded < reader.object_count:
-        lines.notes.append(f"{reader.object_count - yielded} objects are no frames: left out")
+        lines.notes.append(f"{reader.object_count - yielded} objects that are not frames left out")

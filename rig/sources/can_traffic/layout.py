@@ -1,4 +1,6 @@
-"""Signals of CAN messages: where their bits are, and their values in many frames at once.
+"""Signals of CAN messages: the places of their bits, and their values in many frames at once.
+
+Pure functions of arrays.
 
 Pure functions of arrays.
 """
@@ -39,7 +41,7 @@ class Part:
 
 @dataclass(frozen=True)
 class BusSignal:
-    """One signal.
+    """One signal of a CAN message.
 
     Attributes:
         name: Of its column.
@@ -72,11 +74,13 @@ class BusSignal:
 
     @property
     def bytes(self) -> int:
-        """Bytes that a frame must have to hold the signal."""
+        """Number of bytes that a frame must have to contain the signal."""
         return max(part.byte for part in self.parts) + 1
 
     def present(self, frames: Frames) -> Mask:
-        """Return which frames hold the signal, by their length and their multiplexers."""
+        """Return a mask of the frames that contain the signal, by their length and their
+        multiplexers.
+        """
         there: Mask = frames.lengths >= self.bytes
         if self.selector is not None:
             there = there & self.selector.present(frames)
@@ -84,7 +88,7 @@ class BusSignal:
         return there
 
     def bits(self, frames: Frames) -> NDArray[np.uint64]:
-        """Return the raw bits in each frame, zero where a frame is too short."""
+        """Return the raw bits in each frame; zero if a frame is too short."""
         value = np.zeros(len(frames.data), np.uint64)
         for part in self.parts:
             if part.byte < frames.data.shape[1]:
@@ -94,7 +98,7 @@ class BusSignal:
         return value
 
     def values(self, frames: Frames, rows: Mask) -> tuple[Array, str]:
-        """Return the values in some of the frames, and a note where they were changed."""
+        """Return the values in the given frames, and a note if values were changed."""
         bits = self.bits(frames)[rows]
         if self.real:
             unsigned, kind = _FLOATS[self.width]
@@ -113,7 +117,7 @@ class BusSignal:
 
 @dataclass(frozen=True)
 class BusMessage:
-    """One message.
+    """One CAN message with its signals.
 
     Attributes:
         name: Of its columns; empty where the signals' names are enough.
@@ -134,12 +138,14 @@ class BusMessage:
 
 
 def little_endian(start: int, width: int) -> tuple[Part, ...]:
-    """Return the bits of a signal that begins with its least significant bit at ``start``."""
+    """Return the bits of a little-endian signal whose least significant bit is at ``start``."""
     return tuple(_parts(range(start, start + width)))
 
 
 def big_endian(start: int, width: int) -> tuple[Part, ...]:
-    """Return the bits of a signal whose most significant bit a DBC numbers ``start``."""
+    """Return the bits of a big-endian signal whose most significant bit has the DBC number
+    ``start``.
+    """
     positions = []
     at = start
     for _ in range(width):
@@ -149,7 +155,9 @@ def big_endian(start: int, width: int) -> tuple[Part, ...]:
 
 
 def _parts(positions: Sequence[int]) -> Iterator[Part]:
-    """Yield runs of bits in one byte; ``positions`` are least significant first."""
+    """Yield the neighbouring bits in each byte; ``positions`` begin with the least significant
+    bit.
+    """
     first = 0
     for k in range(1, len(positions) + 1):
         broken = (

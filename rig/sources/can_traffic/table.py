@@ -19,15 +19,17 @@ from rig.sources.can_traffic.layout import BusMessage, BusSignal, Mask
 from rig.sources.formats.table import Table
 
 STAMPS = "time"
-"""Column of a message's stamps."""
+"""Name of the column of a message's time stamps."""
 _OTHER_STAMPS = "frame_time"
 _MOST_NAMED = 6
 _DESTINATION_FORMATS = 240
-"""PDU formats of SAE J1939 below this have a destination in the place of the group extension."""
+"""PDU format of SAE J1939 below which the destination address replaces the group extension."""
 
 
 class _Base(NamedTuple):
-    """Frames in which some signals are: all of a message, or those of its pages."""
+    """Frames that contain certain signals: all frames of a message, or the frames of some of its
+    pages.
+    """
 
     frames: Frames
     rows: Mask
@@ -40,8 +42,8 @@ class _Column(NamedTuple):
 
 
 class CanTable(Table):
-    """One column per signal, named ``Message.Signal``, and the stamps of each message,
-    ``Message.time``, in s since the first frame of the file.
+    """Table with one column per signal, named ``Message.Signal``, and the time stamps of each
+    message, ``Message.time``, in s since the first frame of the file.
 
     Each message has a time base of its own, as have signals that a multiplexer puts into some of
     its frames only (``Message.Signal.time``); all are on the clock of the file. A message that
@@ -100,7 +102,7 @@ class CanTable(Table):
         }
 
     def _of_bus(self, frames: Mapping[Key, Frames], bus: str | int | None) -> dict[Key, Frames]:
-        """Return the frames of one bus, or of all.
+        """Return the frames of one bus, or of all buses.
 
         Raises:
             InputError: The file has no such bus.
@@ -116,7 +118,8 @@ class CanTable(Table):
     def _named(
         self, frames: Mapping[Key, Frames], known: Mapping[int, BusMessage]
     ) -> list[tuple[str, BusMessage, Frames]]:
-        """Return name, message and frames of each message in the file, and note the others.
+        """Return name, message and frames of each message that is in the file, and note the frames
+        of unknown messages.
 
         Raises:
             InputError: None of the messages is in the file.
@@ -192,13 +195,15 @@ class CanTable(Table):
             )
 
     def stamps(self, base: int) -> Array | None:
-        """Return the stamps of a message's frames; see :meth:`Table.stamps`."""
+        """Return the time stamps of a message's frames; see :meth:`Table.stamps`."""
         found = self._bases[base]
         return found.frames.stamps[found.rows]
 
 
 def _pages(message: BusMessage, frames: Frames) -> Iterator[tuple[str, _Base, list[BusSignal]]]:
-    """Yield the signals that are in the same frames, with a suffix of their base's name."""
+    """Yield the signals that occur in the same frames, with a suffix for the name of their time
+    base.
+    """
     every = np.ones(len(frames.stamps), dtype=np.bool_)
     groups: dict[bytes, tuple[Mask, list[BusSignal]]] = {every.tobytes(): (every, [])}
     for signal in message.signals:

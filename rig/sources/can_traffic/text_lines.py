@@ -1,8 +1,9 @@
-"""Lines of the text formats of CAN traffic, checked before python-can reads them.
+"""Filters the lines of text formats of CAN traffic before python-can reads them.
 
-python-can takes some lines for others: an error frame of candump for a frame, half a byte at the
-end for a whole one, stamps since the last event for stamps since the start, a version of TRC that
-it does not know for another. Such lines are taken out and counted, rewritten, or refused here.
+python-can misreads some lines: it reads an error frame of candump as a data frame, half a byte at
+the end as a whole byte, time stamps since the last event as stamps since the start, and a TRC
+version that it does not know as another version. The filters drop and count such lines, rewrite
+them, or refuse the file.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import TextIO
 from rig.common.errors import InputError
 
 ERROR_FLAG = 0x20000000
-"""Flag of SocketCAN in the identifier of an error frame."""
+"""Flag that SocketCAN sets in the identifier of an error frame."""
 _CANDUMP = re.compile(
     r"\((\d+)(\.\d+)?\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})#"
     r"((?:#[0-9A-Fa-f])?(?:[0-9A-Fa-f]{2})*|[Rr]\d?)(\s+[RTrt])?"
@@ -30,7 +31,7 @@ _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")
 
 @dataclass
 class Lines:
-    """Lines of a file on their way to python-can.
+    """Lines of a file on their way to python-can, with the counts of dropped lines.
 
     Attributes:
         path: The file.
@@ -47,7 +48,7 @@ class Lines:
     notes: list[str] = field(default_factory=list)
 
     def whole(self, stream: TextIO) -> Iterator[str]:
-        """Yield the lines that were ended; a last one without end may be cut off."""
+        """Yield the lines that have an end; a last line without an end may be cut off."""
         for text in stream:
             self.number += 1
             if not text.endswith("\n"):
@@ -58,7 +59,7 @@ class Lines:
 
 
 def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the frames of a ``candump -L`` file, stamps since the first frame.
+    """Yield the frames of a ``candump -L`` file, with time stamps since the first frame.
 
     Raises:
         InputError: A line is no frame; names it.
@@ -92,7 +93,7 @@ def candump(lines: Lines, stream: TextIO) -> Iterator[str]:
 
 
 def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a Vector ASC file, stamps since the start of the measurement."""
+    """Yield the lines of a Vector ASC file, with time stamps since the start of the measurement."""
     relative, head, total = False, True, Decimal(0)
     for text in lines.whole(stream):
         if head and text.strip() and not _ASC_HEAD.match(text.strip()):
@@ -101,7 +102,9 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
             yield "no internal events logged\n"
         if head and re.search(r"timestamps\s+relative", text, re.IGNORECASE):
             relative = True
-            lines.notes.append("stamps since the event before: added up")
+            lines.notes.append(
+                "the time stamps count from the previous event: summed to times since the start"
+            )
         found = _STAMPED.fullmatch(text)
         if found is not None:
             lines.stamped += "Start of measurement" not in text
@@ -112,7 +115,7 @@ def asc(lines: Lines, stream: TextIO) -> Iterator[str]:
 
 
 def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
-    """Yield the lines of a PEAK TRC file, without its date.
+    """Yield the lines of a PEAK TRC file without its date.
 
     Raises:
         InputError: It is of a version that python-can does not read.
@@ -137,4 +140,4 @@ FILTERS: dict[str, Callable[[Lines, TextIO], Iterator[str]]] = {
     "asc": asc,
     "trc": trc,
 }
-"""Extension of a text format to its filter."""
+"""Extension of a text format to the filter of its lines."""

@@ -1,4 +1,6 @@
-"""File formats of recordings made elsewhere: one reader per format, behind one interface."""
+"""File formats of recordings made elsewhere: one reader for each format, all with the same
+interface.
+"""
 
 from __future__ import annotations
 

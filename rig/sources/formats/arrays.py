@@ -1,4 +1,6 @@
-"""Named arrays: MATLAB .mat files (versions 4 to 7), numpy .npz archives and .npy arrays."""
+"""Readers of named arrays: MATLAB .mat files (versions 4 to 7), numpy .npz archives and .npy
+arrays.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +43,7 @@ class _Column(NamedTuple):
 
 
 class ArrayTable(Table):
-    """Arrays by name. A matrix counts as one column per series, named ``name[0]``, ``name[1]``, ...
+    """Named arrays as a table. Each series of a matrix is one column: ``name[0]``, ``name[1]``, ...
 
     The longer side of a matrix counts as time. Single numbers and text are not columns.
     """
@@ -68,7 +70,7 @@ class ArrayTable(Table):
         """Load whole variables by name."""
 
     def variable(self, column: int) -> str:
-        """Return the variable that a column is of."""
+        """Return the variable to which a column belongs."""
         return self._columns[column].variable
 
     def _series(self, column: _Column, array: np.ndarray) -> Array:
@@ -108,7 +110,8 @@ class MatTable(ArrayTable):
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
             raise InputError(
-                f"{path}: a MATLAB file of a version that is not read ({error}); save it in MATLAB "
+                f"{path}: a MATLAB file of a version that this program cannot read ({error}); "
+                "save it in MATLAB "
                 f"with save(..., '-v7')"
             ) from error
         except _DAMAGED as error:
@@ -137,7 +140,7 @@ class MatTable(ArrayTable):
             held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
             raise InputError(
                 f"{path}: holds no arrays of numbers, but {held}; of a timeseries or Dataset "
-                f"object save .Time and .Data as variables of their own"
+                "object, save .Time and .Data as separate variables"
             )
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
@@ -199,7 +202,7 @@ class NpzTable(ArrayTable):
             }
 
     def _members(self, archive: zipfile.ZipFile, member: str) -> dict[str, tuple[int, ...]]:
-        """Return name and shape of an array, or of each field of a structured one."""
+        """Return name and shape of an array; of a structured array those of each field."""
         name, shape, kind = _npy_header(archive, member)
         if kind.names is None:
             self._fields[name] = (name, None)

@@ -23,7 +23,9 @@ from rig.runs.mcap.records import HEADER
 
 MAGIC = b"\x89MCAP0\r\n"
 _CHUNK_HEAD = struct.Struct("<QQQII")
-"""Format of start time, end time, size, checksum and length of the compression's name."""
+"""Format of the head of a chunk: start time, end time, size, checksum and length of the
+compression's name.
+"""
 
 Found = tuple[Schema | None, Channel, Message]
 
@@ -53,7 +55,7 @@ def until_cut(stream: IO[bytes]) -> Iterator[Found]:
 
 
 def _rest(stream: IO[bytes]) -> bytes:
-    """Return the bytes that can be read, also from an incomplete gzip file."""
+    """Return the readable bytes, also of an incomplete gzip file."""
     parts = []
     try:
         while part := stream.read(1 << 16):
@@ -74,7 +76,7 @@ def _records(data: bytes) -> Iterator[tuple[int, bytes, bool]]:
 
 
 def _unpacked(content: bytes, whole: bool) -> bytes:
-    """Return the records of a chunk, or of the part of it that is in the file.
+    """Return the records of a chunk; of an incomplete chunk, the records that are in the file.
 
     Raises:
         McapError: A complete chunk is damaged, or its compression is unknown.
@@ -101,7 +103,7 @@ def _unpacked(content: bytes, whole: bool) -> bytes:
 
 
 class _Known(NamedTuple):
-    """Channels and schemas read so far, by number."""
+    """Channels and schemas by number that have been read."""
 
     channels: dict[int, Channel]
     schemas: dict[int, Schema]

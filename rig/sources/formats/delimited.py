@@ -41,9 +41,9 @@ from rig.sources.formats.text_layout import (
 
 _READ_ERRORS = (OSError, EOFError, zlib.error)
 _MOST_DIGITS = 300
-"""Digits of a whole number that a double can hold."""
+"""Number of digits of an integer that a double can represent."""
 _HEAD_LINES = 6
-"""Number of lines with content, from the first, from which the layout of the file is found."""
+"""Number of lines with content at the start of the file from which the layout is detected."""
 
 
 class DelimitedTable(Table):
@@ -84,7 +84,7 @@ class DelimitedTable(Table):
             self.note("the last skipped line contains numbers: check read.skip_rows")
 
     def _lay_out(self, head: Sequence[tuple[int, str]]) -> None:
-        """Find header, units, row names and columns of dates in the first lines."""
+        """Detect header, units, row names and columns of dates in the first lines."""
         line, text = head[0]
         cells = split(text, self._delimiter)
         rows = [(at, split(row, self._delimiter)) for at, row in head[1:] if without_comment(row)]
@@ -120,8 +120,8 @@ class DelimitedTable(Table):
     def _find_row_names(
         self, head: Sequence[tuple[int, str]], rows: Sequence[tuple[int, list[str]]]
     ) -> None:
-        """Find row names: every row has one cell more than the header has names, and the first cell
-        is quoted or a word.
+        """Detect row names: every row has one cell more than the header has names, and the first
+        cell is quoted or a word.
         """
         width = len(self.names)
         if not self._has_header or not rows or any(len(row) != width + 1 for _, row in rows):
@@ -169,7 +169,7 @@ class DelimitedTable(Table):
         return [table[:, k] for k in range(len(columns))]
 
     def place(self, row: int) -> str:
-        """Return the line of a row; blank lines and comment lines count."""
+        """Return the line number of a row; blank lines and comment lines are counted."""
         with open_text(self.path, self._encoding) as stream:
             for index, (line, _) in enumerate(self._rows(stream)):
                 if index == row:
@@ -177,7 +177,9 @@ class DelimitedTable(Table):
         return super().place(row)
 
     def _even(self) -> bool:
-        """Return whether each row has as many cells as the header, without quotes and comments."""
+        """Return whether each row has as many cells as the header, and no row has quotes or
+        comments.
+        """
         if self._first_row:
             return False
         delimiter, others = self._delimiter, 0
@@ -211,8 +213,8 @@ class DelimitedTable(Table):
         return values.reshape(-1, width)
 
     def _cells(self, stream: TextIO, columns: Sequence[int]) -> Iterator[float]:
-        """Yield the required cells row by row. Rows without values count as missing samples; at the
-        end of the file they are dropped.
+        """Yield the required cells row by row. Rows without values count as missing samples, and
+        are dropped at the end of the file.
 
         Raises:
             InputError: A cell is not a number, or a row is too short or too long.
@@ -328,8 +330,8 @@ def _names_its_row(line: str, cell: str) -> bool:
 
 
 def _head(stream: TextIO, skip: int) -> list[tuple[int, str]]:
-    """Return number (from 1) and text of the first lines with content; ``skip`` lines were read
-    before them.
+    """Return number (from 1) and text of the first lines with content; ``skip`` lines have been
+    read before.
     """
     found: list[tuple[int, str]] = []
     for line, text in enumerate(stream, start=skip + 1):

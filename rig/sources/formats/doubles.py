@@ -1,4 +1,4 @@
-"""Arrays of any numeric type as doubles, without losing what a double cannot hold in silence.
+"""Converts arrays of any numeric type to doubles, and notes each loss of accuracy.
 
 Pure functions.
 """
@@ -13,23 +13,25 @@ from numpy.typing import NDArray
 from identification.recording import Array
 
 EXACT = 2**53
-"""Integers up to this size are doubles without rounding."""
+"""Greatest integer up to which doubles represent every integer exactly."""
 _LARGEST = 2**63 - 1
 _UNIT_S = {"D": 86400.0, "h": 3600.0, "m": 60.0, "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 
 
 def seconds_per(unit: str) -> float | None:
-    """Return the seconds in a unit of time as files write it; None for another unit."""
+    """Return the length of a unit of time, as files write it, in seconds; None for any other
+    unit.
+    """
     return _TIME_UNITS.get(unit.strip().lower())
 
 
 class NotNumbersError(Exception):
-    """The values are no real numbers; the message names their type."""
+    """The values are not real numbers; the message states their type."""
 
 
 def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
-    """Return values as doubles, and a note where they were changed on the way.
+    """Return values as doubles, and a note if the conversion changed them.
 
     Integers beyond 2^53 are read as differences to the first one; dates and times as seconds since
     the first; their missing values are NaN.

@@ -1,4 +1,4 @@
-"""HDF5 files, those of MATLAB v7.3 among them, through the optional h5py."""
+"""Reader of HDF5 files, including MATLAB v7.3 files, with the optional library h5py."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DAMAGED = (
     ValueError,
     struct.error,
 )
-"""What h5py raises on damaged files."""
+"""Exceptions that h5py raises on damaged files."""
 _REMEDY = "check that it was copied whole, or save it again"
 _DEEPEST = 16
 _NUMERIC = frozenset(
@@ -44,7 +44,7 @@ _FILLS = ("_FillValue", "missing_value")
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether a file is HDF5, by its first bytes, through gzip.
+    """Return whether a file is HDF5, by its first bytes; a gzip file is decompressed first.
 
     Raises:
         OSError, EOFError, zlib.error: It cannot be read.
@@ -55,7 +55,8 @@ def is_hdf5(path: Path) -> bool:
 
 
 class Hdf5Table(ArrayTable):
-    """One column per dataset of numbers, named by its place with dots: ``run.motor.current``.
+    """Table with one column for each dataset of numbers, named by its path with dots:
+    ``run.motor.current``.
 
     A matrix counts as in :class:`ArrayTable`, a compound dataset as its fields. Structs and cells
     of MATLAB are named as in files of its version 7. ``scale_factor``, ``add_offset`` and
@@ -90,15 +91,14 @@ class Hdf5Table(ArrayTable):
             raise InputError(
                 f"{path}: holds no arrays of numbers"
                 + (f" ({', '.join(self._left_out[:4])})" if self._left_out else "")
-                + "; of a timeseries or Dataset object save .Time and .Data as variables of their "
-                "own"
+                + "; of a timeseries or Dataset object, save .Time and .Data as separate variables"
             )
         stated = [units.get(self.variable(k), "") for k in range(len(self.names))]
         self.units = tuple(stated) if any(stated) else ()
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with h5py, and close it.
+        """Open the file with h5py, and close it at the end.
 
         Raises:
             InputError: It is damaged.
@@ -141,7 +141,9 @@ class Hdf5Table(ArrayTable):
     def _field(
         self, inner: str, name: str, key: str, member: Any, kind: str, depth: int
     ) -> Iterator[tuple[str, Any]]:
-        """Yield the members of one field; of an array of structs each element has its own."""
+        """Yield the members of one field; in an array of structs, each element has its own
+        members.
+        """
         references = isinstance(member, self._h5py.Dataset) and self._h5py.check_ref_dtype(
             member.dtype
         )
@@ -193,7 +195,7 @@ def _shape(dataset: Any) -> tuple[int, ...]:
 
 
 def _fields(dataset: Any) -> list[str | None]:
-    """Return the fields of a compound dataset; [None] of a plain one, and of complex numbers."""
+    """Return the fields of a compound dataset; for a plain dataset or complex numbers, [None]."""
     names = dataset.dtype.names
     if names is None or set(names) == {"real", "imag"}:
         return [None]
@@ -207,7 +209,7 @@ def _holds_numbers(kind: np.dtype[Any]) -> bool:
 
 
 def _text(attributes: Any, keys: Iterable[str]) -> str:
-    """Return the first of these attributes that is text; empty for none."""
+    """Return the first of these attributes that is a text; empty if there is none."""
     for key in keys:
         value = attributes.get(key)
         if isinstance(value, bytes):

@@ -1,4 +1,4 @@
-"""JSON files that hold records (a list of objects) or columns (an object of lists)."""
+"""Reader of JSON files that contain records (a list of objects) or columns (an object of lists)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from rig.sources.formats.text_layout import encoding_of, open_text
 
 _DEEPEST = 16
 _FEWEST = 2
-"""Least values of a list that is taken as a column."""
+"""Least number of values for a list to count as a column."""
 
 
 @dataclass(frozen=True)
 class _Rows:
-    """Rows that share their names.
+    """Rows with the same names.
 
     Attributes:
         place: Of the list or object in the file; empty for the whole file.
@@ -35,7 +35,7 @@ class _Rows:
 
 
 class JsonTable(Table):
-    """One column per number, named by its place.
+    """Table with one column for each number, named by its path in the file.
 
     Read are a list of objects, a list of lists (a first one of text is the header), an object of
     lists of equal length, and what pandas writes: ``split`` (``columns`` and ``data``), ``table``,
@@ -128,7 +128,9 @@ class JsonTable(Table):
             self._left_out.append(f"{place or 'the file'} mixes objects, lists and values")
 
     def _of_object(self, value: dict[str, Any], place: str, depth: int) -> Iterator[_Rows]:
-        """Yield the columns of an object by their length, then the tables inside its values."""
+        """Yield the columns of an object, grouped by their length, then the tables inside its
+        values.
+        """
         lengths: dict[int, dict[str, list[Any]]] = {}
         rest: dict[str, Any] = {}
         for key, child in value.items():
@@ -149,7 +151,7 @@ class JsonTable(Table):
             yield from self._tables(child, f"{place}.{key}" if place else key, depth + 1)
 
     def _matrix(self, rows: list[Any], place: str) -> Iterator[_Rows]:
-        """Yield the rows of a list of lists; a first row of text names them."""
+        """Yield the rows of a list of lists; if the first row is text, it names the columns."""
         width = len(rows[0])
         where = place or "the file"
         for index, row in enumerate(rows):
@@ -170,7 +172,9 @@ class JsonTable(Table):
 
 
 def _transposed(columns: Mapping[str, Sequence[Any]]) -> list[dict[str, float]]:
-    """Return one mapping per row of columns of one length, of the numbers in them."""
+    """Return one mapping for each row from columns of equal length; values that are not numbers are
+    left out.
+    """
     count = len(next(iter(columns.values()))) if columns else 0
     rows: list[dict[str, float]] = [{} for _ in range(count)]
     for name, cells in columns.items():
@@ -186,5 +190,5 @@ def _are_names(value: object) -> bool:
 
 
 def _are_labels(value: Mapping[str, Any]) -> bool:
-    """Whether the keys are row numbers or stamps, as pandas writes them."""
+    """Return whether the keys are row numbers or time stamps, as pandas writes them."""
     return len(value) >= _FEWEST and all(key.isdigit() for key in value)

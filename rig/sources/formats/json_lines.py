@@ -14,7 +14,8 @@ from rig.sources.formats.text_layout import encoding_of, open_text
 
 
 class JsonLinesTable(Table):
-    """One column per number in the objects, named ``field``, ``field.inner`` or ``field[0]``.
+    """Table with one column for each number in the objects, named ``field``, ``field.inner`` or
+    ``field[0]``.
 
     If a line lacks a field, the value is NaN.
 
@@ -64,5 +65,5 @@ class JsonLinesTable(Table):
         return found
 
     def place(self, row: int) -> str:
-        """Return the line of a row."""
+        """Return the line number of a row."""
         return f"{self.path}:{self._lines[row]}" if row < len(self._lines) else str(self.path)

@@ -1,4 +1,4 @@
-"""Numbers inside JSON values: one column per number, named by its place."""
+"""Reads the numbers inside JSON values: one column for each number, named by its path."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ from rig.sources.formats.doubles import EXACT
 from rig.sources.formats.text_layout import nanoseconds
 
 LONGEST_LIST = 64
-"""Elements of a list that become columns; longer ones are images and the like, and are left out."""
+"""Greatest length of a list whose elements become columns; longer lists, such as images, are left
+out.
+"""
 _STAMPS = ({"sec", "nanosec"}, {"secs", "nsecs"}, {"sec", "nsec"}, {"seconds", "nanos"})
 _LARGEST = 2**64
-"""Integers of this size and more are no numbers that a log holds."""
+"""Integers with at least this magnitude are not read as numbers."""
 _DATE_LENGTHS = range(8, 41)
 
 
 class Stamp(int):
-    """A time stamp in nanoseconds; read as seconds since the first of its topic."""
+    """Time stamp in nanoseconds; its column is read as seconds since the first stamp of the
+    topic.
+    """
 
 
 def parse(text: str) -> Any:
-    """Return the value of a JSON text.
+    """Parse a JSON text.
 
     Raises:
         ValueError: It is no JSON, or an object has a key twice.
@@ -44,7 +48,7 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]:
-    """Return one field of all rows, shape (n,), NaN where a row has none; and a note.
+    """Return one field of all rows, shape (n,), with NaN where a row lacks the field; and a note.
 
     Stamps are seconds since the first one: nanoseconds since 1970 exceed the 53 bits of a double,
     their differences do not. Other integers beyond 2^53 are differences to the first as well.
@@ -66,7 +70,7 @@ def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]
 
 
 def number(value: object) -> float | None:
-    """Return the number that a JSON value is; None where it is none.
+    """Return a JSON value as a number; None if it is not a number.
 
     Integers stay integers, dates become :class:`Stamp`.
     """
@@ -81,7 +85,9 @@ def number(value: object) -> float | None:
 
 
 def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp that an object of seconds and nanoseconds is; None where it is none."""
+    """Return the time stamp that an object of seconds and nanoseconds contains; None if it contains
+    none.
+    """
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
         return None

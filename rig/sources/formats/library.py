@@ -1,4 +1,4 @@
-"""Optional libraries of file formats: imported where a file needs them; their warnings are kept."""
+"""Imports optional libraries of file formats when a file needs them, and keeps their warnings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from typing import Any
 from rig.common.errors import InputError
 
 _MOST_WORDS = 200
-"""Longest warning of a library that is passed on, characters."""
+"""Greatest length of a passed-on warning of a library, characters."""
 
 
 def library(name: str, path: Path, format_name: str, extra: str) -> Any:
@@ -52,7 +52,9 @@ class _Heard(logging.Handler):
 
 @contextmanager
 def heard(logger: str) -> Iterator[list[str]]:
-    """Keep the warnings of a library off the terminal; yields a list that is filled at the end."""
+    """Keep the warnings of a library off the terminal; yield a list that contains the warnings at
+    the end.
+    """
     log, handler, found = logging.getLogger(logger), _Heard(), list[str]()
     propagate, handlers = log.propagate, log.handlers
     # Some libraries have handlers of their own, which print.
@@ -66,8 +68,8 @@ def heard(logger: str) -> Iterator[list[str]]:
 
 @contextmanager
 def quiet_ends() -> Iterator[None]:
-    """Release what a library left in the frames of its error, and keep off the terminal what its
-    half-built objects raise as they are deleted.
+    """Release the objects in the frames of a library's error, and suppress the errors that
+    incomplete objects raise when they are deleted.
     """
     before = sys.unraisablehook
     try:

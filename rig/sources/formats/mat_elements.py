@@ -19,7 +19,7 @@ INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes per number of each numeric data type, miINT8 to miUINT64."""
 NUMERIC_CLASSES = range(6, 16)
-"""Array classes mxDOUBLE to mxUINT64; of text and sparse arrays only the header is read."""
+"""Array classes mxDOUBLE to mxUINT64; of text and of sparse arrays, only the header is read."""
 CLASSES = range(1, 19)
 CELL_CLASS, STRUCT_CLASS, CHAR_CLASS = 1, 2, 4
 _MEMBERS = frozenset({CELL_CLASS, STRUCT_CLASS, CHAR_CLASS, *NUMERIC_CLASSES})

@@ -1,5 +1,5 @@
-"""MCAP logs with JSON, CDR (ROS 2) and protobuf messages, as robot and vehicle loggers write
-them.
+"""Reader of MCAP logs with JSON, CDR (ROS 2) and protobuf messages, which robot and vehicle loggers
+write.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ _DAMAGED = (
 
 
 class McapTable(Table):
-    """One column per number in the messages, named ``topic.field``, with dots for nesting.
+    """Table with one column for each number in the messages, named ``topic.field``, with dots for
+    nesting.
 
     Messages are JSON, CDR of ROS 2 or protobuf. ``topic.log_time`` is the logger's time stamp in
     seconds since the first message of that topic. Elements of a list are ``topic.field[0]``, also
@@ -95,7 +96,7 @@ class McapTable(Table):
     def _take(
         self, messages: Iterable[tuple[Schema | None, Channel, Message]], others: set[str]
     ) -> None:
-        """Keep the numbers of messages; ``others`` receives the topics that are not read."""
+        """Store the numbers of messages; ``others`` receives the topics that cannot be read."""
         decoders = Decoders(self.path)
         known: dict[int, Decoder | None] = {}
         for schema, channel, message in messages:
@@ -115,7 +116,7 @@ class McapTable(Table):
             self._rows.setdefault(channel.topic, []).append(fields)
 
     def _take_cut_off(self, others: set[str]) -> bool:
-        """Read the whole messages of a file whose writer ended before it closed the file.
+        """Read the complete messages of a file whose writer ended before it closed the file.
 
         Returns:
             Whether the file is cut off and holds messages. Of a file with a sound end and damage
@@ -147,7 +148,7 @@ class McapTable(Table):
         return found
 
     def stamps(self, base: int) -> Array | None:
-        """Return the logger's stamps of a topic, s since the first message of the file."""
+        """Return the logger's time stamps of a topic, s since the first message of the file."""
         first = min(rows[0][LOG_TIME] for rows in self._rows.values())
         rows: list[dict[str, Any]] = [{LOG_TIME: first}, *self._rows[self._topics[base]]]
         return series(rows, LOG_TIME)[0][1:]

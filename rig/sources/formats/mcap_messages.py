@@ -1,4 +1,5 @@
-"""Numbers inside the messages of MCAP files: JSON, and CDR (ROS 2) and protobuf with their schema.
+"""Decodes the numbers inside the messages of MCAP files: JSON, and CDR (ROS 2) and protobuf with
+their schema.
 
 The decoders of CDR and protobuf are optional libraries.
 """
@@ -22,12 +23,12 @@ from rig.sources.formats.json_numbers import (
 from rig.sources.formats.library import library
 
 Decoder = Callable[[bytes], dict[str, float]]
-"""Returns dotted name and value of every number in a message."""
+"""Function that returns dotted name and value of every number in a message."""
 _LIBRARIES: Final = {
     "cdr": ("mcap_ros2.decoder", "CDR messages of ROS 2"),
     "protobuf": ("mcap_protobuf.decoder", "protobuf messages"),
 }
-"""Encoding of messages to the module that decodes it, and its name."""
+"""Encoding of messages to the module of its decoder and the name of the encoding."""
 _DURATION = "Duration"
 
 
@@ -39,7 +40,7 @@ class Decoders:
         self._factories: dict[str, Any] = {}
 
     def of(self, encoding: str, schema: Schema | None) -> Decoder | None:
-        """Return the decoder of a channel; None where its encoding is not read.
+        """Return the decoder of a channel; None if no decoder reads its encoding.
 
         Raises:
             InputError: The library that decodes it is not installed.
@@ -76,8 +77,8 @@ def _of_ros(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
 
 
 def _of_protobuf(value: Any, prefix: str) -> Iterator[tuple[str, float]]:
-    """Yield the numbers of a protobuf message; a field that is not set and has no default is not
-    there.
+    """Yield the numbers of a protobuf message; a field without a value and without a default is
+    left out.
     """
     descriptor = getattr(value, "DESCRIPTOR", None)
     if descriptor is None:
@@ -111,7 +112,7 @@ def _elements(
 
 
 def _time(members: dict[str, Any], prefix: str, kind: str) -> Iterator[tuple[str, float]]:
-    """Yield a stamp of seconds and nanoseconds as one column; a duration in s."""
+    """Yield a time stamp of seconds and nanoseconds as one column; a duration is in s."""
     stamp = stamp_of(members)
     if stamp is not None and kind.endswith(_DURATION):
         yield prefix, int(stamp) / 1e9

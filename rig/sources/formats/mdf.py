@@ -1,4 +1,4 @@
-"""ASAM MDF files (MF4, and MDF of versions 2 and 3), through the optional asammdf."""
+"""Reader of ASAM MDF files (MF4, and MDF versions 2 and 3) with the optional library asammdf."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ _DAMAGED = (
     struct.error,
     zlib.error,
 )
-"""What asammdf raises on damaged files, beside its own exception."""
+"""Exceptions that asammdf raises on damaged files, in addition to its own exception."""
 _REMEDY = "check that it was copied whole, or open and save it again with its own tool"
 TIME_MASTER = 1
-"""Sync type of a master channel that is time, s."""
+"""Sync type of a master channel that contains the time, s."""
 _MASTERS = {2: "an angle", 3: "a distance", 4: "an index"}
 _LINEAR = {3: 0, 4: 1}
-"""Version to the number of its linear conversion."""
+"""Version of the format to the number of its linear conversion."""
 
 
 class _Channel(NamedTuple):
@@ -52,7 +52,8 @@ class _Channel(NamedTuple):
 
 
 class MdfTable(Table):
-    """One column per channel, named ``group.channel``, without the group where there is only one.
+    """Table with one column for each channel, named ``group.channel``; with only one group, the
+    name of the group is left out.
 
     A channel with an array is ``channel[0]``, ``channel[1]``, ... Conversions of the file are
     applied; samples that its invalidation bits mark are NaN. Labels (value to text) are read as
@@ -94,7 +95,7 @@ class MdfTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with asammdf, and close it.
+        """Open the file with asammdf, and close it at the end.
 
         Raises:
             InputError: It is damaged.
@@ -123,7 +124,9 @@ class MdfTable(Table):
             return [self._values(mdf, self._columns[k], self.names[k]) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
-        """Return the master channel of a group where it is time; see :meth:`Table.stamps`."""
+        """Return the master channel of a group if it contains the time; see
+        :meth:`Table.stamps`.
+        """
         group = self._groups[base]
         index = self._masters.get(group)
         if index is None:
@@ -163,13 +166,16 @@ class MdfTable(Table):
         return values
 
     def _labels(self, mdf: Any, where: _Channel, name: str, samples: NDArray[Any]) -> NDArray[Any]:
-        """Return the numbers behind labels; of text the text itself."""
+        """Return the numbers behind labels; if there are none, the text."""
         numbers = [
             float(value) if isinstance(value, int | float | np.number) else np.nan
             for value in samples.tolist()
         ]
         if np.any(np.isfinite(numbers)):
-            self.note(f"`{name}` has labels between its numbers: read as missing values")
+            self.note(
+                f"`{name}` has text labels between its numbers; the labels are read as "
+                "missing values"
+            )
             return np.array(numbers)
         raw = np.asarray(
             mdf.get(
@@ -187,7 +193,7 @@ class MdfTable(Table):
 
 
 def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
-    """Return a name of each group, all different."""
+    """Return a different name for each group."""
     names = []
     for group in groups:
         stated = str(getattr(mdf.groups[group].channel_group, "acq_name", None) or "").strip()
@@ -199,7 +205,9 @@ def _group_names(mdf: Any, groups: Sequence[int]) -> list[str]:
 
 
 def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
-    """Yield a channel, or each element of its array; of a structure its members are channels."""
+    """Yield a channel, or each element of an array channel; the members of a structure are
+    channels.
+    """
     dependency = mdf.groups[group].channel_dependencies[index]
     if not dependency:
         yield _Channel(group, index, None)
@@ -220,7 +228,7 @@ def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
 
 
 def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
-    """Return factor and offset of a linear conversion; None for another or none."""
+    """Return factor and offset of a linear conversion; None for any other conversion or none."""
     if conversion is None:
         return None
     linear = _LINEAR.get(min(4, max(3, int(str(version)[0]))))

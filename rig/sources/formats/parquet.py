@@ -15,7 +15,7 @@ from rig.sources.formats.table import Table, damaged, open_binary
 
 
 class ParquetTable(Table):
-    """A Parquet file; time stamps are read as seconds since the first.
+    """A Parquet file as a table; time stamps are read as seconds since the first stamp.
 
     Raises:
         InputError: pyarrow is not installed, or the file is damaged.
@@ -74,11 +74,11 @@ class ParquetTable(Table):
 
 
 EXACT = 2**53
-"""Integers up to this size are doubles without rounding."""
+"""Greatest integer up to which doubles represent every integer exactly."""
 
 
 def _first(column: Any) -> int:
-    """Return the first value that is not missing, or 0."""
+    """Return the first value that is not missing; 0 if all are missing."""
     known = column.drop_null()
     return int(known[0].as_py()) if len(known) else 0
 

@@ -1,4 +1,6 @@
-"""Interface of the readers of all file formats: named columns of numbers, places of rows."""
+"""Interface of the readers of all file formats: named columns of numbers, and the place of each row
+in the file.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,8 @@ class Table(ABC):
         return f"{self.path}: {name}row {row + 1}"
 
     def stamps(self, base: int) -> Array | None:
-        """Return the stamps of a time base's rows, s on one clock for the whole file, shape (n,).
+        """Return the time stamps of the rows of a time base, s, on one clock for the whole file,
+        shape (n,).
 
         Returns:
             None where the file has no stamps that all of its time bases share.
@@ -73,12 +76,12 @@ class Table(ABC):
         if len(bases) > 1:
             names = ", ".join(self.base_names[base] for base in bases)
             raise InputError(
-                f"{self.path}: columns of several time bases ({names}) share no rows; use those of "
-                f"one"
+                f"{self.path}: columns of several time bases ({names}) share no rows; use "
+                "columns of one time base"
             )
 
     def note(self, text: str) -> None:
-        """Add a message to the user, once."""
+        """Add a message for the user; a repeated message is added once."""
         if text not in self.notes:
             self.notes = (*self.notes, text)
 
@@ -101,7 +104,7 @@ def format_of(path: Path) -> str:
 
 
 def damaged(path: Path, error: Exception, remedy: str) -> InputError:
-    """Return the message for a file that a library could not read, from the library's error."""
+    """Return the error for a file that a library could not read, from the error of the library."""
     said = str(error).strip().splitlines()
     return InputError(
         f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"

@@ -1,4 +1,4 @@
-"""TDMS files of LabVIEW and DIAdem, through the optional npTDMS."""
+"""Reader of TDMS files of LabVIEW and DIAdem with the optional library npTDMS."""
 
 from __future__ import annotations
 
@@ -33,16 +33,16 @@ _DAMAGED = (
     ValueError,
     struct.error,
 )
-"""What npTDMS raises on damaged files."""
+"""Exceptions that npTDMS raises on damaged files."""
 _FRACTION_S = 2.0**-64
-"""Unit of the fractions of a time stamp, s."""
+"""Unit of the fractional part of a time stamp, s."""
 _UNIT_PROPERTIES = ("unit_string", "NI_UnitDescription")
 _UNSUPPORTED = "Unsupported scale type"
 
 
 class _Waveform(NamedTuple):
-    """Start of a waveform (seconds and 2^-64 s since 1904; None where not stated), the time of its
-    first sample after it and its sample period, s.
+    """Time of a waveform: its start (seconds and 2^-64 s since 1904; None if not stated), the time
+    from the start to its first sample, and its sample period, s.
     """
 
     start: tuple[int, int] | None
@@ -59,11 +59,12 @@ class _Base(NamedTuple):
 class _Column(NamedTuple):
     base: int
     channel: str | None
-    """Name of the channel; None for the time of a waveform."""
+    """Name of the channel; None for the computed time of a waveform."""
 
 
 class TdmsTable(Table):
-    """One column per channel, named ``group.channel``, without the group where there is only one.
+    """Table with one column for each channel, named ``group.channel``; with only one group, the
+    name of the group is left out.
 
     Channels of one group that have the same length and the same waveform properties share their
     rows; the time of a waveform is one more column, ``time``. Scales of the file are applied. A
@@ -87,7 +88,9 @@ class TdmsTable(Table):
                         unit = _unit(channel.properties)
                         found.append((_Column(base, channel.name), channel.name, unit))
             if file.file_status.incomplete_final_segment:
-                self.note("the file is cut off: read as far as all channels of a group go")
+                self.note(
+                    "the file is cut off; only the rows that all channels of a group have are read"
+                )
         if not found:
             raise InputError(f"{path}: holds no channels with samples")
         groups = {base.group for base in self._bases}
@@ -114,7 +117,9 @@ class TdmsTable(Table):
         return self._bases[column.base].group
 
     def _base_of(self, channel: Any, status: Any) -> int:
-        """Return the base of a channel; of a file that is cut off, by its length before the cut."""
+        """Return the time base of a channel; in a file that is cut off, by the channel's length
+        before the cut.
+        """
         cut = (status.channel_statuses or {}).get(channel.path)
         lost = 0 if cut is None else cut.expected_length - cut.read_length
         whole = _Base(channel.group_name, len(channel) + lost, _waveform(channel))
@@ -134,7 +139,7 @@ class TdmsTable(Table):
 
     @contextmanager
     def _opened(self) -> Iterator[Any]:
-        """Open the file with npTDMS, and close it.
+        """Open the file with npTDMS, and close it at the end.
 
         Raises:
             InputError: It is damaged.
@@ -171,7 +176,7 @@ class TdmsTable(Table):
             return [self._values(file, self._columns[k], self.names[k]) for k in columns]
 
     def stamps(self, base: int) -> Array | None:
-        """Return the waveform's time on the clock of the file; see :meth:`Table.stamps`.
+        """Return the time of the waveform on the clock of the file; see :meth:`Table.stamps`.
 
         Without a waveform, a channel of time stamps of the same length is taken.
         """
@@ -219,7 +224,9 @@ def _unit(properties: Mapping[str, Any]) -> str:
 
 
 def _waveform(channel: Any) -> _Waveform | None:
-    """Return the waveform properties of a channel; None where it has none, or is not over time."""
+    """Return the waveform properties of a channel; None if it has none, or if its waveform is not
+    over time.
+    """
     properties = channel.properties
     try:
         increment = float(properties["wf_increment"])
@@ -241,7 +248,7 @@ def _is_dated(channel: Any) -> bool:
 
 
 def _dated_channels(file: Any) -> Iterator[Any]:
-    """Yield the channels of time stamps of a file."""
+    """Yield the channels of a file that contain time stamps."""
     for group in file.groups():
         yield from (channel for channel in group.channels() if len(channel) and _is_dated(channel))
 
@@ -258,7 +265,7 @@ def _since(stamp: tuple[int, int], first: tuple[int, int]) -> float:
 
 
 def _stamp_seconds(stamps: Any) -> Array:
-    """Return time stamps as seconds since the first."""
+    """Return time stamps as seconds since the first stamp."""
     seconds = np.asarray(stamps.seconds, np.int64)
     fractions = np.asarray(stamps.second_fractions, np.uint64)
     first = fractions[0]

@@ -1,7 +1,6 @@
-"""Functions that detect the layout of a delimited text file: encoding, delimiter, header, units,
-dates and times.
+"""Detects the layout of a delimited text file: encoding, delimiter, header, units, dates and times.
 
-All functions but those that open a file are pure functions of lines and cells.
+All functions except those that open a file are pure functions of lines and cells.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ BLANKS = " "
 """Delimiter of columns that are aligned with blanks: any number of blanks or tabs."""
 EMPTY = frozenset({"", "nan", "+nan", "-nan", "na", "n/a", "#n/a", "null", "none", "-"})
 DAY_NS = 86_400 * 10**9
-"""Least value of a time with a date, ns; a time of day without a date is less."""
+"""Least value of a time with a date, ns; a time of day without a date is smaller."""
 END_MARKS = frozenset({"eof", "end of file"})
 _DELIMITERS = (";", "\t", "|", ",")
 _WINDOWS_NAN = re.compile(r"[+-]?\d?\.?#(ind|q?nan|snan|inf)\d*|[+-]?nan\(.*\)", re.IGNORECASE)
@@ -137,7 +136,7 @@ def pointed(cell: str, decimal: str) -> str:
 
 
 def is_empty(cell: str) -> bool:
-    """Return whether a cell states that there is no value."""
+    """Return whether a cell is empty or contains a word for a missing value."""
     return cell.lower() in EMPTY or _WINDOWS_NAN.fullmatch(cell) is not None
 
 
@@ -181,7 +180,8 @@ def counts_columns(cells: Sequence[str], below: Sequence[str]) -> bool:
 
 
 def are_units(cells: Sequence[str], width: int) -> bool:
-    """Whether a line below the names holds no number but short words, as units are.
+    """Return whether a line below the names contains only short words and no number, as a line of
+    units does.
 
     A dash stands for no unit where another cell has one.
     """

@@ -110,7 +110,7 @@ def test_what_cannot_run_cannot_be_started(sequence: Path, tmp_path: Path) -> No
     assert "looser" in found["words"]
     missing = shown(starter, Wish("practical", str(tmp_path / "nothing.yaml")))
     assert (missing["shown"], "no such file" in missing["words"]) == (None, True)
-    with pytest.raises(StartError, match="not a bench of this console"):
+    with pytest.raises(StartError, match="this console was started without this bench"):
         shown(starter, Wish("practical_soft", str(sequence)))
 
 

@@ -138,7 +138,7 @@ def test_another_programs_file_needs_channels(tmp_path: Path, kind: str) -> None
             pytest.importorskip("pyarrow.parquet").write_table(arrow.table({"t": [0.0]}), place)
         case _:
             place.write_bytes(b"no MCAP file")
-    with pytest.raises(InputError, match=r"back\.yaml:4:.*no `channels`, and a\."):
+    with pytest.raises(InputError, match=r"back\.yaml:4:.*`channels` is missing; .* and a\."):
         load_source(campaign(tmp_path, place.name))
 
 

@@ -167,7 +167,7 @@ def test_a_serial_run_has_no_can_frames(run: Path, capsys: pytest.CaptureFixture
     with_frames(run, [RawFrame(0, SERIAL_FLAG | 1, b"abc", True)])
     path = run.parent / "a.log"
     assert status(["export", str(run), "--format", "candump", "--out", str(path)]) == 2
-    assert "its wire is a serial line" in capsys.readouterr().err
+    assert "its bus is a serial line" in capsys.readouterr().err
     assert not path.exists()
 
 

@@ -354,7 +354,8 @@ def test_an_asc_file_without_its_usual_head_loses_no_frame(tmp_path: Path) -> No
     found = table(tmp_path / "a.asc")
     np.testing.assert_allclose(found.read([0])[0], np.arange(100) * 1e-3, atol=1e-9)
     same(found.read([found.names.index("Motion.Turns")])[0], np.arange(100) * 0.5 - 100)
-    assert "stamps since the event before: added up" in found.notes
+    words = "the time stamps count from the previous event: summed to times since the start"
+    assert words in found.notes
     assert "line 103 has no end: dropped, it may be cut off" in found.notes
 
 

@@ -293,7 +293,7 @@ def test_damage_is_said_and_what_is_before_it_arrives(whole: Path, tmp_path: Pat
     with served(path) as address, client(address) as got:
         got.subscribe("/sample")
         got.until(lambda: bool(got.status))
-        assert "cannot be read on: a chunk" in got.status[0]
+        assert "the rest of the recording cannot be read: a chunk" in got.status[0]
         assert 4_000 < got.count("/sample") < 8_000
 
 

@@ -140,7 +140,7 @@ class Transmitter:
 
     Attributes:
         noise_Pa: Noise (rms) of one sample.
-        range_Pa: Highest pressure that it measures.
+        range_Pa: Highest pressure that the transmitter measures.
     """
 
     noise_Pa: float = 1500.0
@@ -201,7 +201,7 @@ class Machine:
         supply_V: Supply voltage.
         temperature_C: Temperature that the drive reports at the start.
         warming_K: Final rise of the reported temperature.
-        warming_s: Time constant of this rise.
+        warming_s: Time constant of the rise of the reported temperature.
         effects: Injected effects, which the recorded bench file does not state: values of the
             parameters of each effect. [Catalogue](effects.md).
     """

@@ -1,1 +1,3 @@
-"""Sealed rigs as plain files: written by anybody's simulator, diagnosed, opened and scored here."""
+"""Sealed rigs as plain files: any simulator can write them, and this package diagnoses, opens and
+scores them.
+"""

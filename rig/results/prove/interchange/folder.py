@@ -1,8 +1,8 @@
-"""A folder of sealed rigs: ``NAME/campaign.yaml`` and its recordings, ``sealed/NAME.yaml`` or
-``sealed/NAME.json`` with the truth.
+"""Folder of sealed rigs: ``NAME/campaign.yaml`` with its recordings, and the truth in
+``sealed/NAME.yaml`` or ``sealed/NAME.json``.
 
-``sealed/NAME.reference/campaign.yaml``, where there is one, is the same rig without its effects.
-``SHA256SUMS``, where there is one, lists the digest of every file, as ``sha256sum`` writes it.
+The optional ``sealed/NAME.reference/campaign.yaml`` is the same rig without its effects. The
+optional ``SHA256SUMS`` lists the digest of every file in the format of ``sha256sum``.
 """
 
 from __future__ import annotations
@@ -25,11 +25,13 @@ REFERENCE = ".reference"
 SUMS_FILE = "SHA256SUMS"
 SUFFIXES = (".yaml", ".yml", ".json")
 PREFIX = "rig-"
-"""Of the folder of a rig whose truth is named by its number alone, as ``rig prove`` writes it."""
+"""Name of the folder of a rig whose truth has only a number as its name, as written by ``rig
+prove``.
+"""
 
 
 class SealedRig(NamedTuple):
-    """One rig of such a folder.
+    """One rig of a folder of sealed rigs.
 
     Attributes:
         name: Name of its folder.
@@ -47,7 +49,7 @@ class SealedRig(NamedTuple):
 
 
 def place(home: Path, name: str) -> SealedRig:
-    """Return where the files of a rig of this name are written."""
+    """Return the paths to which the files of a rig with this name are written."""
     sealed = home / SEALED
     return SealedRig(
         name,
@@ -58,7 +60,7 @@ def place(home: Path, name: str) -> SealedRig:
 
 
 def sealed_rigs(home: Path) -> list[SealedRig]:
-    """Return the rigs of a folder in the order of their names, with the digests of their truths.
+    """Return the rigs of a folder in order of their names, with the digests of their truths.
 
     Raises:
         InputError: There are none, or a truth cannot be read.
@@ -98,7 +100,7 @@ def write_truth(where: SealedRig, truth: Mapping[str, Any]) -> None:
 
 
 def write_sums(home: Path) -> Path:
-    """Write the digest of every file of the folder; return the file.
+    """Write the digest of every file of the folder; return the path of the list.
 
     Raises:
         OSError: It cannot be written.

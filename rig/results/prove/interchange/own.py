@@ -1,4 +1,4 @@
-"""Trials of the project's own plant, written down for other tools: campaigns and sealed truths."""
+"""Writes trials of the project's own plant for other tools: campaigns and sealed truths."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ Numbered = tuple[int, Assigned]
 def seal_own(
     home: Path, rigs: int, seed: int, jobs: int, progress: Callable[[str, float], None]
 ) -> list[SealedRig]:
-    """Draw, simulate and seal trials; return them with their digests. Nothing is diagnosed.
+    """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
 
     Trials that are there already are kept, so that a call that was stopped can be repeated.
 

@@ -1,4 +1,4 @@
-"""Judges sealed rigs, whoever made them: all are diagnosed first, then all truths are opened."""
+"""Judges sealed rigs from any simulator: diagnoses all rigs first, then opens all truths."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class FromProof(NamedTuple):
 
 
 def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
-    """Take the seals of a folder, or continue a proof that was begun with them.
+    """Read the seals of a folder, or continue a proof that began with these seals.
 
     Raises:
         InputError: The folder has no sealed rigs, or files that were changed; or ``out`` holds a
@@ -73,7 +73,7 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
 
 
 def diagnose_all(proof: FromProof, judge: Judge, jobs: int, progress: Progress) -> None:
-    """Diagnose the rigs that are not done yet; no truth is opened.
+    """Diagnose the rigs that have no judgement yet; no truth is opened.
 
     Args:
         proof: The proof as begun.
@@ -93,7 +93,7 @@ def diagnose_all(proof: FromProof, judge: Judge, jobs: int, progress: Progress) 
 
 
 def _diagnosed(numbered: tuple[int, SealedRig], proof: FromProof, judge: Judge) -> str:
-    """Diagnose one rig and keep its judgement; return its name."""
+    """Diagnose one rig and store the judgement; return the name of the rig."""
     number, rig = numbered
     try:
         judgement = judge(rig.campaign, diagnosis_seed(proof.seed, number))
@@ -147,7 +147,10 @@ def score_all(
     """
     missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]
     if missing:
-        raise InputError(f"{proof.out}: not diagnosed yet: {', '.join(missing)}; truths stay shut")
+        raise InputError(
+            f"{proof.out}: not diagnosed yet: {', '.join(missing)}; the truths "
+            "are opened only after all rigs are diagnosed"
+        )
     rows = []
     for n, rig in enumerate(proof.rigs, start=1):
         file = proof.file(ROWS, rig)
@@ -186,7 +189,7 @@ def _row(proof: FromProof, rig: SealedRig, oracle: Oracle, floors: Floors) -> di
 
 
 def _recordings(campaign: Path) -> list[str]:
-    """Return the names of a campaign's recordings, as a diagnosis gives them."""
+    """Return the names of a campaign's recordings in the form that a diagnosis uses."""
     names = []
     for section in load_campaign(campaign).value.recordings:
         files = (section.file,) if isinstance(section.file, str) else section.file

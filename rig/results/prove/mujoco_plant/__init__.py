@@ -1,1 +1,3 @@
-"""A plant from elsewhere: MuJoCo's joint, friction, motor and tendons, in a drive's loops."""
+"""Plant from an independent simulator: MuJoCo's joint, friction, motor and tendons, in the loops of
+a drive.
+"""

@@ -1,4 +1,6 @@
-"""The drive around MuJoCo's motor: encoder, position, velocity and current loop, in one tick."""
+"""The drive around MuJoCo's motor: encoder, position loop, velocity loop and current loop in one
+step.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,7 @@ LAST, SPEED, SUM, CURRENT_SUM, STATES = range(5)
 
 
 def settings(world: World) -> Array:
-    """Return the loop's settings, in the order of the names above.
+    """Return the settings of the loops, in the order of the names above.
 
     A ``pd`` loop overcomes the static friction with an error that falls with its gain, a third of
     the smallest motion at 1 Hz.
@@ -62,7 +64,7 @@ def settings(world: World) -> Array:
 
 @compiled
 def asked(p: Array, s: Array, command: float, speed: float, angle: float, current: float) -> float:
-    """Return the voltage that the drive asks for; updates its states.
+    """Return the voltage that the drive commands, and update the states of the drive.
 
     Args:
         p: Settings.

@@ -1,5 +1,5 @@
-"""What is set before each of MuJoCo's steps: the level of dry friction, and torques of effects that
-MuJoCo does not have.
+"""Values that are set before each step of MuJoCo: the level of dry friction, and the torques of
+effects that MuJoCo does not have.
 """
 
 from __future__ import annotations
@@ -14,9 +14,11 @@ from rig.results.prove.worlds.world import Array, World
 
 F_REF_N = 3000.0
 RESTING = 2e-5
-"""Share of a speed scale below which a joint rests: MuJoCo's friction creeps, see the tests."""
+"""Share of a speed scale below which a joint counts as resting, because MuJoCo's friction creeps
+(see the tests).
+"""
 AGED_OFF = 3.0
-"""Stribeck speeds beyond which the time at rest is forgotten."""
+"""Number of Stribeck speeds above which the time at rest is set to zero."""
 (
     MC, MS, W_SF, ALPHA, ARM, MU_C, MU_S, W_SL, MU_2, SHARE,
     FORCE, SLOPE, SWING, SWING_HZ, SWING_S, PIVOT, PER_LOAD, HUNG, ZERO,
@@ -135,7 +137,7 @@ def damping(f: Array, t: float, q: float) -> float:
 def further(
     f: Array, s: Array, since: float, phi: float, w: float, current: float, dt: float
 ) -> float:
-    """Return the torque at the motor's side that MuJoCo's motor does not have, N m at the joint.
+    """Return the torque at the motor's side that MuJoCo's motor does not model, N m at the joint.
 
     Args:
         f: Values.

@@ -1,10 +1,11 @@
-"""The machine in MuJoCo's own terms: bodies, joints, tendons and ``dcmotor``, one recording each.
+"""The machine as a MuJoCo model: bodies, joints, tendons and ``dcmotor``; one model for each
+recording.
 
-What MuJoCo has by itself is left to it: dry friction of the joint (``frictionloss``, which a
-constraint solves), linear and quadratic damping, armature, gravity of bodies, springs, tendons with
-a dead band or limits, elasto-plastic tendons; of the ``dcmotor`` resistance, inductance, back-EMF,
-cogging, heating and LuGre friction. The level of dry friction is set before each step, since MuJoCo
-has no Stribeck curve and no load friction.
+MuJoCo itself simulates dry friction of the joint (``frictionloss``, which a constraint solves),
+linear and quadratic damping, armature, gravity of bodies, springs, tendons with a dead band or
+limits, and elasto-plastic tendons; and of the ``dcmotor`` resistance, inductance, back-EMF,
+cogging, heating and LuGre friction. The level of dry friction is set before each step, because
+MuJoCo has no Stribeck curve and no load friction.
 """
 
 from __future__ import annotations
@@ -17,15 +18,19 @@ from rig.results.prove.worlds.world import World
 ELASTIC = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 """Effects for which motor and joint are two bodies."""
 STIFFNESS_OVER_LOOP = 0.02
-"""Damping of a tendon between motor and joint, share of the critical one."""
+"""Damping of a tendon between motor and joint, as a share of the critical damping."""
 ECCENTRIC_M = 1e-3
-"""Distance of an unbalanced mass from the axis: so short that its inertia is nothing."""
+"""Distance of an unbalanced mass from the axis, m; it is so short that the inertia of the mass is
+negligible.
+"""
 COPPER_PER_K = 0.00393
 AMBIENT_C = 25.0
 TINY = 1e-9
 FAR_RAD = 50.0
 IMPEDANCE = 0.9999
-"""Greatest that MuJoCo takes; how hard its friction holds, see ``stiction`` in the tests."""
+"""Greatest constraint impedance that MuJoCo accepts; a test of stiction shows how firmly its
+friction then holds.
+"""
 
 
 def two_bodies(world: World) -> bool:

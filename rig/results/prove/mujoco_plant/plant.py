@@ -1,13 +1,11 @@
-"""MuJoCo's machine in the drive's loops: from a world to signals.
+"""Simulates worlds with MuJoCo's machine in the loops of a drive, and returns the signals.
 
-MuJoCo's friction is a constraint that its solver keeps softly. With the impedance and the time
-constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less than
-2e-6 of its speed scale, and breaks away within 0.5 % of the level that is set; the level itself is
-one step late.
-
-A step of MuJoCo accelerates the joint with the current at the step's end, and its angle with the
-speed at the step's end. The angle before a step is therefore logged one stamp later, so that it
-agrees with the current that caused the motion.
+MuJoCo's friction is a constraint that its solver keeps approximately. With the impedance and the
+time constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less
+than 2e-6 of its speed scale, and breaks away within 0.5 % of the set level; the level itself is one
+step late. A step of MuJoCo accelerates the joint with the current at the end of the step, and moves
+it with the speed at the end of the step. The angle before a step is therefore logged one time stamp
+later, so that it agrees with the current that caused the motion.
 """
 
 from __future__ import annotations
@@ -51,7 +49,7 @@ MISSING = (
 
 
 class Views(NamedTuple):
-    """MuJoCo's state and settings, seen in place.
+    """Views of MuJoCo's state and settings, which change in place.
 
     Attributes:
         angle: Angles of the joints, rad; the motor's first where it has a body of its own.
@@ -73,7 +71,7 @@ class Views(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What one recording is played with.
+    """Data with which one recording is simulated.
 
     Attributes:
         loop: Settings of the drive.
@@ -94,7 +92,7 @@ class Given(NamedTuple):
 
 
 class MujocoPlant:
-    """MuJoCo's machine; see :class:`rig.results.prove.worlds.seal.Plant`."""
+    """Plant that MuJoCo simulates; see :class:`rig.results.prove.worlds.seal.Plant`."""
 
     effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
     outside: Collection[str] = frozenset({"x_timed_torque", "x_switching_torque", "x_cubic_spring"})
@@ -107,7 +105,7 @@ class MujocoPlant:
     )
 
     def play(self, world: World) -> Iterator[Signals]:
-        """Yield what the machine does in each recording.
+        """Yield the signals of the machine in each recording.
 
         Raises:
             InputError: MuJoCo is not installed.
@@ -124,7 +122,7 @@ class MujocoPlant:
 
 
 def require_mujoco() -> None:
-    """Check that MuJoCo is there.
+    """Check that MuJoCo is installed.
 
     Raises:
         InputError: It is not installed; the message says how to install it.
@@ -134,7 +132,9 @@ def require_mujoco() -> None:
 
 
 def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signals, float]:
-    """Return the signals of recording ``k``, and how much warmer its winding is at the end, K."""
+    """Return the signals of recording ``k``, and the temperature rise of the winding at its
+    end, K.
+    """
     planned, rate = world.recordings[k], world.drive.rate_Hz
     model = mujoco.MjModel.from_xml_string(xml(world, k, 1.0 / rate))
     data = mujoco.MjData(model)
@@ -211,7 +211,7 @@ def _stage(world: World, session_s: float) -> Array:
 
 @compiled
 def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> None:
-    """Do what the drive and the further physics do before one of MuJoCo's steps.
+    """Compute the drive and the effects that MuJoCo does not have, before one step of MuJoCo.
 
     Args:
         row: Number of the step.

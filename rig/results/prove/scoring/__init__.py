@@ -1,1 +1,1 @@
-"""Rates, lists and pages of a proof, from its rows."""
+"""Computes rates, lists and pages of a proof from its rows."""

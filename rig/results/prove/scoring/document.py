@@ -1,4 +1,4 @@
-"""Output of ``rig prove``: the blind proof as a document."""
+"""Output of ``rig prove`` as a document: the blind proof."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _PLACES = {
 
 
 def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
-    """Return a proof, the record of its result file, as a document."""
+    """Return a proof as a document, from the record of its result file."""
     return Document(
         "The blind proof",
         f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
@@ -90,7 +90,7 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
 
 
 def _rates(result: Mapping[str, Any]) -> Table:
-    """Return the proof's rates, one row each; those without trials are left out."""
+    """Return the rates of the proof, one row each; rates without trials are left out."""
     rows = []
     for key, words in _RATES.items():
         found = result[key]
@@ -103,7 +103,7 @@ def _rates(result: Mapping[str, Any]) -> Table:
 
 
 def _methods(result: Mapping[str, Any]) -> Table:
-    """Return the diagnosis and the baseline methods on the same trials."""
+    """Return the scores of the diagnosis and the baseline methods on the same trials."""
     names = [m for m in _TITLES if m in result["methods"]]
     rows = []
     for key, words in _METHODS.items():
@@ -122,7 +122,7 @@ def _methods(result: Mapping[str, Any]) -> Table:
 
 
 def _places(result: Mapping[str, Any]) -> Table:
-    """Return how often the mismatch was found where the effect shows."""
+    """Return how often the diagnosis found the mismatch where the effect shows."""
     rows = []
     for key, words in _PLACES.items():
         found = result["location"][key]
@@ -141,7 +141,7 @@ def _share(found: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _reliability(result: Mapping[str, Any]) -> Table:
-    """Return how often names of each confidence are right."""
+    """Return the share of right names for each band of confidence."""
     rows = tuple(
         (f"{b['from']:.1f} to {b['to']:.1f}", f"{b['mean_confidence']:.2f}", *_share(b["right"]))
         for b in result["reliability"]
@@ -173,7 +173,7 @@ def _refused(result: Mapping[str, Any]) -> Table:
 
 
 def _axes(result: Mapping[str, Any]) -> Table:
-    """Return how often the verdict is right by each axis of the world."""
+    """Return the share of right verdicts for each axis of the world."""
     rows = tuple(
         (axis, part["value"], *_share(part["right"]), str(part["refused"]))
         for axis, parts in result["by_axis"].items()

@@ -1,4 +1,4 @@
-"""A share with its interval."""
+"""Computes a share with its interval."""
 
 from __future__ import annotations
 

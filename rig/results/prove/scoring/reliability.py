@@ -1,4 +1,6 @@
-"""Whether names are right: by their confidence, by the world's axes, and each wrong one."""
+"""Reliability of the names that diagnoses give: by confidence, by axes of the world, and a list of
+the wrong names.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +13,16 @@ import numpy as np
 from rig.results.prove.scoring.rates import Row, rate
 
 BINS = 10
-"""Bins of confidence between 0 and 1."""
+"""Number of bins of confidence between 0 and 1."""
 PARTS = 3
-"""Parts of equal numbers into which the values of a numeric axis are divided."""
+"""Number of parts with equally many values into which a numeric axis is divided."""
 FEW = 5
-"""Different values of a numeric axis up to which each stands for itself."""
+"""Number of different values of a numeric axis up to which each value is a part of its own."""
 
 
 def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return every name that was given: trial, name, confidence, and whether it is right.
+    """Return every name that a diagnosis gave: trial, name, confidence, and whether the name is
+    right.
 
     A name is right if it, or one of its alias group, is injected and not claimed before.
     """
@@ -41,8 +44,8 @@ def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def reliability(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return in which share of each bin of confidence the name is right; bins without names are
-    left out.
+    """Return the share of right names for each bin of confidence; bins without names are left
+    out.
     """
     binned: dict[int, list[dict[str, Any]]] = defaultdict(list)
     for name in names_given(rows):
@@ -59,14 +62,15 @@ def reliability(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def wrong_names(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return the names that are wrong, the most confident first."""
+    """Return the wrong names, the most confident name first."""
     wrong = [n for n in names_given(rows) if not n["right"]]
     return sorted(wrong, key=lambda n: -n["confidence"])
 
 
 def right(row: Row) -> bool:
-    """Return whether a trial's verdict is right: its effects first, none where none is injected,
-    outside the catalogue where that is so.
+    """Return whether a trial's verdict is right: the injected effects come first, or nothing is
+    identified if none is injected, or the verdict is outside the catalogue if the effect is not in
+    it.
     """
     if row["kind"] == "outside":
         return bool(row["verdict"] == "outside_catalogue")
@@ -76,7 +80,7 @@ def right(row: Row) -> bool:
 
 
 def by_axis(rows: Sequence[Row]) -> dict[str, list[dict[str, Any]]]:
-    """Return by each axis of the world how often the verdict is right."""
+    """Return the share of right verdicts for each part of each axis of the world."""
     axes: dict[str, list[tuple[Any, Row]]] = defaultdict(list)
     for row in rows:
         for axis, value in row.get("axes", {}).items():

@@ -1,4 +1,6 @@
-"""The proof's figures from its rows: rates with intervals, confusion, power against strength."""
+"""Computes the figures of a proof from its rows: rates with intervals, confusion, power against
+strength.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,18 @@ from rig.results.prove.scoring.reliability import by_axis, reliability, right, w
 PROVE_SCHEMA = "loadrig.prove/3"
 RESULT_FILE = "prove.json"
 STRONG = 3.0
-"""Least strength (rms change over noise in the channel that shows it best) of an effect that must
-be identified.
+"""Least strength of an effect that must be identified: rms change over noise, in the channel that
+shows the effect best.
 """
 TORQUE = "current"
-"""Channel of an effect's share of the torque: the motor's current, in motion."""
+"""Channel in which the torque of an effect is measured: the motor current during motion."""
 NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}
-"""What a baseline method says of a trial that could not be diagnosed."""
+"""Score of a baseline method on a trial that could not be diagnosed."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
 def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
-    """Return how many rows have ``key`` true."""
+    """Return the number of rows in which ``key`` is true."""
     return rate(sum(bool(row[key]) for row in rows), len(rows))
 
 
@@ -93,14 +95,14 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _beside(row: Row) -> float:
-    """Return the remaining strength of the fainter of two effects, with the other one known."""
+    """Return the smaller remaining strength of two effects, each with the other effect known."""
     return (
         0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
     )
 
 
 def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return the scores of the diagnosis and of each baseline method, on the same trials.
+    """Return the scores of the diagnosis and of each baseline method on the same trials.
 
     The alias group of a baseline method's effect is the effect alone. ``outside_named`` counts
     trials outside the catalogue on which an effect was identified; ``exact`` counts trials of the
@@ -136,8 +138,8 @@ def _method(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return how often the mismatch was found where the effect shows, over trials on which any was
-    found.
+    """Return how often the diagnosis found the mismatch where the effect shows, over the trials
+    with a found mismatch.
     """
     found = [
         row["location"]
@@ -154,7 +156,9 @@ def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return true effect -> first identified effect, or the verdict without one -> count."""
+    """Return true effect -> first identified effect (or the verdict if no effect was identified) ->
+    number of trials.
+    """
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
         called = row["named"][0]["name"] if row["named"] else row["verdict"]
@@ -163,7 +167,9 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return detection and identification against strength, one entry per band with trials."""
+    """Return the rates of detection and identification against strength, one entry for each band
+    with trials.
+    """
     bands = []
     for low, high in pairwise(EDGES):
         mine = [row for row in rows if low <= row["strength"] < high]
@@ -175,7 +181,7 @@ def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return on how many trials the held-out error rose by more than the noise floor."""
+    """Return the number of trials on which the held-out error rose by more than the noise floor."""
     known = [
         row
         for row in rows

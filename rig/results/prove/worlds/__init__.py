@@ -1,1 +1,1 @@
-"""Worlds: machine, drive, encoders, logger and motions of a trial, all drawn, for any plant."""
+"""Worlds: draws machine, drive, encoders, logger and motions of a trial, for any plant."""

@@ -25,9 +25,11 @@ from rig.results.prove.worlds.world import Drive, Log, Pendulum, Planned, Sensin
 FEWEST, MOST = 2, 16
 SHORTEST_S, LONGEST_S = 5.0, 30.0
 MOST_ROWS = 300_000
-"""Rows of all recordings of a world, about; recordings at a high rate are fewer, not shorter."""
+"""Approximate number of rows of all recordings of a world; at a high sample rate a world has fewer
+recordings, not shorter ones.
+"""
 SHARES: dict[Kind, float] = {"one": 60.0, "nothing": 25.0, "two": 10.0, "outside": 5.0}
-"""Trials of each kind in a hundred; other sizes have the same proportions."""
+"""Number of trials of each kind in a hundred; proofs of other sizes have the same proportions."""
 LOADS = ("none", "lever", "pendulum")
 
 
@@ -53,7 +55,9 @@ def worlds_assignment(
 
 
 def _pair(names: Sequence[str], rng: np.random.Generator) -> tuple[str, str]:
-    """Return two effects that one machine can have: a load is a lever or a pendulum."""
+    """Return two effects that one machine can have; a machine has either a lever or a pendulum as
+    load.
+    """
     while True:
         first, second = (names[k] for k in rng.choice(len(names), 2, replace=False))
         needs = NEEDS.get(first, frozenset()) | NEEDS.get(second, frozenset())
@@ -101,12 +105,12 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
 
 
 def without_effects(world: World) -> World:
-    """Return the same world with nothing injected."""
+    """Return the same world without injected effects."""
     return replace(world, effects={})
 
 
 def _voltages(needs: Collection[str]) -> tuple[str, ...]:
-    """Return the ways in which the voltage may be known so that the effects can show."""
+    """Return the kinds of voltage channel with which the effects can show."""
     if "commanded voltage" in needs:
         return ("commanded",)
     return ("commanded", "measured") if "voltage" in needs else ("commanded", "measured", "absent")
@@ -131,7 +135,7 @@ def _recordings(
     log_: Log,
     load: tuple[str, int],
 ) -> tuple[Planned, ...]:
-    """Draw the recordings; one in four is set aside where there are three or more."""
+    """Draw the recordings; of three or more recordings, one in four has role validate."""
     kind, loads = load
     count = round(log(FEWEST - 0.4, MOST + 0.4)(chain))
     affordable = int(MOST_ROWS / (0.5 * (SHORTEST_S + LONGEST_S) * log_.rate_Hz))
@@ -157,8 +161,8 @@ def _recordings(
 
 
 def _load_of(k: int, kind: str, loads: int, body: Body) -> tuple[float, Pendulum | None]:
-    """Return the weight on the lever, or on the joint, of recording ``k``; the lever's first
-    recording bears none.
+    """Return the weight on the lever, or on the joint, in recording ``k``; the first recording with
+    a lever has no weight.
     """
     if kind == "lever":
         place = k % (loads + 1)
@@ -171,7 +175,9 @@ def _load_of(k: int, kind: str, loads: int, body: Body) -> tuple[float, Pendulum
 
 
 def _reach(body: Body) -> Reach:
-    """Return what a command may ask: half of the torque that friction leaves accelerates."""
+    """Return the limits of a command; half of the torque that friction leaves may accelerate the
+    joint.
+    """
     constants = body.constants
     friction = constants.Mc + constants.sigma_2 * body.speed
     load = constants.mu_c * body.heaviest_kg * body.lever_ratio * GRAVITY_M_S2 * body.moment_arm_m
@@ -180,7 +186,9 @@ def _reach(body: Body) -> Reach:
 
 
 def _scale(body: Body, recordings: Sequence[Planned]) -> Scale:
-    """Return what the sizes of effects are drawn against, from the motions of the fit."""
+    """Return the scales for the sizes of effects, from the motions of the recordings with role
+    fit.
+    """
     fitted = [(k, r) for k, r in enumerate(recordings, start=1) if r.role == "fit"]
     steps = [np.abs(np.diff(r.command)).max() for _, r in fitted]
     ends = [end for _, r in fitted for end in (r.command.min(), r.command.max())]
@@ -216,7 +224,7 @@ def _torque_of(hung: Pendulum | None) -> float:
 def _axes(
     body: Body, drive: Drive, sensing: Sensing, log_: Log, recordings: Sequence[Planned]
 ) -> dict[str, Axis]:
-    """Return the place in the world, in words and numbers."""
+    """Return the values of a world on all axes, as words and numbers."""
     encoders = (("motor", sensing.motor_bits), ("joint", sensing.joint_bits))
     return {
         "peak_Nm": float(f"{body.peak_N_m:.3g}"),

@@ -1,6 +1,7 @@
-"""A world on disk: campaign file and recordings, as an engineer would describe them, and the truth.
+"""Writes a world to disk: campaign file and recordings in the form that an engineer would use, and
+the truth.
 
-Nothing of the effects is in the campaign.
+The campaign contains no trace of the effects.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ FORMATS: Mapping[str, str] = {
     "supply_voltage": "%.6g",
 }
 ANGLES = "%.9g"
-"""Of all other columns: 24 bit of a turn are 4e-7 rad."""
+"""Format of all other columns; a step of a 24-bit encoder is 4e-7 rad."""
 
 
 def write_world(folder: Path, world: World, logged: Sequence[Columns]) -> Path:
@@ -96,8 +97,8 @@ def _entry(world: World, planned: Planned) -> dict[str, Any]:
 
 
 LATE_NAMES = ("time_skew", "current_loop_lag")
-"""Effects that are no error in a world whose logger filters the current: a low-pass of the corner
-f makes it late by 1 / (2 pi f), 0.2 to 0.8 ms.
+"""Effects that do not count as an error in a world whose logger filters the current: a low-pass
+filter of corner frequency f delays the current by 1 / (2 pi f), 0.2 to 0.8 ms.
 """
 
 

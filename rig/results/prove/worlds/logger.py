@@ -1,6 +1,6 @@
-"""The logger of a world: signals at the rate of the loops to columns at the rate of the log.
+"""Logger of a world: converts signals at the rate of the loops to columns at the rate of the log.
 
-Effects of the sensing are made here: they change what is logged, not what moves.
+Effects of the sensing are applied here, because they change the logged values and not the motion.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from scipy.signal import lfilter
 from rig.results.prove.worlds.world import Array, Signals, World
 
 LINES = 4096
-"""Lines of an interpolating joint encoder."""
+"""Number of lines of an interpolating joint encoder."""
 Columns = dict[str, Array]
 Rows = NDArray[np.int64]
 
 
 def columns(world: World, k: int, signals: Signals, rng: np.random.Generator) -> Columns:
-    """Return the logged columns of recording ``k``: canonical names, SI, one row a stamp.
+    """Return the logged columns of recording ``k``: canonical names, SI units, one row for each
+    time stamp.
 
     Args:
         world: The world.
@@ -104,14 +105,14 @@ def _joint(world: World, k: int, signals: Signals, rows: Rows, rng: np.random.Ge
 
 
 def _counted(angle: Array, bits: int, world: World, rng: np.random.Generator) -> Array:
-    """Return an angle in whole counts, with flicker where it lies between two."""
+    """Return an angle in whole counts; an angle between two counts flickers."""
     count = 2.0 * np.pi / 2.0**bits
     noise = world.sensing.flicker * rng.standard_normal(len(angle))
     return np.asarray(np.round(angle / count + noise) * count)
 
 
 def _late(world: World, signal: Array, channel: str, further_s: float = 0.0) -> Array:
-    """Return a signal as late as its channel is sampled.
+    """Return a signal delayed by the sampling delay of its channel.
 
     A positive ``time_skew`` is a current that is late against the angles, a negative one angles
     that are late against current and voltage.

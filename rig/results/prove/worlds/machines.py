@@ -1,4 +1,6 @@
-"""Draws the machine: from a hobby servo to the valve, with its drive, encoders and logger."""
+"""Draws the machine of a world, from a hobby servo to the valve, with its drive, encoders and
+logger.
+"""
 
 from __future__ import annotations
 
@@ -13,15 +15,15 @@ from rig.results.prove.worlds.world import Constants, Drive, Log, Motor, Sensing
 
 GRAVITY_M_S2 = 9.80665
 SMALLEST_N_M, LARGEST_N_M = 0.2, 40.0
-"""Greatest torque of the smallest and of the largest machine."""
+"""Greatest torque of the smallest and of the largest machine, N m."""
 LOOP_RATES_HZ = (2000, 4000, 8000)
 LOG_RATES_HZ = (100, 200, 250, 500, 1000, 2000, 4000)
 LEAST_GAIN_HZ, MOST_GAIN_HZ = 1.0, 16.0
-"""Bandwidth of the position loop."""
+"""Range of the bandwidth of the position loop."""
 
 
 class Body(NamedTuple):
-    """The machine without its chain.
+    """The machine without drive, encoders and logger.
 
     Attributes:
         peak_N_m: Greatest torque at the joint.
@@ -74,7 +76,9 @@ def draw_body(rng: np.random.Generator, falls: bool) -> Body:
 
 
 def _motor(rng: np.random.Generator, peak: float, speed: float) -> Motor:
-    """Draw a motor that reaches the peak torque, and the speed with half of its supply."""
+    """Draw a motor that reaches the peak torque, and that reaches the speed with half of its supply
+    voltage.
+    """
     supply = float(rng.choice((6.0, 12.0, 24.0, 48.0, 60.0)))
     limit = 2.0 * peak * speed / supply * log(1.3, 5.0)(rng)
     gear = float(round(log(20.0, 300.0)(rng)))
@@ -92,7 +96,7 @@ def _motor(rng: np.random.Generator, peak: float, speed: float) -> Motor:
 
 
 def draw_drive(rng: np.random.Generator) -> Drive:
-    """Draw the loops; gains over a factor of sixteen."""
+    """Draw the drive loops; the gains vary by a factor of sixteen."""
     rate = int(rng.choice(LOOP_RATES_HZ))
     cascade = rng.uniform() < 0.7
     position = log(LEAST_GAIN_HZ, MOST_GAIN_HZ)(rng)

@@ -1,5 +1,5 @@
-"""Commanded motions: shapes without scale, brought within the machine's travel, speed and
-acceleration.
+"""Draws commanded motions: shapes without scale, scaled into the limits of the machine's travel,
+speed and acceleration.
 """
 
 from __future__ import annotations
@@ -14,15 +14,17 @@ from rig.results.prove.worlds.world import COMMAND_S, Array
 SMOOTHED_S = 0.12
 EASED_S = 0.6
 SLOWER = (1.0, 0.6, 0.35, 0.2)
-"""Shares of its pace at which a motion is tried, until the acceleration leaves it worth making."""
+"""Factors on the speed of a motion that are tried until the acceleration permits a useful
+travel.
+"""
 WORTH = 0.3
-"""Least share of the travel of a motion that is worth making."""
+"""Least share of the travel that a useful motion has."""
 Shape = Callable[[np.random.Generator, Array], Array]
-"""(generator, times) to a path without scale."""
+"""Function of (generator, times) that returns a path without scale."""
 
 
 class Reach(NamedTuple):
-    """What a command may ask: travel in rad, speed in rad/s, acceleration in rad/s^2."""
+    """Limits of a command: travel in rad, speed in rad/s, acceleration in rad/s^2."""
 
     travel: float
     speed: float
@@ -32,7 +34,7 @@ class Reach(NamedTuple):
 def command(
     rng: np.random.Generator, motion: str, duration_s: float, lead_s: float, reach: Reach
 ) -> Array:
-    """Draw the command of one recording; it begins at rest, at zero.
+    """Draw the command of one recording, which begins at rest at zero.
 
     Args:
         rng: Generator.
@@ -109,7 +111,7 @@ def _ramps(rng: np.random.Generator, t: Array) -> Array:
 
 
 def _pick_and_place(rng: np.random.Generator, t: Array) -> Array:
-    """Moves with a smooth acceleration between a few places, each with a rest."""
+    """Return moves with a smooth acceleration between a few places, with a rest at each place."""
     places, path = rng.uniform(-1.0, 1.0, int(rng.integers(2, 5))), np.zeros_like(t)
     at, level, k = 0.0, 0.0, 0
     while at < t[-1]:

@@ -1,4 +1,6 @@
-"""Seals worlds on a plant: drawn, simulated with and without their effects, written down."""
+"""Draws worlds, simulates them on a plant with and without their effects, and writes and seals
+them.
+"""
 
 from __future__ import annotations
 
@@ -26,11 +28,11 @@ from rig.results.prove.worlds.logger import Columns, columns
 from rig.results.prove.worlds.world import Array, Signals, World
 
 MOVING = 0.05
-"""Share of a recording's greatest speed from which on the joint counts as moving."""
+"""Share of a recording's greatest speed above which the joint counts as moving."""
 
 
 class Plant(Protocol):
-    """A simulated machine that plays worlds.
+    """A simulated machine that simulates the recordings of worlds.
 
     Attributes:
         effects: Effects of the catalogue that it can have.
@@ -48,7 +50,7 @@ class Plant(Protocol):
     def not_scored(self) -> Collection[str]: ...  # noqa: D102 - see the class
 
     def play(self, world: World) -> Iterable[Signals]:
-        """Yield what the machine does in each recording, one after another."""
+        """Yield the signals of the machine in each recording, one recording after another."""
         ...
 
 
@@ -60,7 +62,7 @@ def seal_worlds(
     jobs: int,
     progress: Callable[[str, float], None],
 ) -> list[SealedRig]:
-    """Draw, simulate and seal worlds; return them with their digests. Nothing is diagnosed.
+    """Draw, simulate and seal worlds; return the worlds with their digests. Nothing is diagnosed.
 
     Worlds that are there already are kept, so that a call that was stopped can be repeated.
 
@@ -114,7 +116,7 @@ def log_of(plant: Plant, world: World) -> list[Columns]:
 def strength_of(
     world: World, logged: Sequence[Columns], reference: Sequence[Columns]
 ) -> dict[str, float]:
-    """Return the rms change by the effects in each channel over the channel's noise.
+    """Return the rms change by the effects in each channel, relative to the channel's noise.
 
     Noise is the sensor's and that of its digits. Current and voltage are compared only where both
     machines move: what holds a joint at rest depends on how it came to rest.
@@ -145,7 +147,7 @@ def strength_of(
 
 
 def _both_move(a: Columns, b: Columns) -> Array:
-    """Return the rows in which both machines move."""
+    """Return the rows in which the machines with and without effects both move."""
     name = "angle" if "angle" in a else "motor_angle"
     speeds = [np.abs(np.gradient(c[name])) for c in (a, b)]
     return np.asarray(np.minimum(*speeds) > MOVING * max(s.max() for s in speeds))

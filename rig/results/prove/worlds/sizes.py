@@ -1,4 +1,4 @@
-"""Size of an injected effect, relative to the machine: from near the noise to obvious."""
+"""Draws the size of an injected effect relative to the machine, from near the noise to obvious."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _order = one_of(1.0, 2.0, 4.0, 6.0, 7.0, 12.0)
 
 @dataclass(frozen=True)
 class Scale:
-    """What sizes are drawn against.
+    """Scales to which the sizes of effects are relative.
 
     Attributes:
         Mc: Coulomb friction, N m.
@@ -186,7 +186,9 @@ SIZES: Mapping[str, Draw] = {
     },
     "x_acceleration_drag": lambda r, s: {"coefficient_Nms2_rad": either(0.08, 0.4)(r) * s.J},
 }
-"""Effect to the draw of its parameters; names that begin with x_ are not of the catalogue."""
+"""Effect to the function that draws its parameters; names that begin with x_ are not in the
+catalogue.
+"""
 
 NEEDS: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(
@@ -208,4 +210,4 @@ NEEDS: Mapping[str, frozenset[str]] = {
     "stribeck_shape": frozenset({"fall"}),
     "friction_memory": frozenset({"fall"}),
 }
-"""Effect to what a world needs for it to show at all."""
+"""Effect to the properties that a world needs for the effect to show."""

@@ -1,4 +1,4 @@
-"""One drawn world: a machine, the chain around it and the recordings that are made of it.
+"""One drawn world: a machine, the drive, encoders and logger around it, and its recordings.
 
 Angles and torques are at the joint unless a name says otherwise.
 """
@@ -17,7 +17,7 @@ from rig.results.prove.truth import Axis
 
 Array = NDArray[np.float64]
 COMMAND_S = 1e-3
-"""Spacing of the command's samples; the drive interpolates between them."""
+"""Time between the samples of the command, s; the drive interpolates between them."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Motor:
 
 @dataclass(frozen=True)
 class Drive:
-    """The drive's loops.
+    """Loops of the drive.
 
     Attributes:
         kind: ``cascade``: position P, velocity PI, current PI; ``pd``: position P and velocity D
@@ -113,7 +113,7 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Log:
-    """The logger.
+    """Sampling and channels of the logger.
 
     Attributes:
         rate_Hz: Of its rows.
@@ -149,7 +149,7 @@ class Pendulum:
 
 @dataclass(frozen=True)
 class Planned:
-    """One recording to make.
+    """Plan of one recording.
 
     Attributes:
         name: Name of its file.
@@ -179,7 +179,7 @@ class Planned:
 
 @dataclass(frozen=True)
 class World:
-    """All that is drawn of one trial; a plant turns it into signals.
+    """All drawn data of one trial; a plant turns them into signals.
 
     Attributes:
         kind: Kind of trial.
@@ -213,8 +213,8 @@ class World:
 
     @property
     def holding_N_m(self) -> float:
-        """Return the greatest torque that a position loop has to hold: static friction and a
-        weight on the joint.
+        """Return the greatest torque that a position loop must hold: static friction plus the
+        torque of a weight on the joint.
         """
         hung = (r.pendulum for r in self.recordings if r.pendulum is not None)
         return self.constants.Ms + self.gravity_m_s2 * max(
@@ -223,15 +223,15 @@ class World:
 
     @property
     def smallest_rad(self) -> float:
-        """Return the greatest angle of the smallest motion, at least a twentieth of the greatest
-        motion's.
+        """Return the amplitude of the smallest motion, at least a twentieth of the largest motion's
+        amplitude.
         """
         most = [float(np.abs(r.command).max()) for r in self.recordings]
         return max(min(most), max(most) / 20.0, 1e-3)
 
     def contact_N(self, k: int) -> float:
-        """Return the contact force of recording ``k``, whose weight may not be what its label
-        says.
+        """Return the contact force of recording ``k``; its true weight may differ from the
+        label.
         """
         mass = self.recordings[k].weight_kg
         wrong = self.effects.get("wrong_weight")
@@ -242,7 +242,7 @@ class World:
 
 @dataclass(frozen=True)
 class Signals:
-    """What a plant did in one recording, at the rate of its loops, from the log's first row on.
+    """Signals of a plant in one recording, at the rate of its loops, from the first row of the log.
 
     Attributes:
         current: In the winding, A, shape (n,).

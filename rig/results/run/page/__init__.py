@@ -1,6 +1,6 @@
-"""The page of a run: its recordings, reduced and plotted.
+"""Page of a run: its recordings, reduced and plotted.
 
-``traces`` reads a recording, ``channels`` derives what is drawn, ``envelope`` reduces it,
-``limits`` and ``phases`` say what held when, ``moment`` when it ended, ``panels`` puts these
-together, and ``chart`` draws. The page itself is :mod:`rig.results.run.report`.
+``traces`` reads a recording, ``channels`` derives the plotted channels, ``envelope`` reduces them,
+``limits`` and ``phases`` return the limits and phases over time, ``moment`` the time of the end,
+``panels`` combines these, and ``chart`` draws. :mod:`rig.results.run.report` writes the page.
 """

@@ -1,4 +1,6 @@
-"""Plotted channels of every sample: recorded values, and values derived as in the safety check."""
+"""Plotted channels of every sample: recorded values, and values derived in the same way as in the
+safety check.
+"""
 
 from __future__ import annotations
 
@@ -51,9 +53,11 @@ STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
 ENABLED = float(STATES.index("enabled"))
 PAUSES = frozenset({"stage start", "units", "weight check"})
-"""Events after which the cycle restarts, so that a time step before them is no lateness."""
+"""Events after which the control cycle restarts, so that a time step before them does not count as
+lateness.
+"""
 _GAP_CYCLES = 10.0
-"""Number of consecutive missing cycles from which the curve is interrupted."""
+"""Number of consecutive missing cycles from which on the curve is interrupted."""
 _CODES: Mapping[ServoState, str] = {
     ServoState.OPERATION_ENABLED: "enabled",
     ServoState.QUICK_STOP_ACTIVE: "quick stop",
@@ -73,7 +77,7 @@ _STATE = np.array([_code(word) for word in range(RUNNING_MASK + 1)])
 
 
 class Derived(NamedTuple):
-    """Samples as plotted.
+    """Plotted channels of consecutive samples.
 
     Attributes:
         time: Time, s, shape (n,).
@@ -90,7 +94,7 @@ class Derived(NamedTuple):
 
 @dataclass
 class _Carried:
-    """State carried from one block of samples to the next."""
+    """State that is carried from one block of samples to the next."""
 
     time: float = -math.inf
     fresh: float = math.nan
@@ -99,7 +103,7 @@ class _Carried:
 
 
 class Deriver:
-    """Derives the plotted channels of consecutive blocks of samples.
+    """Function that derives the plotted channels of consecutive blocks of samples.
 
     Args:
         bench: Constants of the bench.
@@ -195,8 +199,8 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return the values less that of the latest start, and that value; ``before`` is the one before
-    the block.
+    """Return the values less the value at the latest start, and that value; ``before`` is the value
+    at the last start before the block.
     """
     if math.isnan(before):
         before = float(values[0])

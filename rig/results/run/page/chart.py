@@ -1,9 +1,7 @@
-"""Draws curves over time as HTML with inline SVG.
+"""Draws curves over time as HTML with inline SVG. This module is independent of runs.
 
-This module is independent of runs.
-
-The curves scale with the page while all text is HTML, so that text has the same size in a chart of
-any width, also on paper; a picture of fixed size would be unreadable on a telephone.
+The curves scale with the page, while all text is HTML, so that text has the same size in a chart of
+any width, also on paper. A picture of fixed size would be unreadable on a telephone.
 """
 
 from __future__ import annotations
@@ -23,18 +21,18 @@ COLUMNS = 1000
 _SIZE = 1000.0
 """Width and height of a drawing in its own units."""
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
-"""Colours by Okabe and Ito, distinguishable by colour-blind readers; every curve also has its
+"""Colours by Okabe and Ito, which colour-blind readers can distinguish; every curve also has its
 own dash pattern.
 """
 _DASHES = ("", "7 4", "2 3")
 _BORDERS = ("solid", "dashed", "dotted")
 _FEW = 150
-"""Number of samples up to which each is marked by a dot."""
+"""Number of samples up to which a dot marks each sample."""
 _MARGIN = 0.06
 _LEAST_LABELLED = 0.25
-"""Share of the width from which a limit is labelled with its value."""
+"""Share of the width above which a limit is labelled with its value."""
 _LEAST_NAMED = 1.5
-"""Width in percent from which a time interval is labelled with its name."""
+"""Width in percent above which a time interval is labelled with its name."""
 STYLE = (
     ".chart{margin:.5rem 0 1rem;break-inside:avoid}.chart figcaption{line-height:1.35}"
     ".chart .read{color:#555;font-size:.85rem}.chart .beyond{color:#a30000;font-weight:600}"
@@ -109,7 +107,7 @@ class Shade:
 
 @dataclass(frozen=True)
 class Mark:
-    """A marked time, s."""
+    """A marked point in time, s."""
 
     time: float
     name: str
@@ -222,7 +220,7 @@ def _range(chart: Chart) -> tuple[float, float]:
 
 
 def _levels(chart: Chart, low: float, high: float) -> Iterator[tuple[float, str]]:
-    """Yield the values that have a grid line, and their labels."""
+    """Yield the values with a grid line, and the labels of the lines."""
     if chart.categories:
         yield from ((float(index), name) for index, name in enumerate(chart.categories))
         return
@@ -243,8 +241,8 @@ def _names(shades: Sequence[Shade], axis: TimeAxis) -> Iterator[str]:
 def _bound_labels(
     bound: Bound, chart: Chart, axis: TimeAxis, up: Callable[[float], float], on_left: bool
 ) -> Iterator[str]:
-    """Yield the values of a limit, inside of it and away from the mark, where there is room for
-    them.
+    """Yield the values of a limit with positions of their labels inside the limit and away from the
+    mark, if there is room.
     """
     below = "transform:translateY(100%);" if bound.upper else ""
     for left, right, value in _stairs(bound, axis):
@@ -329,7 +327,9 @@ def _stairs(bound: Bound, axis: TimeAxis) -> Iterator[tuple[float, float, float]
 
 
 def _path(curve: Curve, axis: TimeAxis, low: float, high: float) -> tuple[str, str]:
-    """Return the path of a curve, and that of dots at its samples where there are few."""
+    """Return the path of a curve and, if the curve has few samples, the path of dots at the
+    samples.
+    """
     bins = in_columns(curve.bins, axis.place(curve.bins.start), COLUMNS)
     x = _SIZE * axis.place(0.5 * (bins.start + bins.stop))
     tops, bottoms = (_SIZE * (high - side[:, 0]) / (high - low) for side in (bins.high, bins.low))

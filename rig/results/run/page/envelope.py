@@ -12,11 +12,11 @@ from identification.recording import Array
 
 Flags = NDArray[np.bool_]
 MOST_BINS = 8192
-"""Smallest number of bins after a reduction; more than a screen has columns."""
+"""Smallest number of bins after a reduction; it exceeds the number of columns of a screen."""
 
 
 class Bins(NamedTuple):
-    """Samples in groups of neighbours.
+    """Groups of neighbouring samples.
 
     Attributes:
         start: Time of each bin's first sample, s, shape (n,).
@@ -42,7 +42,7 @@ class Bins(NamedTuple):
 
 
 def of_samples(time: Array, values: Array, broken: Flags) -> Bins:
-    """Return samples as bins of one each. ``values`` has shape (n, channels)."""
+    """Return samples as bins of one sample each. ``values`` has shape (n, channels)."""
     return Bins(time, time, values, values, broken)
 
 
@@ -68,7 +68,7 @@ def merged(bins: Bins, starts: NDArray[np.intp]) -> Bins:
 
 
 def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
-    """Return the bins, merged if in the same column of a drawing.
+    """Return the bins after merging those in the same column of a drawing.
 
     Args:
         bins: The bins to draw.
@@ -84,7 +84,7 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
 
 
 class Envelope:
-    """Reduces samples in order to a bounded number of bins of about the same width.
+    """Reduces samples in order to a limited number of bins of about the same width.
 
     Bins begin at multiples of the width, counted in samples. A recording with more holes than bins
     keeps a bin for each run between them.
@@ -126,8 +126,8 @@ class Envelope:
         self._parts, self._count = [reduced], len(reduced[1])
 
     def _reduced(self, bins: Bins, index: NDArray[np.intp]) -> tuple[Bins, NDArray[np.intp]]:
-        """Return the bins merged to the present width; ``index`` is the number of each one's first
-        sample.
+        """Return the bins merged to the present width; ``index`` is the number of the first sample
+        of each bin.
         """
         begins = np.diff(index // self._width, prepend=-1) > 0
         starts = np.flatnonzero(begins | bins.broken)

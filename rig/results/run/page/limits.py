@@ -1,4 +1,4 @@
-"""Limits over time, recomputed from the files attached to a recording."""
+"""Limits over time, computed again from the files attached to a recording."""
 
 from __future__ import annotations
 
@@ -22,11 +22,13 @@ from rig.planning.plan import APPROACH_SPEED_SHARE, Plan, make_plan
 from rig.runs.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT
 
 _ENDS_PASS = frozenset({"weight check", "stage start"})
-"""Events that end a first pass; if a run ends in one, its limits hold to the end."""
+"""Events that end a first pass; if a run ends during a first pass, the limits of the first pass
+hold to the end.
+"""
 RUN_ATTACHMENT = "run.json"
-"""The record of a run as it was at its start."""
+"""Name of the attached record of a run, as the record was at the start."""
 _SAME = 1e-9
-"""Relative difference up to which two amplitudes are equal."""
+"""Relative difference up to which two amplitudes count as equal."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,9 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the run warned of a drive without watchdog, as its EDS file may have shown."""
+    """Return whether the run warned of a drive without watchdog, which its EDS file may have
+    shown.
+    """
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
     except (ValueError, AttributeError):
@@ -88,13 +92,13 @@ def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema])
 
 
 Step = tuple[float, Limits]
-"""Start time, s, and limits from then on."""
+"""Start time, s, and the limits from this time on."""
 
 
 def limit_steps(
     plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]
 ) -> list[Step]:
-    """Return the limits of a run over the time of one recording, first passes included.
+    """Return the limits of a run over the time of one recording, including first passes.
 
     Args:
         plan: The plan.
@@ -133,7 +137,9 @@ def _pass_steps(
     event: Mapping[str, Any],
     starts: Sequence[tuple[float, float]],
 ) -> Iterator[Step]:
-    """Yield the limits of the move to a first pass, and the tighter angle limits of the pass."""
+    """Yield the limits of the move to a first pass, and the tighter angle limits of the first
+    pass.
+    """
     yield event["time"], planned.move_limits
     begun = [command for time, command in starts if time <= event["time"]]
     if before is None and not begun:

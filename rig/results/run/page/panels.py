@@ -1,4 +1,6 @@
-"""The charts of a run: which channels go together, in which units, against which limits."""
+"""Panels of the charts of a run: which channels a chart shows, in which units, with which
+limits.
+"""
 
 from __future__ import annotations
 
@@ -17,14 +19,14 @@ from rig.results.run.page.limits import Step
 
 DEG = math.degrees(1.0)
 _SEEN = 10.0
-"""Ratio of a limit to the greatest value up to which the limit is drawn; farther limits would
+"""Ratio of a limit to the greatest value up to which the limit is drawn; a more distant limit would
 flatten the curve.
 """
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One chart: its channels, and the limit on each side in SI units, where there is one.
+    """One chart: its channels, and the limit on each side in SI units, if there is one.
 
     Attributes:
         title: What it shows.
@@ -53,7 +55,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Tripped:
-    """The trip of a run: value and limit in SI units; NaN if the value is no number."""
+    """Trip of a run: value and limit in SI units; NaN if the value is not a number."""
 
     check: Check
     value: float
@@ -180,11 +182,11 @@ PANELS: tuple[Panel, ...] = (
 
 
 RESULT = ("error", "current", "temperature")
-"""First channels of the panels that say how a run went, in order."""
+"""First channels of the panels that show the course of a run, in order."""
 
 
 def result_panels(check: Check | None) -> list[Panel]:
-    """Return the panels that a page opens with: the tripped one, tracking error, current and
+    """Return the panels at the top of a page: the panel of the trip, tracking error, current and
     temperature.
     """
     by_channel = {next(iter(panel.channels)): panel for panel in PANELS}
@@ -193,7 +195,7 @@ def result_panels(check: Check | None) -> list[Panel]:
 
 
 def tripped_first(check: Check | None) -> list[Panel]:
-    """Return the panels, with the tripped one first."""
+    """Return the panels in an order in which the panel of the trip comes first."""
     return sorted(PANELS, key=lambda panel: check not in panel.checks)
 
 
@@ -274,7 +276,7 @@ def _bound(panel: Panel, steps: Sequence[tuple[float, float]], upper: bool) -> B
 
 
 def _broken(bound: Bound, bins: Bins) -> bool:
-    """Whether a bin is beyond a limit."""
+    """Return whether a bin is beyond a limit."""
     times = np.array([time for time, _ in bound.steps])
     values = np.array([value for _, value in bound.steps])[
         np.searchsorted(times, bins.start, side="right") - 1

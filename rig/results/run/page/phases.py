@@ -1,4 +1,6 @@
-"""Stages and phases of a run over the time of one recording, and the time of its end.
+"""Stages and phases of a run over the time of one recording, and the time of the end of the run.
+
+Pure functions.
 
 Pure functions.
 """
@@ -19,20 +21,20 @@ from rig.runs.run_record import Ending, RunRecord, SegmentRecord
 
 BRAKING = "braking"
 MOVING = f"{Phase.APPROACH.value}, {Phase.SETTLE.value}"
-"""Label of the move to the start of an excitation and the rest there; their boundary is not
-recorded.
+"""Label of the move to the start of an excitation and of the rest there; the recording does not
+contain the boundary between both.
 """
 _ENDINGS = frozenset(ending.value for ending in Ending)
 _OFF = frozenset(
     {Phase.LOAD.value, Phase.PREPARE.value, Phase.BOUNDARY.value, Phase.FINISHED.value}
 )
-"""Phases in which the drive has no power."""
+"""Phases in which the drive is off."""
 
 
 @dataclass(frozen=True)
 class Span:
     """A phase of a stage, from ``start`` to ``stop``, s; ``segment`` is the number of an
-    excitation, 0 for none.
+    excitation, or 0.
     """
 
     start: float
@@ -93,7 +95,7 @@ _TURNS = frozenset({*_OPENS, *_ENDINGS, "stage end", "prompt"})
 
 
 def _closed(span: Span, stop: float, segment: SegmentRecord | None) -> list[Span]:
-    """Return a span until ``stop``, ended earlier if its excitation was complete."""
+    """Return a span that ends at ``stop``, or earlier if its excitation was complete earlier."""
     end = None if segment is None else segment.end
     if end is None or not span.start <= end < stop:
         return [dataclasses.replace(span, stop=stop)]
@@ -111,7 +113,7 @@ def moment_of(
     segments: Sequence[SegmentRecord],
     events: Sequence[Mapping[str, Any]],
 ) -> Moment:
-    """Return the time at which an unfinished run ended, in the time of its last recording.
+    """Return the time at which an unfinished run ended, by the clock of its last recording.
 
     For a trip it is the time of the trip, otherwise the last sample of the current excitation, or
     the last sample under power.
@@ -143,7 +145,7 @@ def moment_of(
 
 
 def with_braking(found: Sequence[Span], moment: Moment) -> list[Span]:
-    """Return the spans, with the time after the end of the run marked as braking."""
+    """Return the spans; the time after the end of the run is marked as braking."""
     cut: list[Span] = []
     for span in found:
         if span.start < moment.time:

@@ -24,14 +24,14 @@ from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord
 BEFORE_S = 2.0
 """Time shown before the end of an unfinished run, s."""
 _AFTER_SHARE = 0.12
-"""Shortest time shown after the end, as a share of the time before it."""
+"""Shortest time that is shown after the end, as a share of the time before the end."""
 _CLOSE_S = (0.08, 0.04)
 """Time shown before and after the end in the close-up with single samples, s."""
 NEVER_MOVED = "No control cycle was recorded: the drive was never under power, and nothing moved."
 
 
 class Recorded:
-    """One recording of a run, read for drawing.
+    """One recording of a run that was read for drawing.
 
     Args:
         folder: The run folder.
@@ -58,13 +58,13 @@ class Recorded:
 
     @property
     def spans(self) -> list[Span]:
-        """Its phases; requires samples."""
+        """Phases of the recording; requires samples."""
         return spans(self.traces.events, self.segments, self.traces.ends[1])
 
     @property
     def moment(self) -> Moment | None:
-        """Time of the end of the run, if it stopped in this recording after a first sample; else
-        None.
+        """Time of the end of the run, if the run stopped in this recording after a first sample;
+        else None.
         """
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
@@ -73,7 +73,7 @@ class Recorded:
 
     @property
     def tripped(self) -> panels.Tripped | None:
-        """The trip of the run, if it was in this recording."""
+        """The trip of the run, if the run tripped in this recording; else None."""
         trip = self.record.trip
         check = next((check for check in Check if trip and check.value == trip.get("check")), None)
         if trip is None or check is None or not self.is_last:
@@ -130,7 +130,7 @@ def _limits_words(recorded: Recorded) -> str:
 def _closer(
     recorded: Recorded, bins: Bins, moment: Moment, shades: Sequence[Shade]
 ) -> Iterator[str]:
-    """Yield a close-up of the tripped channel with single samples visible."""
+    """Yield a close-up of the tripped channel in which single samples are visible."""
     before, after = _CLOSE_S
     first, until = moment.time - before, moment.time + after
     near = bins.part(first, until)
@@ -167,8 +167,8 @@ def whole(recorded: Recorded) -> Iterator[str]:
 
 
 def result(recorded: Recorded) -> Iterator[str]:
-    """Yield the figure that a page opens with: what tripped, tracking error, current and
-    temperature of the last recording as a whole.
+    """Yield the figure at the top of a page: the tripped channel, tracking error, current and
+    temperature over the whole last recording.
     """
     traces = recorded.traces
     if traces.bins is None:
@@ -200,7 +200,7 @@ def _charts(recorded: Recorded, bins: Bins, tall: bool = True) -> list[Chart]:
 
 
 def _powered(traces: Traces) -> list[tuple[float, float]]:
-    """Return start and end of the time under power, stage by stage."""
+    """Return start and end of the time under power for each stage."""
     assert traces.bins is not None
     begins = [time for time, _ in traces.starts]
     first, last = traces.ends
@@ -217,8 +217,8 @@ def _powered(traces: Traces) -> list[tuple[float, float]]:
 
 
 def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:
-    """Return the shaded phases; in the whole recording (``numbered``) labelled by the stage's
-    name alone.
+    """Return the shaded phases; in the whole recording (``numbered``) the label is only the name of
+    the stage.
     """
     shades = []
     for k, span in enumerate(found):

@@ -14,7 +14,7 @@ _NICE = (1.0, 2.0, 5.0, 10.0)
 
 
 class TimeAxis:
-    """Maps time to a position on the page. Long pauses with the drive off are shortened.
+    """Maps a time to a position on the page. Long pauses with the drive off are shortened.
 
     Args:
         powered: Time intervals drawn to scale, s, in order.

@@ -1,4 +1,5 @@
-"""Reads a recording for plotting: all of it reduced, its end sample by sample.
+"""Reads a recording for plotting: the whole recording in reduced form, and its end sample by
+sample.
 
 Whole files are streamed.
 """
@@ -21,7 +22,9 @@ from rig.runs.mcap.stream import Attached, Block, Happening, run_items
 from rig.runs.run_samples import read_log
 
 TAIL_S = 8.0
-"""Time kept sample by sample at the end of a recording, s; braking takes up to 1 s of it."""
+"""Time at the end of a recording that is kept sample by sample, s; braking takes up to 1 s of this
+time.
+"""
 
 
 @dataclass
