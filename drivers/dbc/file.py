@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -63,28 +64,12 @@ class Layout:
 def load_dbc(path: Path) -> Database:
     """Read a DBC file.
 
-    Returns:
-        Layouts by message name.
-
     Raises:
         ConfigurationError: The file cannot be read; the message gives ``file:line:column`` of a
             syntax error.
     """
-    try:
-        require_plain(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
-        ) from error
-    try:
-        return _load(data)
-    except DbcError as error:
-        raise ConfigurationError(
-            f"{path}{_explain(str(error))}; correct it with a DBC editor"
-        ) from error
-    except _NotTextError as error:
-        raise ConfigurationError(f"{path}: is not a text file: {error}") from error
+    with _explained(path):
+        return _load(_content(path))
 
 
 def read_dbc(path: Path) -> dict[str, Layout]:
@@ -96,11 +81,41 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     Raises:
         ConfigurationError: As :func:`load_dbc`.
     """
-    database = load_dbc(path)
+    with _explained(path):
+        return dict(_layouts(_content(path)))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        require_plain(path)
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
+        ) from error
+
+
+@lru_cache(maxsize=4)
+def _layouts(data: bytes) -> Mapping[str, Layout]:
+    """Return the layouts of a file by message name; a run reads its file several times."""
+    database = _load(data)
     counts = Counter(message.name for message in database.messages)
     layouts = {message.name: _layout(message) for message in database.messages}
     twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
     return layouts | twice
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Name the file in the errors of its parser."""
+    try:
+        yield
+    except DbcError as error:
+        raise ConfigurationError(
+            f"{path}{_explain(str(error))}; correct it with a DBC editor"
+        ) from error
+    except _NotTextError as error:
+        raise ConfigurationError(f"{path}: is not a text file: {error}") from error
 
 
 class _NotTextError(Exception):
