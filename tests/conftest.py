@@ -7,6 +7,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -28,6 +29,10 @@ _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 keep_freed_memory()
 gc.set_threshold(GARBAGE_THRESHOLD)
+
+# Every process of a test would compile the program anew, and pytest all tests.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # Each record of a run is flushed to the disk: on a real one the tests wait for it half of their
 # time.

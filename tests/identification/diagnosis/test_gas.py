@@ -166,18 +166,22 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
 
 
 @pytest.mark.parametrize(
-    ("dataset", "words"),
+    ("channels", "words"),
     [
-        (infeasible(pressure=None), "burn_0: no pressure"),
-        (infeasible(angle=None), "burn_0: no angle"),
-        (infeasible(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
-        (infeasible(pressure=np.full(800, 4e6)), "pressure is constant"),
-        (Dataset(()), "no recording has the role fit"),
+        ({"pressure": None}, "burn_0: no pressure"),
+        ({"angle": None}, "burn_0: no angle"),
+        ({"pressure": np.linspace(4e6, -1e5, 800)}, "falls to -100000 Pa"),
+        ({"pressure": np.full(800, 4e6)}, "pressure is constant"),
     ],
 )
-def test_recordings_that_cannot_be_used(dataset: Dataset, words: str) -> None:
+def test_recordings_that_cannot_be_used(channels: dict[str, np.ndarray | None], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
-        diagnose_gas(dataset)
+        diagnose_gas(infeasible(**channels))
+
+
+def test_no_recording_to_fit() -> None:
+    with pytest.raises(RecordingError, match="no recording has the role fit"):
+        diagnose_gas(Dataset(()))
 
 
 def test_a_bench_without_constants_or_a_short_burn() -> None:
