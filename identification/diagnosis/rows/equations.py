@@ -83,7 +83,7 @@ class Equation:
     @cached_property
     def _places(self) -> tuple[Places, ...]:
         """Indices of the rows among the filter's outputs (or breakaways), for each view."""
-        return _places(self.kept)
+        return tuple(map(np.flatnonzero, self.kept))
 
 
 def equations(
@@ -165,10 +165,6 @@ def _tone(rows: Array, time: Array) -> Array:
     return best
 
 
-def _places(kept: Sequence[BoolArray]) -> tuple[Places, ...]:
-    return tuple(np.flatnonzero(keep) for keep in kept)
-
-
 def _stack(
     name: str, views: Sequence[View], places: Sequence[Places], per_view: Callable[[View], Array]
 ) -> Array:
@@ -192,7 +188,7 @@ def _build(
     names: Sequence[str],
     before: Equation | None = None,
 ) -> Equation | None:
-    places = _places(kept)
+    places = [np.flatnonzero(k) for k in kept]
     residual = _stack(name, views, places, measured)[:, 0]
     if len(residual) < 2 * len(names) + 8:
         return None
