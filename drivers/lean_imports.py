@@ -1,14 +1,15 @@
-"""Imports python-can without a log format that this program does not use.
+"""Imports python-can without the library of one of its log formats, until a log has that format.
 
 python-can imports asammdf, and with it pandas, wherever they are installed: a third of a second at
-the start of each command. The drivers use no log format of python-can, and MDF files are read with
-asammdf itself.
+the start of each command.
 """
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
@@ -19,6 +20,16 @@ _MODULE, _LIBRARY = "can.io.mf4", "asammdf"
 def install() -> None:
     """Hide asammdf from python-can's module for MDF files, which python-can allows to be absent."""
     sys.meta_path.insert(0, _Finder())
+
+
+def mf4_module() -> ModuleType:
+    """Return python-can's module for MDF files; imported with asammdf, where that is installed."""
+    module = importlib.import_module(_MODULE)
+    if getattr(module, _LIBRARY, None) is None:
+        with suppress(ImportError):
+            importlib.import_module(_LIBRARY)
+            module = importlib.reload(module)
+    return module
 
 
 class _Finder(MetaPathFinder):
