@@ -2,3 +2,7 @@
 
 Knows nothing of sequences, files or fits.
 """
+
+from drivers.lean_imports import install as _install
+
+_install()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import signal
 
 from identification.numerics.arrays import Array
 from identification.numerics.arrays import BoolArray as BoolArray
@@ -67,8 +67,10 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
     """Low-pass without phase: fourth-order Butterworth run forwards and backwards."""
     if cutoff >= 0.45 * rate:
         return values
-    sections = signal.butter(4, cutoff / (0.5 * rate), output="sos")
-    both = signal.sosfiltfilt(sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff)))
+    sections = scipy.signal.butter(4, cutoff / (0.5 * rate), output="sos")
+    both = scipy.signal.sosfiltfilt(
+        sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff))
+    )
     # filtfilt returns a reversed view; a contiguous copy avoids compiling kernels a second time.
     return np.ascontiguousarray(both)
 
@@ -191,5 +193,5 @@ def decimator(rate: float, bandwidth: float) -> Decimator:
     factor, half = reach(rate, bandwidth)
     if half == 0:
         return Decimator(np.ones(1), 1)
-    taps = signal.firwin(2 * half + 1, bandwidth, fs=rate, window=("kaiser", 5.0))
+    taps = scipy.signal.firwin(2 * half + 1, bandwidth, fs=rate, window=("kaiser", 5.0))
     return Decimator(np.asarray(taps / taps.sum()), factor)

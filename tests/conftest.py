@@ -6,6 +6,8 @@ from __future__ import annotations
 
 import gc
 import os
+import shutil
+import sys
 import tempfile
 import threading
 from collections.abc import Iterator
@@ -19,12 +21,23 @@ from rig.cli.entry import GARBAGE_THRESHOLD
 from rig.common.allocation import keep_freed_memory
 
 _GRACE_S = 1.0
+_MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
+"""Files in memory, and the room that the tests want there."""
 
 # As the command line sets its own process up, before numpy is loaded: threads of the linear algebra
 # would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 keep_freed_memory()
 gc.set_threshold(GARBAGE_THRESHOLD)
+
+# Every process of a test would compile the program anew, and pytest all tests.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
+# Each record of a run is flushed to the disk: on a real one the tests wait for it half of their
+# time.
+if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _LEAST_BYTES:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
 
 # The same examples on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 
 @dataclass
@@ -50,9 +51,12 @@ def decode(content: bytes) -> str:
 _WIDE = (b"\xff\xfe", b"\xfe\xff")
 
 
+@lru_cache(maxsize=4)
 def sections(text: str) -> Mapping[str, Section]:
     """Return the sections by their names in upper case; lines that belong to no section are
     skipped.
+
+    They are kept, because a program that connects repeatedly reads the same few files each time.
     """
     found: dict[str, Section] = {}
     current: Section | None = None

@@ -12,6 +12,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Final
 
@@ -73,21 +74,14 @@ def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
         ConfigurationError: The file cannot be read; the message gives ``file:line:column`` of a
             syntax error.
     """
-    try:
-        require_plain(path)
-        data = path.read_bytes()
-    except OSError as error:
-        raise ConfigurationError(
-            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
-        ) from error
-    try:
-        database = _load(data)
-    except DbcError as error:
-        raise ConfigurationError(
-            f"{path}{_explain(str(error))}; correct it with a DBC editor"
-        ) from error
-    except _NotTextError as error:
-        raise ConfigurationError(f"{path}: is not a text file: {error}") from error
+    with _explained(path):
+        return _loaded(_content(path))
+
+
+@lru_cache(maxsize=4)
+def _loaded(data: bytes) -> tuple[Database, dict[int, str]]:
+    """Return a database with the faults of its messages; a run reads its file several times."""
+    database = _load(data)
     faults = {at: _fault(message) for at, message in enumerate(database.messages)}
     return database, {at: words for at, words in faults.items() if words}
 
@@ -112,7 +106,24 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     Raises:
         ConfigurationError: As :func:`load_dbc`.
     """
-    database, faults = load_dbc(path)
+    with _explained(path):
+        return dict(_layouts(_content(path)))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        require_plain(path)
+        return path.read_bytes()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
+        ) from error
+
+
+@lru_cache(maxsize=4)
+def _layouts(data: bytes) -> Mapping[str, Layout]:
+    """Return the layouts of a file by message name; a run reads its file several times."""
+    database, faults = _loaded(data)
     counts = Counter(message.name for message in database.messages)
     layouts = {
         message.name: _layout(message, faults.get(at, ""))
@@ -120,6 +131,19 @@ def read_dbc(path: Path) -> dict[str, Layout]:
     }
     twice = {name: replace(layouts[name], obstacle=_TWICE) for name, n in counts.items() if n > 1}
     return layouts | twice
+
+
+@contextmanager
+def _explained(path: Path) -> Iterator[None]:
+    """Name the file in the errors of its parser."""
+    try:
+        yield
+    except DbcError as error:
+        raise ConfigurationError(
+            f"{path}{_explain(str(error))}; correct it with a DBC editor"
+        ) from error
+    except _NotTextError as error:
+        raise ConfigurationError(f"{path}: is not a text file: {error}") from error
 
 
 class _NotTextError(Exception):

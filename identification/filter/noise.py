@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import signal
+import scipy
 
 from identification.numerics.arrays import Array
 
@@ -51,5 +51,5 @@ class Noise:
         shocks = share * self.correlated * rng.standard_normal(shape)
         shocks[:, 1:] *= math.sqrt(1.0 - pole * pole)
         return np.asarray(
-            white + signal.lfilter([1.0], [1.0, -pole], shocks, axis=1), dtype=np.float64
+            white + scipy.signal.lfilter([1.0], [1.0, -pole], shocks, axis=1), dtype=np.float64
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -115,6 +116,14 @@ def png(made: Figure, dpi: int = 110) -> bytes:
     """Return the figure as PNG without dates and versions, so that equal figures give equal
     bytes.
     """
+    # Figure.savefig would draw everything twice, the first time for the layout alone.
+    made.set_dpi(dpi)
+    engine = made.get_layout_engine()
+    if engine is not None:
+        engine.execute(made)
+    made.set_layout_engine("none")
+    canvas: Any = FigureCanvasAgg(made)  # matplotlib states no types of print_png
     buffer = io.BytesIO()
-    made.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    canvas.print_png(buffer, metadata={"Software": None})
+    made.set_layout_engine(engine)
     return buffer.getvalue()

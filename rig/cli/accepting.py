@@ -43,7 +43,7 @@ def accept_at_the_end(folder: Path, file: Path | None, junit_file: Path | None) 
     Raises:
         InputError: A file cannot be written.
     """
-    from rig.results.acceptance.accept import limits_for, recorded_limits
+    from rig.results.acceptance.limits import limits_for, recorded_limits
 
     if file is None and not recorded_limits(folder):
         return DONE

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import platform
+from collections.abc import Mapping
 from datetime import UTC, datetime
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -34,12 +36,17 @@ def utc_now() -> datetime:
 
 def versions() -> dict[str, str]:
     """Return the versions of this program and its dependencies, with the commit if there is one."""
-    found = {name: version(name) for name in ("loadrig", "numpy", "canopen", "python-can", "mcap")}
-    found["python"] = platform.python_version()
+    found = dict(_installed())
     commit = git_commit(Path(__file__).parents[2])
     if commit:
         found["commit"] = commit
     return found
+
+
+@cache
+def _installed() -> Mapping[str, str]:
+    names = ("loadrig", "numpy", "canopen", "python-can", "mcap")
+    return {name: version(name) for name in names} | {"python": platform.python_version()}
 
 
 def git_commit(root: Path) -> str | None:

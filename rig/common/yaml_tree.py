@@ -9,12 +9,19 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import yaml
+from yaml.composer import Composer
+from yaml.parser import Parser
+from yaml.reader import Reader
+from yaml.resolver import Resolver
+from yaml.scanner import Scanner
 
 from drivers.plain_file import require_plain
 
@@ -73,10 +80,9 @@ class DocumentError(Exception):
         self.mark = mark or Mark(1, 1)
 
 
-class _Loader(yaml.SafeLoader):
-    """Composes nodes with scalars of the YAML 1.2 core schema and limited depth."""
+class _Composer(Composer):
+    """Composes nodes from the events of a parser, with limited depth."""
 
-    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
     depth = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
@@ -91,6 +97,49 @@ class _Loader(yaml.SafeLoader):
             self.depth -= 1
 
 
+class _Resolver(Resolver):
+    """Resolves scalars by the YAML 1.2 core schema."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
+
+
+class _Loader(Reader, Scanner, Parser, _Composer, _Resolver):
+    """Reads with the parser in Python, whose messages are the ones reported."""
+
+    def __init__(self, text: str) -> None:
+        Reader.__init__(self, text)
+        Scanner.__init__(self)
+        Parser.__init__(self)
+        Composer.__init__(self)
+        Resolver.__init__(self)
+
+
+def _root(text: str) -> yaml.Node | None:
+    """Compose the only document of a text.
+
+    libyaml does it eight times as fast as the parser in Python. What libyaml refuses is read again
+    in Python: its messages differ.
+    """
+    if yaml.__with_libyaml__ and not _READ_OTHERWISE.search(text):
+        # A lone surrogate is refused before libyaml sees it, as text that cannot be encoded.
+        with suppress(yaml.YAMLError, UnicodeEncodeError):
+            return _quick_loader()(text).get_single_node()
+    return _Loader(text).get_single_node()
+
+
+@cache
+def _quick_loader() -> Callable[[str], _Composer]:
+    # A class that PyYAML lacks where it was built without libyaml.
+    class _QuickLoader(_Composer, _Resolver, yaml.CSafeLoader):
+        def __init__(self, text: str) -> None:
+            yaml.CSafeLoader.__init__(self, text)
+            Composer.__init__(self)
+
+    return _QuickLoader
+
+
+_READ_OTHERWISE = re.compile(r"[\t?!\ufeff]|:\s+[,\]}]")
+"""What libyaml accepts where the parser in Python refuses it, or places otherwise."""
 _SCALARS = (
     ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
     ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
@@ -103,7 +152,7 @@ _SCALARS = (
 )
 for _name, _pattern, _first in _SCALARS:
     # Order matters: the first pattern that matches names the type, so integers come before floats.
-    _Loader.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
+    _Resolver.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
 
 
 def scalar(text: str) -> Scalar:
@@ -150,8 +199,7 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
         DocumentError: Bad syntax, an empty document, or another top level.
     """
     try:
-        loader = _Loader(text)
-        root = loader.get_single_node()
+        root = _root(text)
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         mark = Mark(before.count("\n") + 1, error.position - before.rfind("\n"))

@@ -29,6 +29,8 @@ _KNOWN: Mapping[str, frozenset[str] | None] = {
 
 Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
 """
+# libyaml writes the same text faster; PyYAML may be built without it.
+_DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 _HEAD = (
     "# The true constants of the simulated machine, which are unknown on a real "
     "bench, were removed here.\n"
@@ -50,4 +52,4 @@ def redacted(content: bytes) -> bytes:
         for name, value in bench["mock"].items()
         if name in _KNOWN
     }
-    return (_HEAD + yaml.safe_dump(bench, sort_keys=False)).encode("utf-8")
+    return (_HEAD + yaml.dump(bench, Dumper=_DUMPER, sort_keys=False)).encode("utf-8")

@@ -30,6 +30,7 @@ def refined(practical_pair: tuple[Recording, Recording]) -> Refined:
     return found
 
 
+@pytest.mark.proof
 def test_draws_lie_about_the_estimate_as_wide_as_its_interval(refined: Refined) -> None:
     begun = refined.joint.vector.copy()
     found = bootstrap(refined, UNITS, DRAWS, np.random.default_rng(1))

@@ -56,6 +56,7 @@ def test_a_seed_repeats(exact: StageProblem, name: str) -> None:
     assert np.array_equal(one, two)
 
 
+@pytest.mark.proof
 def test_the_default_method_wins_on_the_practical_bench(
     practical_pair: tuple[Recording, Recording], practical_result: Identification
 ) -> None:

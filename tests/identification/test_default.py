@@ -110,9 +110,8 @@ def test_result_holds_every_signal_and_adds_up(practical_result: Identification)
 def test_fixed_values_are_held_through_the_refinement(
     practical_pair: tuple[Recording, Recording], names: tuple[str, ...], loaded: bool
 ) -> None:
-    result = identify(
-        Dataset(practical_pair[: 1 + loaded], Model(fixed={n: TRUTH[n] for n in names}))
-    )
+    recordings = tuple(beginning(r, FEW_S) for r in practical_pair[: 1 + loaded])
+    result = identify(Dataset(recordings, Model(fixed={n: TRUTH[n] for n in names})))
     assert result.stages[-1].method == "prediction error"
     for name, found in result.values().items():
         limit = 1e-12 if name in names else 0.008
@@ -308,8 +307,9 @@ def test_without_inertia_to_start_from_nothing_is_refined(
 
 
 def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
-    unloaded = practical_pair[0]
-    other = replace(logged(simulated(3, 0.0), 0.0, name="other"), role="validate")
+    unloaded = beginning(practical_pair[0], FEW_S)
+    longer = logged(simulated(3, 0.0), 0.0, name="other")
+    other = replace(beginning(longer, FEW_S), role="validate")
     heard: list[str] = []
     alone = identify(Dataset((unloaded,)), progress=lambda stage, _share: heard.append(stage))
     scored = identify(Dataset((unloaded, other)))

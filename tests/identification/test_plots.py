@@ -1,6 +1,8 @@
 """Figures: units on the axes, few points, equal figures are equal bytes."""
 
+import io
 import re
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -82,28 +84,31 @@ def result(method: str = "default", motion: str = "rotary") -> Identification:
     )
 
 
-def figures() -> dict[str, Figure]:
-    found, (one, recording) = result(), trace()
-    names = list(found.parameters)
-    return {
-        "response": signals.response(one, recording, "N m"),
-        "response, linear": signals.response(one, trace(motion="linear")[1], "N"),
-        "residual": signals.residual(one, "rotary", "N m"),
-        "stribeck": fit_plots.stribeck(found, {"run": 0.0}),
-        "convergence": fit_plots.convergence(found.stages[0]),
-        "convergence to the truth": fit_plots.convergence(found.stages[0], {"Mc": 7.1}),
-        "intervals": fit_plots.intervals([found, result("paper")], {"Mc": 6.9}),
-        "profiles": profile_plots.profiles([PROFILE], list(found.parameters.values())),
-        "waterfall": profile_plots.waterfall(
-            [Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]
-        ),
-        "spread": spread({"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, names),
-    }
+def of_one_trace(draw: Callable[..., Figure], motion: str = "rotary") -> Figure:
+    return draw(trace()[0], trace(motion=motion)[1], "N m" if motion == "rotary" else "N")
 
 
-@pytest.mark.parametrize("name", list(figures()))
+FIGURES: dict[str, Callable[[], Figure]] = {
+    "response": lambda: of_one_trace(signals.response),
+    "response, linear": lambda: of_one_trace(signals.response, "linear"),
+    "residual": lambda: signals.residual(trace()[0], "rotary", "N m"),
+    "stribeck": lambda: fit_plots.stribeck(result(), {"run": 0.0}),
+    "convergence": lambda: fit_plots.convergence(result().stages[0]),
+    "convergence to the truth": lambda: fit_plots.convergence(result().stages[0], {"Mc": 7.1}),
+    "intervals": lambda: fit_plots.intervals([result(), result("paper")], {"Mc": 6.9}),
+    "profiles": lambda: profile_plots.profiles([PROFILE], list(result().parameters.values())),
+    "waterfall": lambda: profile_plots.waterfall(
+        [Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]
+    ),
+    "spread": lambda: spread(
+        {"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, list(result().parameters)
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
 def test_every_numeric_axis_has_a_unit(name: str) -> None:
-    for axis in figures()[name].axes:
+    for axis in FIGURES[name]().axes:
         for part, label in ((axis.xaxis, axis.get_xlabel()), (axis.yaxis, axis.get_ylabel())):
             texts = [t.get_text() for t in part.get_ticklabels()]
             named = any(
@@ -113,18 +118,25 @@ def test_every_numeric_axis_has_a_unit(name: str) -> None:
             assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
 
 
-@pytest.mark.parametrize("name", list(figures()))
+@pytest.mark.parametrize("name", FIGURES)
 def test_no_line_has_more_points_than_the_eye_can_use(name: str) -> None:
-    assert (
-        max(len(line.get_xdata()) for axis in figures()[name].axes for line in axis.lines)
-        <= MAX_POINTS
-    )
+    points = [len(line.get_xdata()) for axis in FIGURES[name]().axes for line in axis.lines]
+    assert max(points) <= MAX_POINTS
 
 
 def test_png_is_reproducible() -> None:
-    first, second = png(figures()["response"]), png(figures()["response"])
+    first, second = png(FIGURES["response"]()), png(FIGURES["response"]())
     assert first.startswith(b"\x89PNG")
     assert first == second
+
+
+@pytest.mark.parametrize("name", ["response", "profiles"])
+def test_a_png_is_what_matplotlib_saves(name: str) -> None:
+    ours, theirs = FIGURES[name](), FIGURES[name]()
+    for _ in range(2):
+        saved = io.BytesIO()
+        theirs.savefig(saved, format="png", dpi=110, metadata={"Software": None})
+        assert png(ours) == saved.getvalue()
 
 
 def test_rest_breaks_the_fitted_line() -> None:

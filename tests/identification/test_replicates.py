@@ -140,7 +140,7 @@ def test_where_static_friction_is_high_the_likelihood_errs_as_foretold() -> None
 
 
 def test_replicates_are_the_same_each_time_and_change_nothing() -> None:
-    recordings = [seen(logged(simulated(0, 0.0), 0.0))]
+    recordings = [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))]
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     point = at(TRUTH, recordings, names)
     before = point.vector.copy(), [b.copy() for b in point.breakaway_times]
@@ -168,11 +168,11 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 10.0),))
-    likely = identify(dataset, profile=True, draws=20)
+    likely = identify(dataset, profile=True, draws=6)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
     bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
     monkeypatch.setattr(refinement, "likelihood_bias", lambda *_: bias)
-    moved = identify(dataset, profile=True, draws=20)
+    moved = identify(dataset, profile=True, draws=6)
     for name, shift in shifts.items():
         assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
     for one, other in ((likely.profiles, moved.profiles), (likely.resampled, moved.resampled)):
@@ -401,7 +401,10 @@ def test_two_equations_that_err_apart_count_by_their_variances() -> None:
 def test_the_inertia_goes_to_where_the_replicates_solve_its_equation_and_the_others_follow() -> (
     None
 ):
-    point, bias = sticky_with_bias(0)
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    point = at(STICKY, sticky(0)[:1], names)
+    bias = likelihood_bias(point, names, chance(), ReplicateSettings(turns=1))
+    assert bias is not None
     assert len({r.noise for r in bias.replicates}) >= 3
     j = point.free.index(INERTIA)
     plain, found = covariances(point), covariances(point, bias.replicates)
@@ -426,6 +429,7 @@ def test_instruments_of_a_replicate_are_what_it_shows_from_sample_to_sample() ->
     assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
 
 
+@pytest.mark.proof
 def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     """Its sensitivities hold none, and at the noise levels of the noisy one give the bound
     itself.

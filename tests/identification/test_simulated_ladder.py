@@ -54,6 +54,7 @@ def loops() -> dict[tuple[str, bool], SimulatedRung]:
     return climbed(Dataset((*fitted(), *aside())))
 
 
+@pytest.mark.proof
 def test_constants_are_recovered_from_noisy_loops(
     loops: dict[tuple[str, bool], SimulatedRung],
 ) -> None:

@@ -223,6 +223,12 @@ class Runner:
 
 
 @pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Render no figure, which takes half of an identification, in tests that look at none."""
+    monkeypatch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
+
+
+@pytest.fixture
 def fake_bench() -> type[FakeBench]:
     return FakeBench
 

@@ -45,6 +45,7 @@ def source(tmp_path: Path) -> Path:
     return tmp_path / "c.yaml"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_identify_uses_and_shows_all_of_it(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -70,6 +71,7 @@ def test_identify_uses_and_shows_all_of_it(
     assert "hoisted 6 kg" in report
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_diagnose_takes_the_loads_and_says_what_it_takes_as_exact(
     source: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -8,7 +8,9 @@ import dataclasses
 import math
 import re
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import cantools.database
 import pytest
@@ -86,15 +88,20 @@ def run(bench: str, sequence: str) -> list[RawFrame]:
     return sent_to_drive("run")
 
 
+@cache
+def independent_decoder(bench: str) -> Any:
+    return cantools.database.load_file(
+        odrive.ODRIVE_DBC if bench == "odrive_can" else mit_motor.MIT_DBC
+    )
+
+
 def told(bench: str, frames: list[RawFrame]) -> str:
     """Decode what a run sent to its drive, apart from this program's codec; returns one letter an
     order: I and L power off, M mode, R and E power on, T target.
 
     Every frame must be one that a run may send, with values that it may have.
     """
-    database = cantools.database.load_file(
-        odrive.ODRIVE_DBC if bench == "odrive_can" else mit_motor.MIT_DBC
-    )
+    database = independent_decoder(bench)
     story = ""
     for frame in frames:
         message = database.get_message_by_frame_id(frame.identifier & 0x7FF)

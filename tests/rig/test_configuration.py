@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field, PositiveFloat
 
+import rig
 from rig.common.errors import InputError
 from rig.common.yaml_tree import MAX_BYTES, DocumentError, parse
 from rig.config.configuration import Schema, load, load_located
@@ -46,6 +47,49 @@ def problems(folder: Path, text: str | bytes) -> list[str]:
     assert str(caught.value) == "\n".join(caught.value.problems)
     assert all(line.startswith(f"{path}:") for line in caught.value.problems)
     return [line.removeprefix(f"{path}:") for line in caught.value.problems]
+
+
+ODD = [
+    "a: {b: 1, c: [1, {d: e}]}\nf: [g, h: i]\n",
+    "a: &x [1, 2]\nb: *x\nc: |\n  text\n  more\nd: >-\n  fold\n\n  e\n",
+    "a: {b: , c: [d: ]}\n",
+    "a: {b: 1?2}\n",
+    "a\t: 1\n",
+    "a: \t1\n",
+    "a\ufeff: 1\n",
+    "\ufeffa: 1\n",
+    "a: !x 1\n",
+    "a: !~!str 1\n",
+    "a: \ud800\n",
+    "a: \x00\n",
+    "é: \U0001f600 # c\nb: 'x\n",
+    "a: 1\n---\nb: 2\n",
+    "a: b: c\n",
+    "a: [1\n",
+    "a: *x\n",
+    "a: @b\n",
+    "a: 1\na: 2\r\nb: 1\n",
+    "a: " + "[" * 50 + "]" * 50,
+    "",
+]
+"""Texts on whose right and wrong, or on whose words, two parsers of YAML may differ."""
+PACKAGED = [path.read_text() for path in sorted(Path(rig.__file__).parent.rglob("*.yaml"))]
+
+
+@pytest.mark.parametrize("text", [*ODD, *PACKAGED], ids=lambda text: ascii(text[:20]))
+def test_libyaml_reads_what_the_parser_in_python_reads(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    quick = outcome(text)
+    monkeypatch.setattr(yaml, "__with_libyaml__", False)
+    assert outcome(text) == quick
+
+
+def outcome(text: str) -> object:
+    try:
+        return parse(text)
+    except DocumentError as error:
+        return error.message, error.mark
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,7 @@ def diagnosed(name: str) -> dict[str, Any]:
     return diagnose_source(CAMPAIGNS / f"{name}.yaml", 0).record()
 
 
+@pytest.mark.proof
 def test_asymmetric_viscous_friction_of_emps() -> None:
     """The authors of the data say so; the record with pulses takes no part and is predicted
     better.
@@ -59,6 +60,7 @@ def test_seven_periods_a_turn_of_a_motor_turned_slowly_once() -> None:
     assert found["fit"]["validate_final_rms"] < 0.5 * found["fit"]["validate_baseline_rms"]
 
 
+@pytest.mark.proof
 def test_the_weight_of_one_recording_is_not_what_its_label_says() -> None:
     """0.259 kg labelled 0.457 kg."""
     found = diagnosed("sts3032_wrong_label")
@@ -69,6 +71,7 @@ def test_the_weight_of_one_recording_is_not_what_its_label_says() -> None:
     assert found["effects"][0]["where"]["recordings"] == ["m259g_l100mm_kp16_up_and_down"]
 
 
+@pytest.mark.proof
 def test_a_delay_laid_into_real_channels_comes_back() -> None:
     """Four milliseconds, beside the 0.76 ms that the machine has by itself."""
     dataset = load_source(CAMPAIGNS / "emps.yaml")
@@ -77,6 +80,7 @@ def test_a_delay_laid_into_real_channels_comes_back() -> None:
     assert late - own == pytest.approx(-0.004, rel=0.05)
 
 
+@pytest.mark.proof
 def test_a_constant_load_on_a_screw() -> None:
     """Half the sum of the mean torques both ways is -0.26 to -0.40 mN m."""
     found = diagnosed("screw_drive_1_untold")
@@ -87,6 +91,7 @@ def test_a_constant_load_on_a_screw() -> None:
     assert found["fit"]["validate_final_rms"] < 0.5 * found["fit"]["validate_baseline_rms"]
 
 
+@pytest.mark.proof
 def test_a_swing_whose_phase_each_recording_has_to_itself_is_judged_on_those_fitted() -> None:
     """Only speeds were recorded: no two recordings share an angle. The constant load, 0.01 to 0.18
     mN m by half the sum of both ways, is less than the swing that recordings set aside leave.
@@ -135,6 +140,7 @@ def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_p
     assert found["fit"]["validate_final_rms"] < 0.95 * found["fit"]["validate_baseline_rms"]
 
 
+@pytest.mark.proof
 def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Path) -> None:
     """Without the controller's law nobody knows that the voltage was computed: shifted whole, it
     fits the recordings of one mass with 18 ms, and the other's worse.
@@ -155,7 +161,15 @@ def test_what_makes_unseen_recordings_worse_is_no_name_and_said_so(tmp_path: Pat
     assert found["fit"]["equation"] == "torque"
 
 
-@pytest.mark.parametrize(("mass", "length"), [(259, 50), (259, 70), (259, 100), (457, 50)])
+@pytest.mark.parametrize(
+    ("mass", "length"),
+    [
+        pytest.param(259, 50, marks=pytest.mark.proof),
+        pytest.param(259, 70, marks=pytest.mark.proof),
+        (259, 100),
+        pytest.param(457, 50, marks=pytest.mark.proof),
+    ],
+)
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
     """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not
     (docs/diagnosis.md).
@@ -180,7 +194,7 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
     )
 
 
-@pytest.mark.parametrize("amperes", [0.3, -0.3])
+@pytest.mark.parametrize("amperes", [pytest.param(0.3, marks=pytest.mark.proof), -0.3])
 def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) -> None:
     """Beside the machine's own constant force; no motion at one load tells it from asymmetric
     friction.
@@ -223,7 +237,7 @@ def with_current(recording: Recording, added: float) -> Recording:
     )
 
 
-@pytest.mark.parametrize("gap_m", [2e-5, 1e-4])
+@pytest.mark.parametrize("gap_m", [pytest.param(2e-5, marks=pytest.mark.proof), 1e-4])
 def test_a_dead_zone_laid_between_real_channels_comes_back(gap_m: float) -> None:
     """The second encoder is the first one a period later, behind a gap; the last period takes no
     part.

@@ -289,6 +289,7 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
     assert "feedforward.json" not in read_record(Path("plain")).inputs
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sine.yaml").write_text(
         "sequence: 1\nname: sine\nstages:\n"

@@ -328,6 +328,7 @@ recordings:
         load_source(path)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
     shutil.copytree(fired, "copy")
     assert status(["identify", "copy", "--json", "found.json"]) == 0

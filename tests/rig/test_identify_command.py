@@ -95,6 +95,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
     return Identified(campaign, shown.getvalue(), folder / "bench-identified")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, record_file = tmp_path / "out", tmp_path / "result.json"
     arguments = [
@@ -127,6 +128,7 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out / "report.html").is_file()
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_compare(
     campaign: Path,
     tmp_path: Path,
@@ -173,6 +175,7 @@ def record_of(folder: Path) -> dict[str, object]:
 
 
 @pytest.mark.usefixtures("short_search")
+@pytest.mark.usefixtures("undrawn")
 def test_same_seed_same_record(identified: Identified, tmp_path: Path) -> None:
     arguments = ["identify", str(identified.campaign), "--method", "paper", "--seed", "4"]
     assert status([*arguments, "--out", str(tmp_path / "two")]) == 0

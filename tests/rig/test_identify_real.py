@@ -99,6 +99,7 @@ def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
     assert not second.parameters["Ms"].identifiable
 
 
+@pytest.mark.proof
 @pytest.mark.recordings
 def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_friction(
     recordings: Path,

@@ -190,6 +190,7 @@ def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_identification_of_what_was_recorded_says_so(
     stopped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

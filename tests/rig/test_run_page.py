@@ -206,11 +206,23 @@ def test_the_page_holds_all_it_needs(runner: Any, fake_bench: Any) -> None:
     assert 'name="viewport"' in html
 
 
-def test_the_end_of_a_run_waits_for_no_plotting_library() -> None:
-    code = "import sys, rig.cli.aftermath; print(sorted(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
+    short_sequence: Path, tmp_path: Path
+) -> None:
+    code = (
+        "import sys, rig.cli.entry\n"
+        "assert rig.cli.entry.status(['run', *sys.argv[1:], '--yes']) == 0\n"
+        "print(sorted(sys.modules))\n"
+        "import importlib.util\n"
+        "assert importlib.util.find_spec('asammdf') is not None"
+    )
+    arguments = [short_sequence, "--out", tmp_path / "out"]
+    done = subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True
+    )
     assert "'rig.results.run.page.chart'" in done.stdout
-    for heavy in ("matplotlib", "jinja2"):
+    assert "'can.io.mf4'" in done.stdout
+    for heavy in ("matplotlib", "jinja2", "asammdf", "pandas", "scipy.signal"):
         assert f"'{heavy}'" not in done.stdout
 
 

@@ -130,6 +130,7 @@ def test_recordings_without_a_controller_are_scored_by_their_torque_alone(
     assert "controller" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_ladder_and_score_are_printed_recorded_and_reported(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -156,6 +156,7 @@ def test_a_file_that_is_no_result(
     assert said in error
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) -> None:
     """And a rotary one is refused for a linear bench, where its numbers mean something else."""
     found = tmp_path / "diagnosed.json"

@@ -49,6 +49,7 @@ def campaign(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_fits_to_the_simulated_angle_are_printed_and_recorded(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -317,6 +317,7 @@ def test_after_a_run_with_the_right_weights_nothing_is_named(tmp_path: Path) -> 
     assert read_record(out).weights == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None:
     out, result = tmp_path / "out", tmp_path / "result.json"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -376,12 +376,12 @@ class SimulatedMachine:
             current,
             voltage,
             float(self._x[extra.SUPPLY]),
-            float(self.temperature(self._x[extra.RUN : extra.RUN + 1])[0]),
+            float(self.temperature(float(self._x[extra.RUN]))),
             following,
             float(self._y[gas.PRESSURE]),
         )
 
-    def temperature(self, run_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def temperature(self, run_s: float | NDArray[np.float64]) -> Any:
         """Return the temperature that the drive reports after this running time, deg C."""
         machine = self.constants
         return machine.temperature_C - machine.warming_K * np.expm1(-run_s / machine.warming_s)

@@ -12,8 +12,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
@@ -38,6 +40,7 @@ TONE_PADDING, TONE_TRIALS = 4, 10
 """Length of the padded spectrum in which a tone is searched for, over that of the rows, and number
 of trial frequencies on either side.
 """
+Places = NDArray[np.int64]
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -75,7 +78,12 @@ class Equation:
 
     def rows(self, per_view: Callable[[View], Array]) -> Array:
         """Return full-rate series, shape (m,) or (k, m) per view, as rows, shape (n, k)."""
-        return _stack(self.name, self.views, self.kept, per_view)
+        return _stack(self.name, self.views, self._places, per_view)
+
+    @cached_property
+    def _places(self) -> tuple[Places, ...]:
+        """Indices of the rows among the filter's outputs (or breakaways), for each view."""
+        return tuple(map(np.flatnonzero, self.kept))
 
 
 def equations(
@@ -158,15 +166,15 @@ def _tone(rows: Array, time: Array) -> Array:
 
 
 def _stack(
-    name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view: Callable[[View], Array]
+    name: str, views: Sequence[View], places: Sequence[Places], per_view: Callable[[View], Array]
 ) -> Array:
     parts = []
-    for view, keep in zip(views, kept, strict=True):
+    for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
         if name == "breakaway":
-            parts.append((series[:, view.breakaways] * _sharpness(view))[:, keep].T)
+            parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
         else:
-            parts.append(view.low_pass.chosen(series, np.flatnonzero(keep)))
+            parts.append(view.low_pass.chosen(series, at))
     return np.concatenate(parts)
 
 
@@ -180,7 +188,8 @@ def _build(
     names: Sequence[str],
     before: Equation | None = None,
 ) -> Equation | None:
-    residual = _stack(name, views, kept, measured)[:, 0]
+    places = [np.flatnonzero(k) for k in kept]
+    residual = _stack(name, views, places, measured)[:, 0]
     if len(residual) < 2 * len(names) + 8:
         return None
     counts = [int(np.sum(k)) for k in kept]
@@ -189,7 +198,7 @@ def _build(
         (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k]
         for v, k in zip(views, kept, strict=True)
     ]
-    columns = _stack(name, views, kept, tangent)
+    columns = _stack(name, views, places, tangent)
     when = np.concatenate(times)
     found = Equation(
         name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, 1.0

@@ -105,8 +105,7 @@ class Nominal:
         With declared load-dependent friction it includes the gear's friction under a weight that
         turns with the joint.
         """
-        total = self._level(view, _RISES[0], "sigma_2")
-        return total + self.borne(view) * self.gear(view) if self._geared else total
+        return _level(self, view)
 
     @property
     def _geared(self) -> bool:
@@ -290,6 +289,12 @@ def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
     """
     power = _frozen((np.abs(view.velocity) / omega) ** alpha)
     return power, _frozen(np.exp(-power))
+
+
+@lru_cache(maxsize=KEPT)
+def _level(nominal: Nominal, view: View) -> Array:
+    total = nominal._level(view, _RISES[0], "sigma_2")
+    return _frozen(total + nominal.borne(view) * nominal.gear(view) if nominal._geared else total)
 
 
 @lru_cache(maxsize=KEPT)

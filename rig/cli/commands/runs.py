@@ -260,7 +260,7 @@ def accept(
     from rig.cli.accepting import accept_run
     from rig.common.locks import hold_folder
     from rig.common.places import require_file, write_asked
-    from rig.results.acceptance.accept import limits_for
+    from rig.results.acceptance.limits import limits_for
     from rig.wiring.ownership import until_the_end
 
     require_file(json_file, "--json")

@@ -13,11 +13,7 @@ from rig.common.errors import InputError
 from rig.common.places import replacing
 from rig.common.provenance import sha256_file
 from rig.common.result_files import RESULT_FILE as IDENTIFY_FILE
-from rig.common.yaml_tree import DocumentError, parse
-from rig.config.acceptance import Limit, limits_of
-from rig.config.configuration import validated
-from rig.config.sequence import Sequence as StageSequence
-from rig.config.sequence import load_acceptance
+from rig.config.acceptance import Limit
 from rig.results.acceptance.certificate import certificate_html, make_certificate
 from rig.results.acceptance.evidence import DIAGNOSIS_FOLDER, Progress, gather
 from rig.results.acceptance.judge import Check, accepted, judge
@@ -27,13 +23,10 @@ from rig.results.diagnose.diagnose import RESULT_FILE as DIAGNOSIS_FILE
 from rig.results.document import Document, Note, Section, Table, Verdict
 from rig.results.files import write_record, write_texts
 from rig.runs.catalogue.read import bench_name
-from rig.runs.mcap.records import DamageError
-from rig.runs.mcap.stream import first_attachment
-from rig.runs.run_record import RECORDING_FILE, RUN_FILE, SEQUENCE_ATTACHMENT
+from rig.runs.run_record import RUN_FILE
 from rig.runs.seal import seal, seal_run
 
 CERTIFICATE_PAGE, CERTIFICATE_PDF = "certificate.html", "certificate.pdf"
-_OF_THE_SEQUENCE = "sequence"
 
 
 @dataclass(frozen=True)
@@ -56,37 +49,6 @@ class Acceptance:
     def accepted(self) -> bool:
         """Whether the run is accepted."""
         return accepted(self.checks)
-
-
-def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin: the given file, else the recorded sequence.
-
-    Raises:
-        InputError: The file is not valid; or there is none, and the sequence states no limits.
-    """
-    if file is not None:
-        return limits_of(load_acceptance(file).value.limits), str(file)
-    limits = recorded_limits(folder)
-    if not limits:
-        raise InputError(
-            f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
-            "--acceptance FILE"
-        )
-    return limits, _OF_THE_SEQUENCE
-
-
-def recorded_limits(folder: Path) -> tuple[Limit, ...]:
-    """Return the acceptance limits in the sequence that is attached to a run's recording.
-
-    Raises:
-        InputError: The sequence cannot be read.
-    """
-    path = folder / RECORDING_FILE
-    try:
-        root, _ = parse(first_attachment(path, SEQUENCE_ATTACHMENT).decode("utf-8"))
-    except (DamageError, DocumentError, OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the sequence in it cannot be read: {error}") from error
-    return limits_of(validated(Path(SEQUENCE_ATTACHMENT), root, StageSequence).value.acceptance)
 
 
 def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progress) -> Acceptance:

@@ -13,6 +13,7 @@ TIME_S = 0.04
 KNEE_A = 30.0
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("of_speed", [0.0, 1.0])
 def test_friction_that_lags_by_its_level_or_by_its_speed(of_speed: float) -> None:
     hidden = {"friction_memory": {"time_s": TIME_S, "of_speed": of_speed}}
@@ -24,7 +25,7 @@ def test_friction_that_lags_by_its_level_or_by_its_speed(of_speed: float) -> Non
     assert parameters["of_speed"].low == parameters["of_speed"].high == of_speed
 
 
-@pytest.mark.parametrize("rational", [0.0, 1.0])
+@pytest.mark.parametrize("rational", [0.0, pytest.param(1.0, marks=pytest.mark.proof)])
 def test_torque_that_saturates_by_either_law(rational: float) -> None:
     hidden = {"torque_saturation": {"knee_A": KNEE_A, "rational": rational}}
     found = diagnose(Dataset(campaign(hidden, 6, 8.0), Model()))
@@ -34,6 +35,7 @@ def test_torque_that_saturates_by_either_law(rational: float) -> None:
     assert parameters["rational"].value == rational
 
 
+@pytest.mark.proof
 @pytest.mark.parametrize("magnet", [0.0, 1.0])
 def test_a_winding_that_heats_alone_is_told_from_one_with_its_magnets(magnet: float) -> None:
     """And neither is dropped as the winding of an unseen recording began warm."""

@@ -38,7 +38,10 @@ def test_nothing_is_missing_where_only_the_constants_are_off() -> None:
     assert found.parameters["V_0"] == pytest.approx(0.011, rel=0.02)
 
 
-@pytest.mark.parametrize("name", HIDDEN)
+@pytest.mark.parametrize(
+    "name",
+    [n if n == "leakage" else pytest.param(n, marks=pytest.mark.proof) for n in HIDDEN],
+)
 def test_what_is_hidden_is_named_and_sized(name: str) -> None:
     found = diagnose_gas(recordings({name: HIDDEN[name]}))
     assert found.verdict is Verdict.NAMED
@@ -68,18 +71,20 @@ def test_a_still_valve_cannot_tell_what_a_moving_one_can() -> None:
     assert any("hardly changes" in w for w in found.warnings)
 
 
+UNKNOWN: Mapping[str, Mapping[str, float]] = {
+    "x_propellant_bands": {"share": 0.03, "length_m": 0.02},
+    "x_burning_wave": {"share": 0.02, "frequency_Hz": 2.0},
+    "x_throat_wear": {"rate_m_s": 6e-6},
+    "x_slag_puffs": {"share": 0.05, "period_s": 2.0, "length_s": 0.3},
+}
+
+
 @pytest.mark.parametrize(
-    "effects",
-    [
-        {"x_propellant_bands": {"share": 0.03, "length_m": 0.02}},
-        {"x_burning_wave": {"share": 0.02, "frequency_Hz": 2.0}},
-        {"x_throat_wear": {"rate_m_s": 6e-6}},
-        {"x_slag_puffs": {"share": 0.05, "period_s": 2.0, "length_s": 0.3}},
-    ],
-    ids=lambda effects: next(iter(effects)),
+    "name",
+    [n if n == "x_slag_puffs" else pytest.param(n, marks=pytest.mark.proof) for n in UNKNOWN],
 )
-def test_what_is_in_no_catalogue_gets_no_name(effects: Mapping[str, Mapping[str, float]]) -> None:
-    found = diagnose_gas(recordings(effects))
+def test_what_is_in_no_catalogue_gets_no_name(name: str) -> None:
+    found = diagnose_gas(recordings({name: UNKNOWN[name]}))
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert not found.effects
     assert found.curve is not None
@@ -87,6 +92,7 @@ def test_what_is_in_no_catalogue_gets_no_name(effects: Mapping[str, Mapping[str,
     assert found.location is not None
 
 
+@pytest.mark.proof
 def test_two_effects_at_once() -> None:
     both = {name: HIDDEN[name] for name in ("leakage", "burning_area_change")}
     found = diagnose_gas(recordings(both))
@@ -166,18 +172,22 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
 
 
 @pytest.mark.parametrize(
-    ("dataset", "words"),
+    ("channels", "words"),
     [
-        (infeasible(pressure=None), "burn_0: no pressure"),
-        (infeasible(angle=None), "burn_0: no angle"),
-        (infeasible(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
-        (infeasible(pressure=np.full(800, 4e6)), "pressure is constant"),
-        (Dataset(()), "no recording has the role fit"),
+        ({"pressure": None}, "burn_0: no pressure"),
+        ({"angle": None}, "burn_0: no angle"),
+        ({"pressure": np.linspace(4e6, -1e5, 800)}, "falls to -100000 Pa"),
+        ({"pressure": np.full(800, 4e6)}, "pressure is constant"),
     ],
 )
-def test_recordings_that_cannot_be_used(dataset: Dataset, words: str) -> None:
+def test_recordings_that_cannot_be_used(channels: dict[str, np.ndarray | None], words: str) -> None:
     with pytest.raises(RecordingError, match=words):
-        diagnose_gas(dataset)
+        diagnose_gas(infeasible(**channels))
+
+
+def test_no_recording_to_fit() -> None:
+    with pytest.raises(RecordingError, match="no recording has the role fit"):
+        diagnose_gas(Dataset(()))
 
 
 def test_a_bench_without_constants_or_a_short_burn() -> None:

@@ -70,7 +70,7 @@ def test_the_small_bench_runs_at_once(drive: str) -> None:
         24,
     )
     assert schema_accepts(Path("bench.yaml"))
-    sequence = ("--weights", "2,5", "--amplitude", "15", "--frequency", "0.3", "--duration", "4")
+    sequence = ("--weights", "2,5", "--amplitude", "15", "--frequency", "0.5", "--duration", "2.2")
     assert status(["new", "sequence", "s.yaml", "--bench", "bench.yaml", *sequence, "--yes"]) == 0
     assert schema_accepts(Path("s.yaml"))
     assert status(["run", "s.yaml", "--bench", "bench.yaml", "--yes", "--out", "run"]) == 0

@@ -352,10 +352,11 @@ def _path(curve: Curve, axis: TimeAxis, low: float, high: float) -> tuple[str, s
         )
         words.append(f"{verb}{at:.1f} {first:.1f}V{second:.1f}")
         previous = second
-    few = len(curve.bins.start) <= _FEW
-    dots = "".join(
+    if len(curve.bins.start) > _FEW:
+        return "".join(words), ""
+    dots = (
         f"M{a:.1f} {t:.1f}h0"
         for a, t in zip(x.tolist(), tops.tolist(), strict=True)
         if math.isfinite(t)
     )
-    return "".join(words), dots if few else ""
+    return "".join(words), "".join(dots)
