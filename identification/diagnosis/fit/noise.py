@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.rows.equations import Equation, least_noise, noise, without_tones
+from identification.diagnosis.rows.equations import Equation, least_noise
+from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View
 from identification.recording import Array
 

@@ -83,7 +83,7 @@ def with_assumed_fall(
         start: Nominal values from which it started.
         fixed: Names of nominal parameters that are not estimated.
     """
-    if _mean_square(first) < RULES.near_floor:
+    if _mean_square(first) < RULES.excess:
         return first
     raised = [start.raised(omega, fixed) for omega in _trial_stribeck_speeds(here)]
     other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_mean_square)

@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
 from identification.recording import Array
-from identification.signals import BoolArray, Decimator, central_difference, quantum
+from identification.signals import BoolArray, central_difference, quantum
 
 LEAST_BREAKAWAYS = 12
 """Least number of breakaways, over all recordings, for a breakaway equation."""
@@ -32,15 +34,9 @@ WITHIN_STEP = 0.3
 """
 SURE_NM = 0.1
 """Approximate torque noise of one sample."""
-LEAST_ROWS_OF_A_TONE = 300
-"""Least number of rows from which a tone is removed. The strongest sine explains 2 log(n/2)/n of n
-rows of white noise, which is 3 % here.
-"""
-TONE_PADDING, TONE_TRIALS = 4, 10
-"""Length of the padded spectrum in which a tone is searched for, over that of the rows, and number
-of trial frequencies on either side.
-"""
 Places = NDArray[np.int64]
+ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
+"""Error of the most accurate encoders for one turn."""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -59,9 +55,9 @@ class Equation:
         owner: Index of each row's recording, shape (n,).
         time: Time stamp of each row, s, shape (n,).
         sigma: Noise of one row.
-        own: Mean square of each recording's own noise over the square of ``sigma``, at least 1, by
-            the recording's index. The noise of a recording may depend on its motion, as where a
-            controller amplifies the rounding of an encoder.
+        own: Mean square of each recording's own noise and of its sensors' error over the square of
+            ``sigma``, at least 1, by the recording's index. The noise of a recording may depend on
+            its motion, as where a controller amplifies the rounding of an encoder.
     """
 
     name: str
@@ -112,59 +108,6 @@ def equations(
     return tuple(e for e in found if e is not None)
 
 
-def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
-    """Return the scatter of a filtered series that is due to white noise before the filter.
-
-    Third differences within recordings remove what is smooth from row to row, and the median
-    removes rare outliers; the filter's correlation from row to row is accounted for.
-    """
-    difference = np.diff(series, n=3)
-    same = owner[3:] == owner[:-3]
-    spread = 1.4826 * float(np.median(np.abs(difference[same]))) if np.any(same) else 0.0
-    taps, factor = low_pass.taps, low_pass.factor
-    lags = [
-        float(taps[k * factor :] @ taps[: len(taps) - k * factor])
-        if k * factor < len(taps)
-        else 0.0
-        for k in range(4)
-    ]
-    weights = np.convolve([1.0, -3.0, 3.0, -1.0], [-1.0, 3.0, -3.0, 1.0])[3:]
-    gain = weights[0] * lags[0] + 2.0 * float(weights[1:] @ np.array(lags[1:]))
-    return spread * float(np.sqrt(lags[0] / gain))
-
-
-def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
-    """Return rows less the strongest sine of each recording.
-
-    A torque at one frequency would count as noise in differences from row to row.
-    """
-    out = series.copy()
-    for index in np.unique(owner):
-        mine = owner == index
-        if np.sum(mine) >= LEAST_ROWS_OF_A_TONE:
-            out[mine] -= _tone(series[mine], time[mine] - time[mine][0])
-    return out
-
-
-def _tone(rows: Array, time: Array) -> Array:
-    """Return the sine that explains most of the rows at these times; some rows may be missing."""
-    step = float(np.min(np.diff(time)))
-    place = np.round(time / step).astype(np.int64)
-    even = np.zeros(int(place[-1]) + 1)
-    even[place] = rows - np.mean(rows)
-    padded = TONE_PADDING * len(even)
-    strongest = int(np.argmax(np.abs(np.fft.rfft(even, padded))[1:])) + 1
-    best, least = np.zeros(len(rows)), math.inf
-    for offset in np.linspace(-1.0, 1.0, 2 * TONE_TRIALS + 1):
-        phase = 2.0 * math.pi * (strongest + float(offset)) / (padded * step) * time
-        columns = np.stack([np.sin(phase), np.cos(phase)], axis=1)
-        sine = columns @ np.linalg.lstsq(columns, rows, rcond=None)[0]
-        left = float(np.sum((rows - sine) ** 2))
-        if left < least:
-            best, least = sine, left
-    return best
-
-
 def _stack(
     name: str, views: Sequence[View], places: Sequence[Places], per_view: Callable[[View], Array]
 ) -> Array:
@@ -213,16 +156,29 @@ def _build(
     rest = without_tones(rest, owner, when)
     scatter = noise(rest, owner, views[0].low_pass)
     sigma = max(math.hypot(scatter, held_voltage(found)), least_noise(found))
-    return replace(found, sigma=sigma, own=_own_noise(found, rest / sigma))
+    return replace(found, sigma=sigma, own=_own_noise(found, rest / sigma, sigma))
 
 
-def _own_noise(equation: Equation, rest: Array) -> dict[int, float]:
-    """Return the mean square of each recording's own noise in whitened rows, at least 1."""
+def _own_noise(equation: Equation, rest: Array, sigma: float) -> dict[int, float]:
+    """Return the mean square of each recording's own noise in whitened rows, at least 1, with the
+    error that the sensors may have.
+    """
     low_pass, owner = equation.views[0].low_pass, equation.owner
+    sensors = (_accuracy(equation) / sigma) ** 2
     return {
-        index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2)
+        index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2) + sensors
         for index in np.unique(owner).tolist()
     }
+
+
+def _accuracy(equation: Equation) -> float:
+    """Return the error of an equation that the best sensors may cause, in its unit; noise does not
+    contain it, as it repeats with the motion.
+    """
+    if equation.name == "transmission":
+        return ARC_SECOND_RAD
+    read = [v.torque if equation.name == "torque" else v.voltage for v in equation.views]
+    return RULES.accuracy * max(float(np.nanmax(np.abs(r))) for r in read if r is not None)
 
 
 def held_voltage(equation: Equation) -> float:

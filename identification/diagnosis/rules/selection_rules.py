@@ -21,13 +21,14 @@ class SelectionRules:
             tested. Basis: some hundred independent rows give the noise's mean square to about a
             tenth (decisions 36, 43).
         excess: Ratio of the mean-square mismatch to the noise's, up to which an underestimated
-            noise may be the cause. Basis: chosen on development trials: the noise is estimated
-            above the bandwidth.
+            noise may be the cause, and below which a mismatch counts as explained. Basis: chosen on
+            development trials: the noise is estimated above the bandwidth.
+        accuracy: Share of the greatest torque or voltage within which a mismatch may be an error of
+            its sensor. Basis: current sensors and converters of drives are linear to 0.1 to 1 %;
+            this is a fifth of the best.
         excess_of_one: The same ratio for one recording, up to which its torque mismatch counts as
             noise. Basis: a recording has a few half cycles, whose mean square scatters more; too
             few blocks for sign flips.
-        near_floor: Ratio of the mean-square mismatch to the noise's, below which the mismatch
-            counts as explained. Basis: equal to `excess`.
         least_share: Power of a contribution, over the noise's power in its equations, below which
             it is negligible. Basis: a tenth of the noise's amplitude.
         outlier: Magnitude of a row, over the noise, from which it is an outlier. Basis: normal
@@ -109,8 +110,8 @@ class SelectionRules:
     level: float = 0.01
     tested_from: float = 1.1
     excess: float = 1.5
+    accuracy: float = 2e-4
     excess_of_one: float = 2.0
-    near_floor: float = 1.5
     least_share: float = 0.01
     outlier: float = 6.0
     outlier_blocks: float = 0.01

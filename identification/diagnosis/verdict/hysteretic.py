@@ -25,7 +25,7 @@ def is_hysteretic(joint: Joint) -> bool:
     """
     rows = joint.residual[joint.stack.part("torque")]
     torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= RULES.near_floor * level(torque) * len(rows):
+    if float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
         return False
     gains = {}
     for name, columns in families(torque):

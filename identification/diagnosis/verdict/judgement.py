@@ -182,7 +182,7 @@ def _insufficient(found: Search, share: float = RULES.adequate) -> bool:
     worst = _judged_equation(found)
     equation = next(e for e in found.final.equations if e.name == worst.equation)
     left = (
-        worst.after > RULES.near_floor * level(equation)
+        worst.after > RULES.excess * level(equation)
         or greatest_mean_square(found.final, equation) > RULES.excess_of_one
     )
     return worst.explained < share and left
@@ -305,9 +305,7 @@ def _effect(
             where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,)
         )
     open_names = _open_rivals(taken)
-    quality = max(
-        excess[own.name].explained, 1.0 if excess[own.name].after < RULES.near_floor else 0.0
-    )
+    quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
     confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before, alone)
     rivals = tuple(

@@ -25,7 +25,7 @@ def direction_dependent(joint: Joint) -> tuple[str, ...]:
     rows = joint.residual[joint.stack.part("torque")]
     beyond = float(rows @ rows) - len(rows)
     torque = next(e for e in joint.equations if e.name == "torque")
-    if float(rows @ rows) <= RULES.near_floor * level(torque) * len(rows):
+    if float(rows @ rows) <= RULES.excess * level(torque) * len(rows):
         return ()
     return tuple(name for name, gain in _gains(joint) if gain >= RULES.nearly_all * beyond)
 

@@ -16,8 +16,9 @@ from identification.diagnosis.fit.feasibility import predicted_and_attained
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import Candidate, stack_of
 from identification.diagnosis.fit.start import feasible_or_first
-from identification.diagnosis.rows.equations import equations, noise, without_tones
+from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.nominal import STATICS, Nominal
+from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
 from identification.diagnosis.selection.comparison import infeasible

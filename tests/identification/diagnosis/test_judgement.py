@@ -28,6 +28,9 @@ noise.
 @lru_cache
 def found(size_N_m: float) -> Search:
     joint = nominal_fit(campaign({NAME: {"torque_Nm": size_N_m}}, 5, 6.0))
+    # These tests set the mismatch in multiples of the noise alone.
+    bare = tuple(replace(e, own={}) for e in joint.equations)
+    joint = replace(joint, equations=bare, stack=replace(joint.stack, equations=bare))
     term = next(t for t in TERMS if t.name == NAME)
     final = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (), (0.0,)),), joint)
     return Search(joint, final, (Round(NAME, ()),), 1e-3, 1.0, "", ())

@@ -33,11 +33,11 @@ def power(joint: Joint) -> float:
 
 def test_a_patch_of_one_way_is_no_patch_of_both() -> None:
     joint = patched("x_one_way_patch", 0.06)
-    assert power(joint) > RULES.near_floor
+    assert power(joint) > RULES.excess
     assert direction_dependent(joint) == ("position_dependent_friction",)
 
 
 def test_a_patch_of_another_width_is_wrong_both_ways() -> None:
     joint = patched("position_dependent_friction", 0.1)
-    assert power(joint) > RULES.near_floor
+    assert power(joint) > RULES.excess
     assert direction_dependent(joint) == ()

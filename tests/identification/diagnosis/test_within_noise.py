@@ -139,3 +139,16 @@ def test_quick_reversals_raise_the_bandwidth(frequency_Hz: float) -> None:
     assert common_bandwidth([recording, slow]) == min(usual, default_bandwidth(slow))
     assert common_bandwidth([recording, replace(slow, stage="loaded")]) == found
     assert common_bandwidth([slow]) == default_bandwidth(slow)
+
+
+@pytest.mark.parametrize(("equation", "share"), [("torque", 2e-4), ("voltage", 2e-4)])
+def test_what_the_best_sensor_may_read_wrong_is_within_the_noise(
+    equation: str, share: float
+) -> None:
+    """An error that repeats with the motion is in no noise, and no physics below this share."""
+    found = next(e for e in nominal_fit(honest()).equations if e.name == equation)
+    read = [v.torque if equation == "torque" else v.voltage for v in found.views]
+    greatest = max(float(np.nanmax(np.abs(r))) for r in read)
+    sensors = (share * greatest / found.sigma) ** 2
+    assert set(found.own) == {v.index for v in found.views}
+    assert all(own >= 1.0 + sensors for own in found.own.values())
