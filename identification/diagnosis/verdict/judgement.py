@@ -307,7 +307,8 @@ def _effect(
     open_names = _open_rivals(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
-    confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before, alone)
+    needed = excess[own.name].before if alone else _needing(found.final, k, rows)
+    confidence = confidence_of(taken, quality, found.p_after, needed, alone)
     rivals = tuple(
         Rival(
             r.name,
@@ -334,6 +335,16 @@ def _effect(
     )
 
 
+def _needing(final: Joint, k: int, rows: slice) -> float:
+    """Return the mean-square mismatch over the noise's that the final model leaves in some rows
+    without the contribution of effect ``k``.
+    """
+    effect, stack = final.effects[k], final.stack
+    columns = stack.whitened(stack.columns(effect.term, effect.shape))
+    made = columns @ np.array(effect.coefficients)
+    return float(np.mean((final.residual + made)[rows] ** 2))
+
+
 def confidence_of(
     taken: Round, quality: float, p_after: float, before: float, alone: bool = True
 ) -> float:
@@ -344,7 +355,7 @@ def confidence_of(
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         p_after: p-value of the test whether anything more is missing.
-        before: Mean-square mismatch of that equation over the noise's, without any effect.
+        before: Mean-square mismatch of that equation over the noise's, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.
     """
