@@ -28,6 +28,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
+from identification.diagnosis.rows.recent import forget
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.collinear import collinear_effects
@@ -211,7 +212,8 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
 
 
 def _begin(progress: Progress | None) -> Progress:
-    """Return the function that reports progress, after its first report."""
+    """Release the series of the last diagnosis; return the function that reports progress."""
+    forget()
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
     return report

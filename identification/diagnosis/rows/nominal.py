@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
+from identification.diagnosis.rows.recent import recent
 from identification.diagnosis.rows.view import View
 from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
@@ -22,8 +22,6 @@ RISE = 0.5
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
 _AT_LIMIT = 1e-9
-KEPT = 128
-"""Cache size: series of one kind, of a recording at nominal values."""
 LEAST_RISE = 1e-6
 """Least rise over Coulomb friction."""
 LEAST_FALL = 1e-3
@@ -263,12 +261,12 @@ class Nominal:
         return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _helping(view: View, undeclared: tuple[float, float, float, float]) -> Array:
     return _frozen(view.known - _unknown(view, undeclared))
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _borne(view: View, undeclared: tuple[float, float, float, float]) -> Array:
     return _frozen(
         np.abs(view.hanging - _unknown(view, undeclared) if any(undeclared) else view.hanging)
@@ -282,7 +280,7 @@ def _unknown(view: View, undeclared: tuple[float, float, float, float]) -> Array
     )
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
     """Return |omega/omega_s|^alpha and exp(-|omega/omega_s|^alpha), which a level and its slopes
     share.
@@ -291,13 +289,13 @@ def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
     return power, _frozen(np.exp(-power))
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _level(nominal: Nominal, view: View) -> Array:
     total = nominal._level(view, _RISES[0], "sigma_2")
     return _frozen(total + nominal.borne(view) * nominal.gear(view) if nominal._geared else total)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _friction(nominal: Nominal, view: View) -> Array:
     total = nominal.level(view)
     if view.loaded:
@@ -305,14 +303,14 @@ def _friction(nominal: Nominal, view: View) -> Array:
     return _frozen(view.sense * total)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _torque(nominal: Nominal, view: View) -> Array:
     return _frozen(
         nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset")
     )
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _drive(nominal: Nominal, view: View) -> Array:
     return _frozen(nominal.torque(view) - nominal.helping(view))
 

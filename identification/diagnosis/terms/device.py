@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.rows.nominal import KEPT, Nominal
+from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.recent import recent
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.lateness import command_delay_error, voltage_is_computed
 from identification.diagnosis.terms.memory import delayed_series
@@ -54,7 +54,7 @@ SWINGS_HZ = tuple(float(f) for f in np.arange(0.3, 3.01, 0.04))
 SWING_DECAY_S = 8.0
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _load(view: View, nominal: Nominal) -> Array:
     """Return the working load's friction, eq. 13, with its sign, N m."""
     return np.asarray(view.sense * view.moment * nominal.coefficient(view))

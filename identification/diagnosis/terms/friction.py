@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.rows.nominal import KEPT, SPEEDS, Nominal
+from identification.diagnosis.rows.nominal import SPEEDS, Nominal
+from identification.diagnosis.rows.recent import recent
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import (
@@ -63,7 +63,7 @@ def _fall(view: View, nominal: Nominal, name: str, shape: Shape) -> Array:
     )
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
     return np.asarray(np.exp(-((np.abs(view.velocity) / omega_s / wider) ** alpha)))
 
@@ -89,7 +89,7 @@ def _start_with_exponent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape
     return replace(nominal, values=values, fitted_alpha=alpha), (alpha, 1.0)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _level(view: View, nominal: Nominal) -> Array:
     """Return the part of friction that is not proportional to speed, without its sign, N m."""
     total = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
@@ -116,7 +116,7 @@ def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (late - level))
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _with_lagged_speed(view: View, time_s: float) -> View:
     """Return the view with its speed after a first-order lag."""
     return replace(view, velocity=first_order_lag(view.velocity, view.step, time_s))
@@ -134,7 +134,7 @@ def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Sha
     return replace(nominal, presliding_stiffness=shape[0]), shape
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
 

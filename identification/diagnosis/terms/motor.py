@@ -7,11 +7,11 @@ other side of the equation and would explain everything.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 
 import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.recent import recent
 from identification.diagnosis.rows.view import View, lacks_common_origin, torque_per_ampere
 from identification.diagnosis.terms.memory import temperature_rise
 from identification.diagnosis.terms.term import (
@@ -150,7 +150,7 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
     return rows(central_difference(nominal.drive(view), view.step))
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _loss(view: View) -> Array:
     """Return the heat loss of the winding, W: electrical less mechanical power, I (U - Ke omega).
 
@@ -165,7 +165,7 @@ def _loss(view: View) -> Array:
     return np.where(np.isnan(taken), cold, taken)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _rises(view: View, time_constant: float) -> Array:
     """Return the winding's temperature rise per K/W, and the remainder of an initial 1 K, shape (2,
     m).

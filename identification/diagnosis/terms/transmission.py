@@ -6,12 +6,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
+from identification.diagnosis.rows.recent import recent
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import delayed_series, falling_play, first_swing, play
 from identification.diagnosis.terms.term import (
@@ -42,10 +42,6 @@ LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
 """Start value of the rotor's share of the inertia, which is unknown and fitted."""
 SLIPS_PER_RECORDING = 12
-KEPT = 128
-"""Cache size of series by recording and nonlinear parameters; a search changes one parameter at a
-time.
-"""
 FIRST_SAMPLES = 20
 """Number of first samples whose encoder readings determine the initial position in a gap or
 loop.
@@ -154,7 +150,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
     return _lead(view, nominal, gap, rotor)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Array:
     """Return :func:`lead`, without a nominal model if no weight turns with the joint."""
     motor = view.drive_angle
@@ -200,7 +196,7 @@ def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(out)
 
 
-@lru_cache(maxsize=KEPT)
+@recent
 def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int, Array | None]:
     """Return the components of a hysteresis loop that do not depend on its deflection and twist.
 

@@ -1,0 +1,46 @@
+"""Series of one diagnosis do not stay in memory during the next ones."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+
+import pytest
+
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.rows.recent import forget, recent
+from identification.diagnosis.rows.view import views
+from identification.diagnosis.terms import TERMS
+from identification.recording import Dataset, Model, RecordingError
+
+from .benches import honest, nominal_fit
+
+
+def test_results_are_kept_until_they_are_released() -> None:
+    asked: list[int] = []
+
+    @recent
+    def twice(value: int) -> int:
+        asked.append(value)
+        return 2 * value
+
+    assert (twice(3), twice(3)) == (6, 6)
+    assert asked == [3]
+    forget()
+    assert twice(3) == 6
+    assert asked == [3, 3]
+
+
+def test_the_next_diagnosis_releases_the_recordings_of_the_one_before() -> None:
+    joint = nominal_fit(honest()[:1])
+    (view,) = views(honest()[:1], 25.0)
+    term = next(t for t in TERMS if t.name == "presliding")
+    term.columns["torque"](view, joint.nominal, (1e4,))
+    kept = weakref.ref(view)
+    del view
+    gc.collect()
+    assert kept() is not None
+    with pytest.raises(RecordingError):
+        diagnose(Dataset((), Model()))
+    gc.collect()
+    assert kept() is None
