@@ -7,7 +7,7 @@ from typing import Any
 
 from identification.plots.proof import confusion_matrix, power_curve
 from rig.common.result_files import Provenance
-from rig.common.tables import number
+from rig.common.tables import number, percent
 from rig.results.document import Document, Note, Picture, Section, Table
 from rig.results.prove.scoring.score import STRONG
 from rig.results.sections import provenance_section
@@ -190,15 +190,14 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
         f"named with confidence."
     ]
     for key, words in (
-        ("oracle_fraction", "what the true structure gains"),
-        ("floor_fraction", "the noise floor"),
+        ("oracle_fraction", "what a model with the true effects gains"),
+        ("floor_fraction", "the distance to the noise floor"),
     ):
         gain = result[key]
         if gain["median"] is not None:
             lines.append(
-                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to "
-                f"{words} was gained "
-                f"(median of {gain['of']} trials)."
+                f"The diagnosis gained {percent(100.0 * gain['median'])} of {words} "
+                f"in the error on recordings set aside (median of {gain['of']} trials)."
             )
     if result["absorbed"]:
         lines.append(
