@@ -48,6 +48,7 @@ from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.verdict.judgement import (
     effects_of,
+    explains_nearly_all,
     insufficient_effects,
     named_or_ambiguous,
     unexplained_equations,
@@ -178,9 +179,9 @@ class _Outcome(NamedTuple):
 
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
-    """Search, validate and judge; as long as the verdict is outside the catalogue, search again:
-    without the effects that were dropped, since they may have stood in for others, and then with
-    fits of effects that had no score.
+    """Search, validate and judge. While the verdict is outside the catalogue, search again: without
+    dropped effects, which may have stood in for others, and then with fits of effects that had no
+    score, which must explain nearly all of the mismatch.
 
     The first outcome counts if no further search ends with another verdict.
     """
@@ -191,10 +192,11 @@ def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
             break
         tried = [t for t in tried if t.name not in without]
         outcomes.append(_outcome(task, tried))
-    if outcomes[-1].verdict is Verdict.OUTSIDE_CATALOGUE:
-        outcomes.append(_outcome(task, terms, thorough=True))
-    named = outcomes[-1].verdict in (Verdict.NAMED, Verdict.AMBIGUOUS)
-    return outcomes[-1] if named else outcomes[0]
+    last = outcomes[-1]
+    if last.verdict is Verdict.OUTSIDE_CATALOGUE:
+        last = _outcome(task, terms, thorough=True)
+        last = last if explains_nearly_all(last.found) else outcomes[0]
+    return last if last.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else outcomes[0]
 
 
 def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Outcome:
@@ -309,8 +311,7 @@ def _search_sides(
     here = views(fitted, task.bandwidth, True, task.dataset.recordings)
     again = fit_from_estimate(here, task.unit, task.first.nominal, model)
     options = replace(options, until=())
-    terms = on_the_joint(terms)
-    found = search(here, task.unit, again, terms, task.rng, task.report, options)
+    found = search(here, task.unit, again, on_the_joint(terms), task.rng, task.report, options)
     return here, found, True
 
 

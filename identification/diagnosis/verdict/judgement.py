@@ -113,6 +113,11 @@ def _names(found: Search) -> set[str]:
     return {e.term.name for e in found.final.effects}
 
 
+def explains_nearly_all(found: Search) -> bool:
+    """Whether the effects explain as much of the mismatch beyond the noise as right ones do."""
+    return _judged_equation(found).explained >= RULES.nearly_complete
+
+
 def insufficient_effects(
     found: Search, verdict: Verdict, rng: np.random.Generator
 ) -> tuple[str, ...]:
