@@ -29,6 +29,12 @@ HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 """Sent with every answer that does not state the same header itself."""
+SANDBOX: Final = (
+    "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+)
+"""Policy of a page that is made of runs: it may show its own pictures, and may run nothing and
+reach nothing.
+"""
 _READING: Final = frozenset({"GET", "HEAD"})
 
 

@@ -140,7 +140,7 @@ def _table(found: Sequence[Difference]) -> Table:
         "change",
         "uncertainty",
         "unit",
-        "",
+        "finding",
     )
     return Table(header, rows, (1, 2, 3, 4, 5, 6))
 

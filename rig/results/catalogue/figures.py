@@ -42,27 +42,30 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
 
 
 def courses(
-    histories: Mapping[str, Sequence[Constant]], alarms: Mapping[str, int | None]
+    histories: Mapping[str, Mapping[int, Constant]], alarms: Mapping[str, int | None]
 ) -> Figure:
     """Draw each constant over the runs with its intervals; changes that were found are red.
 
     Args:
-        histories: Name to the constants in the order of time.
-        alarms: Names with a change, and the run before which it stepped; None for a drift.
+        histories: Name to the index of a run and its constant there, in the order of time.
+        alarms: Names with a change, and which of the runs that have it is the first after a step;
+            None for a drift.
     """
     rows = math.ceil(len(histories) / _COLUMNS)
-    made, axes = figure(rows, min(_COLUMNS, len(histories)), width=10.0, height=2.3 * rows)
+    size = (7.0, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)
+    made, axes = figure(rows, min(_COLUMNS, len(histories)), width=size[0], height=size[1])
     for axis, (name, history) in zip(axes, histories.items(), strict=False):
-        places = range(1, len(history) + 1)
-        values = [each.value or math.nan for each in history]
-        halves = [each.half_width or 0.0 for each in history]
+        places = [index + 1 for index in history]
+        constants = list(history.values())
+        values = [math.nan if each.value is None else each.value for each in constants]
+        halves = [each.half_width or 0.0 for each in constants]
         colour = VERMILION if name in alarms else BLUE
         axis.errorbar(places, values, yerr=halves, fmt="o", color=colour, capsize=2, markersize=4)
         start = alarms.get(name)
         if start is not None:
-            axis.axvline(start + 0.5, color=BLACK, linestyle="--", linewidth=0.9)
+            axis.axvline(places[start] - 0.5, color=BLACK, linestyle="--", linewidth=0.9)
         words = "" if name not in alarms else ": DRIFT" if start is None else ": STEP"
-        axis.set_title(f"{name} ({history[0].unit}){words}", fontsize=9)
+        axis.set_title(f"{name} ({constants[0].unit}){words}", fontsize=9)
         axis.tick_params(labelsize=8)
     for axis in axes[len(histories) :]:
         axis.set_axis_off()
