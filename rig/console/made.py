@@ -25,13 +25,14 @@ from rig.console.hub import Refusal
 from rig.console.recorded import Choice, Recorded
 from rig.results.files import PAGE_FILE
 
-MOST_COMPARED: Final = 8
-"""Most runs of one comparison."""
+MOST_COMPARED: Final = 6
+"""Most runs of one comparison: as many as the figure has colours."""
 KEPT: Final = 12
 """Pages that are kept, the latest."""
 MAKE_S: Final = 180.0
 """Longest time to make a page."""
-_NICE: Final = 15
+NICE = 10
+"""Added to the niceness of the process that makes a page."""
 _SHOWN: Final = 2000
 """Characters of a failure that are shown."""
 
@@ -135,7 +136,7 @@ class Made:
             raise Refusal(f"the page cannot be made: {error}") from error
         try:
             with suppress(OSError):
-                os.setpriority(os.PRIO_PROCESS, child.pid, _NICE)
+                os.setpriority(os.PRIO_PROCESS, child.pid, os.nice(0) + NICE)
             output, _ = await asyncio.wait_for(child.communicate(), MAKE_S)
         except TimeoutError as error:
             raise Refusal(

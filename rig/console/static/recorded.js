@@ -6,7 +6,7 @@ const AFTER_MS = 4000; // between two lists after a run has ended: a verdict may
 const AFTER_FOR_MS = 300000;
 const ELSE_MS = 60000;
 const LEAST = 2; // runs of a comparison
-const MOST = 8;
+const MOST = 6;
 const KEPT = 5; // links to pages that were made
 
 function choose(select, first, names) {
@@ -106,7 +106,7 @@ export class Recorded {
     const on = this.may && !this.making;
     at("compare").disabled = !on || count < LEAST || count > MOST;
     at("trend").disabled = !on || !at("constant").value;
-    const words = this.may ? `${count} chosen; ${LEAST} to ${MOST} can be compared, with the earliest of them`
+    const words = this.may ? `${count} chosen. Of ${LEAST} to ${MOST} runs, each is compared with the earliest.`
       : "Read only: comparisons and trends are made with the token, as they take processor time.";
     if (at("chosen-words").textContent !== words) at("chosen-words").textContent = words;
   }

@@ -9,11 +9,14 @@ from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figu
 from rig.runs.catalogue.entry import Constant
 
 _COLUMNS = 3
+_LEAD_WIDTH = 5.2
+"""Width of a figure that a page opens with, inches, at which it can be read on a telephone."""
 
 
 def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
     """Draw the constants of several runs in percent of the first run's, with 90 % intervals."""
-    made, (axis,) = figure(1, height=0.45 * len(names) + 1.6)
+    height = 0.45 * len(names) + 0.2 * len(runs) + 1.0
+    made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))
     offset = 0.6 / len(runs)
     for number, (run, constants) in enumerate(runs.items()):
@@ -36,7 +39,7 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
     axis.axvline(0.0, color=GREY, linewidth=0.8)
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
-    axis.set_xlabel("difference from the first run (%), with 90 % intervals")
+    axis.set_xlabel("difference from the first run (%), 90 % intervals")
     axis.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     return made
 
@@ -52,7 +55,7 @@ def courses(
             None for a drift.
     """
     rows = math.ceil(len(histories) / _COLUMNS)
-    size = (7.0, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)
+    size = (_LEAD_WIDTH, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)
     made, axes = figure(rows, min(_COLUMNS, len(histories)), width=size[0], height=size[1])
     for axis, (name, history) in zip(axes, histories.items(), strict=False):
         places = [index + 1 for index in history]

@@ -30,7 +30,9 @@ def trend_document(histories: Sequence[History]) -> Document:
     summary = tuple(_section(each, pictures=False) for each in histories)
     pages = tuple(_section(each, pictures=True) for each in histories)
     rate = Section("", (Note(_RATE, "aside"),))
-    return Document("Trend of the constants", "", (*summary, rate), (*pages, rate))
+    names = {course.name for each in histories for course in each.courses}
+    title = f"Trend of {min(names)}" if len(names) == 1 else "Trend of the constants"
+    return Document(title, "", (*summary, rate), (*pages, rate))
 
 
 def _section(history: History, *, pictures: bool) -> Section:
@@ -42,7 +44,8 @@ def _section(history: History, *, pictures: bool) -> Section:
     if pictures and known:
         values = {c.name: dict(zip(c.runs, c.constants, strict=True)) for c in known}
         caption = f"{known[0].name if len(known) == 1 else 'Constants'} of {history.bench}"
-        figures = (Picture.of(f"trend_{history.bench}", caption, drawn(values, found)),)
+        name, lead = f"trend_{history.bench}", len(known) == 1
+        figures = (Picture.of(name, caption, drawn(values, found), lead=lead),)
     rows = tuple(_row(course) for course in history.courses)
     header = (
         "constant",
@@ -87,7 +90,9 @@ def _verdict(history: History) -> Verdict:
         words = f"{len(history.runs)} runs; the test needs {LEAST_RUNS}"
         return Verdict("not tested", words, "open")
     if found:
-        return Verdict("changed", f"{', '.join(found)} changed beyond their scatter.", "found")
+        return Verdict(
+            "changed", f"{', '.join(found)} changed beyond the scatter of the runs.", "found"
+        )
     known = [course.name for course in history.courses]
     which = f"{known[0]} did not change" if len(known) == 1 else "No constant changed"
     words = f"{which} beyond the scatter of the runs and their intervals."

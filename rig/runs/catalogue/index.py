@@ -122,22 +122,24 @@ def detailed(root: Path, entries: Iterable[Entry]) -> list[Entry]:
 
     Args:
         root: The folder that was searched.
-        entries: The runs; those that have their details are kept.
+        entries: The runs. Those that have their details are kept; those whose folder is gone are
+            left out.
     """
     entries = list(entries)
     wanted = [entry.folder for entry in entries if not entry.details]
     rows = _load(root / INDEX_FILE, True, wanted) if wanted else {}
     made = []
     for entry in entries:
-        signature = "" if entry.details else signature_of(str(root / entry.folder))
+        if entry.details:
+            made.append(entry)
+            continue
+        signature = signature_of(str(root / entry.folder))
         row = rows.get(entry.folder)
         if row is not None and row.signature == signature and row.sound:
             made.append(Entry(entry.folder, Head.of(json.loads(row.head)), row.details))
         elif signature:
             (read,) = _read(root, [Found(entry.folder, signature)], None)
             made.append(Entry(read.folder, Head.of(json.loads(read.head)), read.details))
-        else:
-            made.append(entry)
     return made
 
 
