@@ -42,10 +42,10 @@ def _section(history: History, *, pictures: bool) -> Section:
     figures: tuple[Picture, ...] = ()
     known = [course for course in history.courses if course.constants]
     if pictures and known:
-        values = {c.name: dict(zip(c.runs, c.constants, strict=True)) for c in known}
+        points = {c.name: dict(zip(c.runs, c.constants, strict=True)) for c in known}
         caption = f"{known[0].name if len(known) == 1 else 'Constants'} of {history.bench}"
         name, lead = f"trend_{history.bench}", len(known) == 1
-        figures = (Picture.of(name, caption, drawn(values, found), lead=lead),)
+        figures = (Picture.of(name, caption, drawn(points, found), lead=lead),)
     rows = tuple(_row(course) for course in history.courses)
     header = (
         "constant",
@@ -61,10 +61,10 @@ def _section(history: History, *, pictures: bool) -> Section:
     )
     notes = [*_steps(history), *_left_out(history)]
     verdict = _verdict(history)
-    blocks = (*figures, verdict, Table(header, rows, (1, 2, 3, 5, 6, 8)), *notes)
-    if pictures and len(history.courses) == 1:
-        blocks = (*blocks, _values(history, history.courses[0]))
-    return Section(title, blocks)
+    cells = Table(header, rows, (1, 2, 3, 5, 6, 8))
+    alone = history.courses[:1] if pictures and len(history.courses) == 1 else ()
+    values = (_values(history, course) for course in alone)
+    return Section(title, (*figures, verdict, cells, *notes, *values))
 
 
 def _values(history: History, course: Course) -> Section:
