@@ -70,6 +70,7 @@ def courses(
         words = "" if name not in alarms else ": DRIFT" if start is None else ": STEP"
         axis.set_title(f"{name} ({constants[0].unit}){words}", fontsize=9)
         axis.tick_params(labelsize=8)
+        axis.locator_params(axis="x", integer=True)
     for axis in axes[len(histories) :]:
         axis.set_axis_off()
     made.supxlabel("run", fontsize=9)
