@@ -20,13 +20,14 @@ from typing import Any, Final
 from starlette.applications import Starlette
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from rig.console.controls import Page
 from rig.console.gate import Gate, Token
 from rig.console.hub import Hub, Refusal
+from rig.console.made import Made
 from rig.console.recorded import Recorded
 from rig.console.starting import StartError, Wish
 from rig.console.view import View
@@ -72,6 +73,8 @@ class Console:
             for path in STATIC.iterdir()
             if path.suffix in _KINDS
         }
+        recorded = Recorded(hub.starter.runs)
+        self._made = Made(recorded, hub.starter.command)
         self.app = Starlette(
             routes=[
                 Route("/", self._index, methods=["GET"]),
@@ -82,7 +85,10 @@ class Console:
                 Route("/start", self._posted(self._start), methods=["POST"]),
                 Route("/resume", self._posted(self._resume), methods=["POST"]),
                 WebSocketRoute("/live", self._live),
-                *Recorded(hub.starter.runs).routes,
+                Route("/compare", self._posted(self._compare), methods=["POST"]),
+                Route("/trend", self._posted(self._trend), methods=["POST"]),
+                *recorded.routes,
+                *self._made.routes,
             ],
             middleware=[Middleware(Gate, hosts=hosts)],
             lifespan=self._lifespan,
@@ -150,7 +156,7 @@ class Console:
             if page is not None and self._hub.controls.replayed(page, number):
                 return _refused(409, "this command was received before")
             try:
-                return JSONResponse(await act(page, message))
+                return _json(await act(page, message))
             except (Refusal, StartError) as error:
                 return _refused(409, str(error))
 
@@ -173,8 +179,7 @@ class Console:
         return {"words": words}
 
     async def _controls(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
-        if page is None:
-            raise Refusal("this page is not connected to the console; wait until it is connected")
+        page = _in_contact(page)
         before = self._hub.controls.holder
         self._hub.controls.take(page)
         if before is not None and before is not page:
@@ -206,6 +211,14 @@ class Console:
         assert page is not None
         page.run = None
         return {"words": "the run continues at its first unfinished stage"}
+
+    async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        _in_contact(page)
+        return await self._made.compare(message)
+
+    async def _trend(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
+        _in_contact(page)
+        return await self._made.trend(message)
 
     def _require_controls(self, page: Page | None) -> None:
         holder = self._hub.controls.holder
@@ -267,8 +280,19 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
             page.pixels = pixels
 
 
+def _in_contact(page: Page | None) -> Page:
+    if page is None:
+        raise Refusal("this page is not connected to the console; wait until it is connected")
+    return page
+
+
 def _refused(status: int, words: str) -> Response:
-    return JSONResponse({"words": words}, status_code=status)
+    return _json({"words": words}, status)
+
+
+def _json(content: Mapping[str, Any], status: int = 200) -> Response:
+    """Return an answer in ASCII, which also bears text that is no valid Unicode."""
+    return Response(json.dumps(content), status, media_type="application/json")
 
 
 async def _send(socket: WebSocket, message: Mapping[str, Any]) -> None:

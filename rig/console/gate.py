@@ -31,6 +31,12 @@ HEADERS: Final = {
     "Cache-Control": "no-store",
 }
 """Headers of every answer that does not state these headers itself."""
+SANDBOX: Final = (
+    "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+)
+"""Content security policy of a page from a run folder: the page may show its own pictures, but
+cannot run scripts or load other content.
+"""
 _READING: Final = frozenset({"GET", "HEAD"})
 
 

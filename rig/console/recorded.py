@@ -3,31 +3,64 @@
 from __future__ import annotations
 
 import asyncio
+import glob
+import json
 import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response
+from starlette.responses import Response
 from starlette.routing import Route
 
 from rig.common.errors import InputError
+from rig.console.gate import SANDBOX
 from rig.results.catalogue.show import PAGES
 from rig.results.catalogue.words import begun, masses, operators, state, verdict
 from rig.runs.catalogue.entry import Entry
-from rig.runs.catalogue.index import list_runs
+from rig.runs.catalogue.index import detailed, list_runs
+from rig.runs.catalogue.select import Wanted, chosen, latest
 
 SHOWN: Final = 30
-"""Greatest number of runs in the list; the list has the latest runs."""
+"""Number of runs in the list unless more are asked for; the list has the latest runs."""
+MOST_SHOWN: Final = 300
+"""Greatest number of runs in the list."""
 _FRESH_S: Final = 3.0
 """Time for which a list is reused, s."""
 _KINDS: Final = {".html": "text/html; charset=utf-8", ".pdf": "application/pdf"}
-_POLICY: Final = (
-    "sandbox allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-)
-"""Content security policy of a page from a run folder: the page may show its own pictures, but
-cannot run scripts or load other content.
-"""
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which of the recorded runs are listed.
+
+    Attributes:
+        bench: Name of their bench; empty for every bench.
+        last: How many, the latest.
+    """
+
+    bench: str = ""
+    last: int = SHOWN
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Choice:
+        """Read a choice from a query or a message.
+
+        Raises:
+            ValueError: It is none.
+        """
+        bench, last = given.get("bench", ""), given.get("last", SHOWN)
+        last = int(last) if isinstance(last, str) and len(last) < 10 else last
+        if not isinstance(bench, str) or type(last) is not int or not 0 < last <= MOST_SHOWN:
+            raise ValueError(f"bench must be a text, last a whole number from 1 to {MOST_SHOWN}")
+        return cls(bench, last)
+
+    @property
+    def pattern(self) -> str | None:
+        """The bench as `rig runs` takes it; None for every bench."""
+        return glob.escape(self.bench) if self.bench else None
 
 
 class Recorded:
@@ -35,46 +68,86 @@ class Recorded:
 
     Args:
         root: The folder.
+
+    Attributes:
+        root: The folder.
     """
 
     def __init__(self, root: Path) -> None:
-        self._root = root
+        self.root = root
         self._held = asyncio.Lock()
-        self._made: dict[str, Any] = {}
-        self._made_s = -_FRESH_S
+        self._entries: Sequence[Entry] = ()
+        self._problem = ""
+        self._read_s = -_FRESH_S
         self._folders: frozenset[str] = frozenset()
         self.routes = [
             Route("/recorded", self._list, methods=["GET"]),
             Route("/recorded/{path:path}", self._page, methods=["GET"]),
         ]
 
+    async def known(self) -> Sequence[Entry]:
+        """Return the runs of the last list, the earliest first; reads them if none was made."""
+        if self._read_s < 0.0:
+            await self._refresh()
+        return self._entries
+
+    async def constants(self, choice: Choice) -> list[str]:
+        """Return the names of the constants of the runs that a choice lists."""
+        entries = self._chosen(await self.known(), choice)
+        return await asyncio.to_thread(self._constants, entries)
+
     async def _list(self, request: Request) -> Response:
+        try:
+            choice = Choice.of(request.query_params)
+        except ValueError as error:
+            return Response(str(error), status_code=400, media_type="text/plain")
+        await self._refresh()
+        listed = await asyncio.to_thread(self._listed, choice)
+        # In ASCII, which also bears names that are no valid Unicode.
+        return Response(json.dumps(listed), media_type="application/json")
+
+    async def _refresh(self) -> None:
         # One list at a time, however many pages ask; the folders are read beside the event loop.
         async with self._held:
-            if time.monotonic() - self._made_s >= _FRESH_S:
-                self._made = await asyncio.to_thread(self._read)
-                self._made_s = time.monotonic()
-        return JSONResponse(self._made)
+            if time.monotonic() - self._read_s >= _FRESH_S:
+                await asyncio.to_thread(self._read)
+                self._read_s = time.monotonic()
 
-    def _read(self) -> dict[str, Any]:
+    def _read(self) -> None:
         entries: list[Entry] = []
         problem = ""
-        if self._root.is_dir():
+        if self.root.is_dir():
             try:
-                entries = list_runs(self._root, details=False).entries
+                entries = list_runs(self.root, details=False).entries
             except (InputError, OSError) as error:
                 problem = str(error)
+        self._entries, self._problem = entries, problem
         self._folders = frozenset(entry.folder for entry in entries)
-        latest = entries[: -SHOWN - 1 : -1]
+
+    def _chosen(self, entries: Sequence[Entry], choice: Choice) -> Sequence[Entry]:
+        if choice.pattern is not None:
+            entries = chosen(self.root, entries, Wanted(bench=choice.pattern))
+        return latest(entries, choice.last)
+
+    def _constants(self, entries: Sequence[Entry]) -> list[str]:
+        known = detailed(self.root, [entry for entry in entries if entry.head.identified])
+        return list(dict.fromkeys(name for each in known for name in each.parsed().constants))
+
+    def _listed(self, choice: Choice) -> dict[str, Any]:
+        everything = self._entries
+        listed = self._chosen(everything, choice)
+        benches = {entry.head.bench for entry in everything} - {""}
         return {
-            "root": str(self._root.absolute()),
-            "count": len(entries),
-            "problem": problem,
-            "runs": [self._row(entry) for entry in latest],
+            "root": str(self.root.absolute()),
+            "count": len(everything),
+            "problem": self._problem,
+            "benches": sorted(benches),
+            "constants": self._constants(listed),
+            "runs": [self._row(entry) for entry in reversed(listed)],
         }
 
     def _row(self, entry: Entry) -> dict[str, Any]:
-        head, folder = entry.head, self._root / entry.folder
+        head, folder = entry.head, self.root / entry.folder
         return {
             "folder": entry.folder,
             "begun": begun(head),
@@ -82,9 +155,10 @@ class Recorded:
             "sequence": head.sequence,
             "operator": operators(head),
             "masses": masses(head),
-            "state": state(self._root, entry),
+            "state": state(self.root, entry),
             "verdict": verdict(head),
             "problem": head.problem,
+            "identified": bool(head.identified),
             "pages": [each for each in PAGES if (folder / each[0]).is_file()],
         }
 
@@ -97,11 +171,11 @@ class Recorded:
         if not name or folder not in self._folders:
             return Response("no such page", status_code=404, media_type="text/plain")
         try:
-            content = await asyncio.to_thread((self._root / folder / name).read_bytes)
+            content = await asyncio.to_thread((self.root / folder / name).read_bytes)
         except OSError as error:
             words = f"{name}: {error.strerror}"
             return Response(words, status_code=404, media_type="text/plain")
-        headers = {"Content-Security-Policy": _POLICY}
+        headers = {"Content-Security-Policy": SANDBOX}
         if name.endswith(".pdf"):
             # A browser's own viewer does not work in the sandbox.
             headers["Content-Disposition"] = f'attachment; filename="{name}"'

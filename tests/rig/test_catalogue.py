@@ -17,7 +17,7 @@ from rig.config.sequence import Sequence
 from rig.control.session import Inputs
 from rig.planning.plan import make_plan
 from rig.runs.catalogue.entry import Entry
-from rig.runs.catalogue.index import INDEX_FILE, list_runs
+from rig.runs.catalogue.index import INDEX_FILE, detailed, list_runs
 from rig.runs.catalogue.select import Wanted, chosen, state_of, time_of, verdicts
 from rig.runs.seal import seal_run
 
@@ -98,6 +98,21 @@ def test_a_changed_result_is_read_again(root: Path) -> None:
     again = list_runs(root)
     assert again.read == 1
     assert listed(root)["one"].head.identified == "default"
+
+
+def test_details_are_looked_up_for_some_runs_alone(root: Path) -> None:
+    whole = list_runs(root).entries
+    bare = list_runs(root, details=False).entries
+    assert [entry.details for entry in bare] == ["", ""]
+    assert detailed(root, bare) == whole
+    assert detailed(root, whole[1:]) == whole[1:]
+    # The files decide, whether the index is older, damaged or gone.
+    (root / "one" / "identify.json").write_text(json.dumps(IDENTIFIED))
+    assert list(detailed(root, bare)[0].parsed().constants) == ["Mc"]
+    (root / INDEX_FILE).unlink()
+    assert detailed(root, bare)[1] == whole[1]
+    shutil.rmtree(root / "one")
+    assert detailed(root, bare[:1]) == []
 
 
 def swap(path: Path) -> None:
@@ -238,6 +253,17 @@ def test_the_list_shows_copies_and_problems(
     record = json.loads(result.read_text())
     assert [run["kind"] for run in record["runs"]] == ["half written", "run", "run"]
     assert "HALF WRITTEN" in (tmp_path / "page" / "report.html").read_text()
+
+
+def test_a_trend_of_one_constant_over_the_latest_runs(
+    root: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["runs", "trend", str(root), "--constant", "Mc", "--last", "1"]) == 0
+    shown = capsys.readouterr().out
+    assert "practical (simulated), 1 runs" in shown
+    assert "not identified" not in shown  # the earlier run is not among the latest
+    assert status(["runs", "trend", str(root), "--constant", "Mx"]) == 2
+    assert "has a constant Mx" in capsys.readouterr().err
 
 
 def test_one_run_is_shown(root: Path, capsys: pytest.CaptureFixture[str]) -> None:

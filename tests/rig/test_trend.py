@@ -12,11 +12,13 @@ import pytest
 from rig.common.errors import InputError
 from rig.results.catalogue.compare import (
     Compared,
+    _short,
     compare_document,
     compare_record,
     differences,
     require_comparable,
 )
+from rig.results.catalogue.figures import courses as drawn
 from rig.results.catalogue.trend import FALSE_ALARMS, alarms, courses, histories
 from rig.results.catalogue.trend_document import trend_document, trend_record
 from rig.results.html import page
@@ -25,6 +27,7 @@ from rig.runs.catalogue.entry import Constant, Details, Entry, Head
 
 TRUE = {"Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "J": 0.2}
 TRUE |= {"mu_c": 0.052, "mu_s": 0.086, "omega_sL": 0.033, "mu_2": 0.032}
+NONE = np.zeros(len(TRUE))
 SHARE = 0.01
 """Half width of the intervals over the value."""
 
@@ -107,6 +110,38 @@ def test_the_rate_is_of_all_constants_together() -> None:
         count += any(course.alarm for course in courses(runs))
     assert count <= 1
     assert FALSE_ALARMS == 0.01
+
+
+def test_one_constant_alone_is_judged_as_among_all() -> None:
+    entries = history(step=3.0)
+    (whole,) = histories(ROOT, entries)
+    (alone,) = histories(ROOT, entries, only="Mc")
+    assert alone.courses == tuple(course for course in whole.courses if course.name == "Mc")
+    assert histories(ROOT, entries, only="Mx") == []
+    document = trend_document([alone])
+    assert document.title == "Trend of Mc"
+    shown = page(document)
+    assert "Mc, run by run" in shown
+    assert "2026-11-06 08:00" in shown
+    (quiet,) = histories(ROOT, entries, only="J")
+    assert "J did not change beyond" in text(trend_document([quiet]))
+
+
+def test_the_figure_has_the_number_that_a_run_has_in_the_history() -> None:
+    known = Constant(1.0, 0.9, 1.1, "N m")
+    made = drawn({"Mc": dict.fromkeys((0, 1, 4, 5), known)}, {"Mc": 2})
+    bars, line = made.axes[0].containers[0], made.axes[0].lines[-1]
+    assert list(bars.lines[0].get_xdata()) == [1, 2, 5, 6]
+    assert list(line.get_xdata()) == [4.5, 4.5]
+
+
+def test_runs_of_one_name_are_told_apart_in_the_figure() -> None:
+    runs = [dataclasses.replace(each, run=Path("a/b")) for each in compared(*[details(NONE)] * 2)]
+    for picture in compare_document(runs).pictures():
+        assert picture.data
+    assert _short(runs) == ["1: b", "2: b"]
+    other = dataclasses.replace(runs[1], run=Path("c/b"))
+    assert _short([runs[0], other]) == ["a/b", "c/b"]
 
 
 def test_few_runs_are_not_tested() -> None:

@@ -77,6 +77,7 @@ def _filters(command: Any) -> Any:
     return command
 
 
+_last = click.option("--last", type=click.IntRange(min=1), metavar="N", help="Only the N latest.")
 _folder = click.argument(
     "folder", type=click.Path(path_type=Path, file_okay=False), default=DEFAULT_FOLDER
 )
@@ -101,9 +102,7 @@ def command() -> None:
 @command.command("list")
 @_folder
 @_filters
-@click.option(
-    "--last", type=click.IntRange(min=1), metavar="N", help="List only the N latest runs."
-)
+@_last
 @_page
 @shared.result_file
 def list_(
@@ -121,9 +120,10 @@ def list_(
       rig runs list archive --operator Ada --json runs.json
     """
     from rig.results.catalogue.listing import listing_document, listing_record
+    from rig.runs.catalogue.select import latest
 
     entries, wanted = _chosen(folder, given, details=False)
-    shown = wanted if last is None else wanted[-last:]
+    shown = latest(wanted, last)
     hidden = len(entries) - len(shown)
     _write(json_file, lambda: listing_record(folder, shown))
     _show(listing_document(folder, shown, hidden), out)
@@ -181,10 +181,20 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
 @command.command("trend")
 @_folder
 @_filters
+@_last
+@click.option("--constant", metavar="NAME", help="Only this constant, judged as among all.")
 @shared.seed("Seed of the test's simulated distribution.")
 @_page
 @shared.result_file
-def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **given: Any) -> None:
+def trend(
+    folder: Path,
+    last: int | None,
+    constant: str | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+    **given: Any,
+) -> None:
     """Follow each identified parameter over the runs of each bench in FOLDER, and test it for a
     change.
 
@@ -197,12 +207,19 @@ def trend(folder: Path, seed: int, out: Path | None, json_file: Path | None, **g
     Example:
       rig runs trend
       rig runs trend --bench practical --since 2026-10-01 --out trend
+      rig runs trend --constant Mc --last 30
     """
     from rig.results.catalogue.trend import histories
     from rig.results.catalogue.trend_document import trend_document, trend_record
+    from rig.runs.catalogue.select import latest
 
     _, wanted = _chosen(folder, given, details=True)
-    found = histories(folder, wanted, seed)
+    found = histories(folder, latest(wanted, last), seed, constant)
+    if constant is not None and not found:
+        raise InputError(
+            f"{folder}: no identified run that was chosen has a constant {constant}; `rig runs "
+            "trend` without --constant shows which there are"
+        )
     _write(json_file, lambda: trend_record(found))
     _show(trend_document(found), out)
 

@@ -2,6 +2,8 @@
 
 const KEPT = "loadrig-token";
 const REPLY_MS = 4000;
+const LONG_MS = 200000;
+const LONG = ["/dry-run", "/compare", "/trend"];
 const RETRY_MS = 500;
 const SILENT_MS = 1500;
 
@@ -80,7 +82,7 @@ export class Link {
   async post(path, content) {
     this.number = Math.max(this.number + 1, Date.now());
     const waiting = new AbortController();
-    const timer = setTimeout(() => waiting.abort(), path === "/dry-run" ? 200000 : REPLY_MS);
+    const timer = setTimeout(() => waiting.abort(), LONG.includes(path) ? LONG_MS : REPLY_MS);
     try {
       const answer = await fetch(path, {
         method: "POST",

@@ -22,7 +22,7 @@ const charts = new Charts(at("charts"));
 const friction = new Friction(at("friction"), at("friction-words"));
 const link = new Link(takeState, takeCharts, showContact);
 const start = setUpStart(link, () => state, say);
-const recorded = new Recorded(going, showJudged);
+const recorded = new Recorded(going, showJudged, link);
 
 function say(words) {
   at("outcome").textContent = words;
@@ -289,6 +289,7 @@ function showControls() {
   stop.classList.toggle("again", again);
   at("stop-label").textContent = again ? "STOP again: power off at once, without the ramp" : "STOP";
   start.allow(mine);
+  recorded.allow(may);
 }
 
 async function pressStop() {

@@ -1,20 +1,48 @@
-// The runs in the folder of this console, with the pages that lie in their folders.
+// The runs in the folder of this console, with the pages that lie in their folders, and the pages
+// that are made of them: comparisons and trends.
 
 const at = (id) => document.getElementById(id);
 const AFTER_MS = 4000; // between two lists after a run has ended: a verdict may follow
 const AFTER_FOR_MS = 300000;
 const ELSE_MS = 60000;
+const LEAST = 2; // runs of a comparison
+const MOST = 6;
+const KEPT = 5; // links to pages that were made
+
+function choose(select, first, names) {
+  const wanted = select.value;
+  const options = [...first, ...names.map((name) => new Option(name, name))];
+  const known = [...select.options].map((option) => option.value);
+  if (options.length === known.length && options.every((each, i) => each.value === known[i])) return;
+  select.replaceChildren(...options);
+  if (options.some((option) => option.value === wanted)) select.value = wanted;
+}
 
 export class Recorded {
   // `going` tells whether a run goes on: then the list is read only when it is asked for.
-  constructor(going, shown) {
+  constructor(going, shown, link) {
     this.list = null;
+    this.link = link;
+    this.may = false;
+    this.making = false;
+    this.chosen = new Set();
     this.going = going;
     this.shown = shown;
     this.read = -Infinity;
     this.ended = -Infinity;
     this.was = false;
     at("recorded-again").addEventListener("click", () => this.take());
+    for (const id of ["recorded-bench", "recorded-last"]) {
+      at(id).addEventListener("change", () => this.take());
+    }
+    at("recorded").addEventListener("change", (event) => this.choose(event.target));
+    // While a run goes on the space bar is STOP; Enter chooses as well.
+    at("recorded").addEventListener("keydown", (event) => {
+      if (event.key === "Enter" && event.target.type === "checkbox") event.target.click();
+    });
+    at("compare").addEventListener("click", () => this.make("/compare", { runs: [...this.chosen] }));
+    at("trend").addEventListener("click", () =>
+      this.make("/trend", { constant: at("constant").value, ...this.choice() }));
     setInterval(() => this.watch(), 1000);
   }
 
@@ -28,28 +56,87 @@ export class Recorded {
     if (now - this.read >= (often ? AFTER_MS : ELSE_MS)) this.take();
   }
 
+  choice() {
+    return { bench: at("recorded-bench").value, last: Number(at("recorded-last").value) };
+  }
+
   async take() {
     this.read = performance.now();
+    const query = new URLSearchParams(this.choice());
     try {
-      const answer = await fetch("/recorded", { cache: "no-store", credentials: "omit" });
+      const answer = await fetch(`/recorded?${query}`, { cache: "no-store", credentials: "omit" });
       if (!answer.ok) throw new Error(answer.statusText);
-      this.list = await answer.json();
+      const list = await answer.json();
+      // An answer to an earlier choice may arrive after that to the last one.
+      if (`${query}` !== `${new URLSearchParams(this.choice())}`) return;
+      this.list = list;
     } catch (error) {
       at("recorded-words").textContent = "The list could not be read.";
       return;
     }
-    const { root, count, problem, runs } = this.list;
-    const more = count > runs.length ? `, the latest ${runs.length} of which are shown` : "";
+    const { root, count, problem, runs, benches, constants } = this.list;
+    const more = count > runs.length ? `, ${runs.length} of which are listed` : "";
     at("recorded-words").textContent = problem
       || `${count} ${count === 1 ? "run" : "runs"} in ${root}${more}; \`rig runs list\` chooses among all.`;
+    choose(at("recorded-bench"), [new Option("every bench", "")], benches);
+    choose(at("constant"), constants.length ? [] : [new Option("none known", "")], constants);
+    const listed = new Set(runs.filter((run) => run.identified).map((run) => run.folder));
+    for (const folder of this.chosen) if (!listed.has(folder)) this.chosen.delete(folder);
     const rows = runs.map((run) => this.row(run));
-    // Not while a link has the focus: it would be lost.
+    // Not while a link or a checkbox has the focus: it would be lost.
     if (!at("recorded").contains(document.activeElement)) at("recorded").replaceChildren(...rows);
+    this.showButtons();
     this.shown();
+  }
+
+  choose(box) {
+    if (box.checked) this.chosen.add(box.value);
+    else this.chosen.delete(box.value);
+    this.showButtons();
+  }
+
+  // Whether this page may have pages made: with the token only, as that takes processor time.
+  allow(may) {
+    this.may = may;
+    this.showButtons();
+  }
+
+  showButtons() {
+    const count = this.chosen.size;
+    const on = this.may && !this.making;
+    at("compare").disabled = !on || count < LEAST || count > MOST;
+    at("trend").disabled = !on || !at("constant").value;
+    const words = this.may ? `${count} chosen. Of ${LEAST} to ${MOST} runs, each is compared with the earliest.`
+      : "Read only: comparisons and trends are made with the token, as they take processor time.";
+    if (at("chosen-words").textContent !== words) at("chosen-words").textContent = words;
+  }
+
+  async make(path, content) {
+    this.making = true;
+    this.showButtons();
+    at("made-words").textContent = "The page is being made.";
+    const answer = await this.link.post(path, content);
+    this.making = false;
+    this.showButtons();
+    if (!answer.ok) {
+      at("made-words").textContent = `Not made: ${answer.words}`;
+      return;
+    }
+    at("made-words").textContent = "The page is ready; open it below.";
+    const link = document.createElement("a");
+    link.href = answer.page;
+    link.target = "_blank";
+    link.rel = "noopener";
+    link.textContent = answer.words;
+    const line = document.createElement("li");
+    line.append(link);
+    at("made").prepend(line);
+    while (at("made").children.length > KEPT) at("made").lastChild.remove();
   }
 
   row(run) {
     const line = document.createElement("tr");
+    line.append(this.box(run));
     const state = run.problem ? `${run.state}: ${run.problem}` : run.state;
     const cells = [run.folder, run.begun || "-", run.bench || "-", run.sequence || "-",
       run.operator, run.masses, state, run.verdict];
@@ -65,8 +152,27 @@ export class Recorded {
     return line;
   }
 
+  // A checkbox for a run that has constants.
+  box(run) {
+    const cell = document.createElement("td");
+    if (!run.identified) {
+      cell.textContent = "-";
+      return cell;
+    }
+    const label = document.createElement("label");
+    const box = document.createElement("input");
+    label.className = "box";
+    box.type = "checkbox";
+    box.value = run.folder;
+    box.checked = this.chosen.has(run.folder);
+    box.setAttribute("aria-label", `Compare ${run.folder}`);
+    label.append(box);
+    cell.append(label);
+    return cell;
+  }
+
   links(run) {
-    const folder = run.folder === "." ? "" : run.folder.split("/").map(encodeURIComponent).join("/");
+    const folder = run.folder === "." ? "" : run.folder.toWellFormed().split("/").map(encodeURIComponent).join("/");
     return run.pages.flatMap(([name, words], i) => {
       const link = document.createElement("a");
       link.href = `/recorded/${folder}/${name}`;

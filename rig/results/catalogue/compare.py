@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -105,8 +106,10 @@ def compare_document(runs: Sequence[Compared]) -> Document:
         title = f"{other.run} against {first.run}"
         sections.append(Section(title, (_table(found), *_notes(found, first, other))))
     names = list(first.details.constants)
-    drawn = side_by_side(names, {str(each.run): each.details.constants for each in runs})
-    picture = Picture.of("constants", "Constants of the runs, in percent of the first", drawn)
+    constants = [each.details.constants for each in runs]
+    drawn = side_by_side(names, dict(zip(_short(runs), constants, strict=True)))
+    caption = "Constants of the runs, in percent of the first"
+    picture = Picture.of("constants", caption, drawn, lead=True)
     beside = tuple(_figures(first, other) for other in others)
     return Document(
         "Comparison of runs",
@@ -114,6 +117,15 @@ def compare_document(runs: Sequence[Compared]) -> Document:
         tuple(sections),
         (Section("", (picture,)), *sections, Section("Figures", beside)),
     )
+
+
+def _short(runs: Sequence[Compared]) -> list[str]:
+    """Return the folders of runs without what all of them begin with, each once."""
+    above = os.path.commonpath([each.run.absolute().parent for each in runs])
+    short = [os.path.relpath(each.run.absolute(), above) for each in runs]
+    if len(set(short)) == len(short):
+        return short
+    return [f"{number}: {name}" for number, name in enumerate(short, start=1)]
 
 
 def _facts(runs: Sequence[Compared]) -> Table:
@@ -145,7 +157,7 @@ def _table(found: Sequence[Difference]) -> Table:
         "change",
         "uncertainty",
         "unit",
-        "",
+        "finding",
     )
     return Table(header, rows, (1, 2, 3, 4, 5, 6))
 

@@ -9,13 +9,16 @@ from identification.plots.style import BLACK, BLUE, CYCLE, GREY, VERMILION, Figu
 from rig.runs.catalogue.entry import Constant
 
 _COLUMNS = 3
+_LEAD_WIDTH = 5.2
+"""Width of a figure that a page opens with, inches, at which it can be read on a telephone."""
 
 
 def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]]) -> Figure:
     """Draw the parameters of several runs in percent of the first run's values, with 90 %
     intervals.
     """
-    made, (axis,) = figure(1, height=0.45 * len(names) + 1.6)
+    height = 0.45 * len(names) + 0.2 * len(runs) + 1.0
+    made, (axis,) = figure(1, width=_LEAD_WIDTH, height=height)
     first = next(iter(runs.values()))
     offset = 0.6 / len(runs)
     for number, (run, constants) in enumerate(runs.items()):
@@ -38,34 +41,38 @@ def side_by_side(names: Sequence[str], runs: Mapping[str, Mapping[str, Constant]
     axis.axvline(0.0, color=GREY, linewidth=0.8)
     axis.set_yticks(range(len(names)), names)
     axis.invert_yaxis()
-    axis.set_xlabel("difference from the first run (%), with 90 % intervals")
+    axis.set_xlabel("difference from the first run (%), 90 % intervals")
     axis.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0))
     return made
 
 
 def courses(
-    histories: Mapping[str, Sequence[Constant]], alarms: Mapping[str, int | None]
+    histories: Mapping[str, Mapping[int, Constant]], alarms: Mapping[str, int | None]
 ) -> Figure:
     """Draw each parameter over the runs with its intervals; detected changes are red.
 
     Args:
-        histories: Name to the constants in the order of time.
-        alarms: Names with a change, and the run before which it stepped; None for a drift.
+        histories: Name to the index of a run and its constant there, in the order of time.
+        alarms: Names with a change, and which of the runs that have it is the first after a step;
+            None for a drift.
     """
     rows = math.ceil(len(histories) / _COLUMNS)
-    made, axes = figure(rows, min(_COLUMNS, len(histories)), width=10.0, height=2.3 * rows)
+    size = (_LEAD_WIDTH, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)
+    made, axes = figure(rows, min(_COLUMNS, len(histories)), width=size[0], height=size[1])
     for axis, (name, history) in zip(axes, histories.items(), strict=False):
-        places = range(1, len(history) + 1)
-        values = [each.value or math.nan for each in history]
-        halves = [each.half_width or 0.0 for each in history]
+        places = [index + 1 for index in history]
+        constants = list(history.values())
+        values = [math.nan if each.value is None else each.value for each in constants]
+        halves = [each.half_width or 0.0 for each in constants]
         colour = VERMILION if name in alarms else BLUE
         axis.errorbar(places, values, yerr=halves, fmt="o", color=colour, capsize=2, markersize=4)
         start = alarms.get(name)
         if start is not None:
-            axis.axvline(start + 0.5, color=BLACK, linestyle="--", linewidth=0.9)
+            axis.axvline(places[start] - 0.5, color=BLACK, linestyle="--", linewidth=0.9)
         words = "" if name not in alarms else ": DRIFT" if start is None else ": STEP"
-        axis.set_title(f"{name} ({history[0].unit}){words}", fontsize=9)
+        axis.set_title(f"{name} ({constants[0].unit}){words}", fontsize=9)
         axis.tick_params(labelsize=8)
+        axis.locator_params(axis="x", integer=True)
     for axis in axes[len(histories) :]:
         axis.set_axis_off()
     made.supxlabel("run", fontsize=9)

@@ -72,7 +72,9 @@ class History:
     left_out: tuple[str, ...] = ()
 
 
-def histories(root: Path, entries: Sequence[Entry], seed: int = 0) -> list[History]:
+def histories(
+    root: Path, entries: Sequence[Entry], seed: int = 0, only: str | None = None
+) -> list[History]:
     """Return the histories of the benches of some runs. Runs without identified parameters are left
     out, and a run and its copies count once.
 
@@ -80,6 +82,8 @@ def histories(root: Path, entries: Sequence[Entry], seed: int = 0) -> list[Histo
         root: The searched folder.
         entries: The runs, the earliest first.
         seed: Of the simulated distribution of the test.
+        only: The one constant to follow, and only the histories that have it; None for all. It is
+            judged as it is among all of them.
     """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
@@ -98,10 +102,11 @@ def histories(root: Path, entries: Sequence[Entry], seed: int = 0) -> list[Histo
             details = entry.parsed()
             key = (head.bench, head.simulated, head.identified, details.motion)
             groups.setdefault(key, []).append((entry, details))
-    return [
-        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed)
+    made = (
+        _history(root, key[:3], runs, tuple(left_out.get(key[:2], ())), seed, only)
         for key, runs in groups.items()
-    ]
+    )
+    return [each for each in made if each.courses or only is None]
 
 
 def _history(
@@ -110,29 +115,33 @@ def _history(
     runs: Sequence[tuple[Entry, Details]],
     left_out: tuple[str, ...],
     seed: int,
+    only: str | None,
 ) -> History:
     details = [each for _, each in runs]
     return History(
         *key,
         tuple(place(root, entry) for entry, _ in runs),
         tuple(entry.head.created for entry, _ in runs),
-        tuple(courses(details, seed)),
+        tuple(courses(details, seed, only)),
         left_out,
     )
 
 
-def courses(history: Sequence[Details], seed: int = 0) -> Iterator[Course]:
+def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) -> Iterator[Course]:
     """Yield the values of every parameter over a history, with a test for a change; the false-alarm
     rate is that of all parameters together.
 
     Args:
         history: Details of the runs in the order of time.
         seed: Of the simulated distribution of the test.
+        only: The one constant to yield; the rate is still of all of them. None for all.
     """
     found = {name: _determined(name, history) for each in history for name in each.constants}
     tested = sum(len(runs) >= LEAST_RUNS for runs, _ in found.values())
     known: dict[bytes, ChangeTest] = {}
     for name, (runs, constants) in found.items():
+        if only is not None and name != only:
+            continue
         if len(runs) < LEAST_RUNS:
             yield Course(name, runs, constants, None, None)
             continue

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from identification.numerics.change import LEAST_RUNS
-from rig.common.tables import number
+from rig.common.tables import interval, number
 from rig.results.catalogue.figures import courses as drawn
 from rig.results.catalogue.trend import FALSE_ALARMS, Course, History, alarms
 from rig.results.catalogue.words import head_record
@@ -30,7 +30,9 @@ def trend_document(histories: Sequence[History]) -> Document:
     summary = tuple(_section(each, pictures=False) for each in histories)
     pages = tuple(_section(each, pictures=True) for each in histories)
     rate = Section("", (Note(_RATE, "aside"),))
-    return Document("Trend of the constants", "", (*summary, rate), (*pages, rate))
+    names = {course.name for each in histories for course in each.courses}
+    title = f"Trend of {min(names)}" if len(names) == 1 else "Trend of the constants"
+    return Document(title, "", (*summary, rate), (*pages, rate))
 
 
 def _section(history: History, *, pictures: bool) -> Section:
@@ -38,9 +40,12 @@ def _section(history: History, *, pictures: bool) -> Section:
     title = f"{history.bench} ({kind}), {len(history.runs)} runs, {history.method} method"
     found = alarms(history)
     figures: tuple[Picture, ...] = ()
-    if pictures and history.courses:
-        made = drawn({c.name: c.constants for c in history.courses if c.constants}, found)
-        figures = (Picture.of(f"trend_{history.bench}", f"Constants of {history.bench}", made),)
+    known = [course for course in history.courses if course.constants]
+    if pictures and known:
+        points = {c.name: dict(zip(c.runs, c.constants, strict=True)) for c in known}
+        caption = f"{known[0].name if len(known) == 1 else 'Constants'} of {history.bench}"
+        name, lead = f"trend_{history.bench}", len(known) == 1
+        figures = (Picture.of(name, caption, drawn(points, found), lead=lead),)
     rows = tuple(_row(course) for course in history.courses)
     header = (
         "constant",
@@ -52,11 +57,30 @@ def _section(history: History, *, pictures: bool) -> Section:
         "uncertainty",
         "unit",
         "p",
-        "",
+        "finding",
     )
     notes = [*_steps(history), *_left_out(history)]
     verdict = _verdict(history)
-    return Section(title, (*figures, verdict, Table(header, rows, (1, 2, 3, 5, 6, 8)), *notes))
+    cells = Table(header, rows, (1, 2, 3, 5, 6, 8))
+    alone = history.courses[:1] if pictures and len(history.courses) == 1 else ()
+    values = (_values(history, course) for course in alone)
+    return Section(title, (*figures, verdict, cells, *notes, *values))
+
+
+def _values(history: History, course: Course) -> Section:
+    """Return the values of one constant, run by run; the numbers are those of its figure."""
+    rows = tuple(
+        (
+            str(index + 1),
+            history.runs[index],
+            history.begun[index][:16].replace("T", " "),
+            number(each.value),
+            interval(each.low, each.high),
+        )
+        for index, each in zip(course.runs, course.constants, strict=True)
+    )
+    header = ("run", "folder", "begun, UTC", course.name, "90 % interval")
+    return Section(f"{course.name}, run by run", (Table(header, rows, (0, 3, 4)),))
 
 
 def _verdict(history: History) -> Verdict:
@@ -66,8 +90,12 @@ def _verdict(history: History) -> Verdict:
         words = f"{len(history.runs)} runs; the test needs {LEAST_RUNS}"
         return Verdict("not tested", words, "open")
     if found:
-        return Verdict("changed", f"{', '.join(found)} changed beyond their scatter.", "found")
-    words = "No constant changed beyond the scatter of the runs and their intervals."
+        return Verdict(
+            "changed", f"{', '.join(found)} changed beyond the scatter of the runs.", "found"
+        )
+    known = [course.name for course in history.courses]
+    which = f"{known[0]} did not change" if len(known) == 1 else "No constant changed"
+    words = f"{which} beyond the scatter of the runs and their intervals."
     return Verdict("no change", words, "good")
 
 

@@ -124,6 +124,32 @@ def list_runs(
     return Listing(entries, len(made), note)
 
 
+def detailed(root: Path, entries: Iterable[Entry]) -> list[Entry]:
+    """Return runs of a list with their details, which are looked up for these runs alone.
+
+    Args:
+        root: The folder that was searched.
+        entries: The runs. Those that have their details are kept; those whose folder is gone are
+            left out.
+    """
+    entries = list(entries)
+    wanted = [entry.folder for entry in entries if not entry.details]
+    rows = _load(root / INDEX_FILE, True, wanted) if wanted else {}
+    made = []
+    for entry in entries:
+        if entry.details:
+            made.append(entry)
+            continue
+        signature = signature_of(str(root / entry.folder))
+        row = rows.get(entry.folder)
+        if row is not None and row.signature == signature and row.sound:
+            made.append(Entry(entry.folder, Head.of(json.loads(row.head)), row.details))
+        elif signature:
+            (read,) = _read(root, [Found(entry.folder, signature)], None)
+            made.append(Entry(read.folder, Head.of(json.loads(read.head)), read.details))
+    return made
+
+
 def _read(
     root: Path, fresh: Iterable[Found], progress: Callable[[int, int], None] | None
 ) -> list[_Row]:
@@ -155,8 +181,10 @@ def _checksum(*fields: str) -> int:
     return zlib.crc32("\0".join(fields).encode("utf-8", "surrogateescape"))
 
 
-def _load(file: Path, details: bool) -> Mapping[str, _Row]:
-    """Return the rows of an index; empty if the index is missing, damaged or of another format."""
+def _load(file: Path, details: bool, only: list[str] | None = None) -> Mapping[str, _Row]:
+    """Return the rows of an index, or those of some folders; empty if the index is missing, damaged
+    or of another format.
+    """
     if not os.path.isfile(file):
         return {}
     try:
@@ -166,7 +194,11 @@ def _load(file: Path, details: bool) -> Mapping[str, _Row]:
             columns = "folder, signature, head, checksum"
             columns += ", details, details_checksum" if details else ""
             query = f"SELECT {columns} FROM runs"
-            return {row[0]: _Row(*row) for row in database.execute(query)}
+            if only is None:
+                return {row[0]: _Row(*row) for row in database.execute(query)}
+            query += " WHERE folder = ?"
+            each = (database.execute(query, (folder,)).fetchone() for folder in only)
+            return {row[0]: _Row(*row) for row in each if row is not None}
     except (sqlite3.Error, UnicodeError, TypeError):
         return {}
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -101,6 +101,11 @@ def time_of(created: str) -> datetime | None:
 def chosen(root: Path, entries: Iterable[Entry], wanted: Wanted) -> list[Entry]:
     """Return the runs that have the wanted properties."""
     return [entry for entry in entries if wanted.fits(root, entry)]
+
+
+def latest(entries: Sequence[Entry], count: int | None) -> Sequence[Entry]:
+    """Return the last of a list of runs, or all of them."""
+    return entries if count is None else entries[-count:]
 
 
 def state_of(root: Path, entry: Entry) -> str:

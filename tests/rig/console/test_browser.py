@@ -16,6 +16,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
+from .histories import write_history
 from .processes import WAIT_S, Place, Served, place, served, wait_until
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -270,6 +271,59 @@ def test_a_page_that_closes_freezes_or_loses_its_network_changes_nothing(
     frozen.keyboard.press("Space")
     expect(frozen.locator("#ending")).to_contain_text("STOP by the console")
     assert ended(where, before + 1)["de_energised"]
+
+
+def test_runs_are_compared_and_a_constant_is_followed(
+    opened: Callable[..., Page], console: Served
+) -> None:
+    write_history(console.place.folder / "runs" / "history", 8, step=6.0)
+    reading = opened(console.address.partition("#")[0])
+    expect(reading.locator("#chosen-words")).to_contain_text("Read only")
+    page = opened(width=1200)
+    page.select_option("#recorded-bench", "mine")
+    expect(page.locator("#recorded tr")).to_have_count(8)
+    for run in ("history/mine-08", "history/mine-01"):
+        # The space bar would be STOP while a run goes on.
+        page.get_by_label(f"Compare {run}").press("Enter")
+    page.locator("#compare").press("Enter")
+    require_made(page, "Comparison of", "moved by more than their uncertainty: Mc")
+    page.select_option("#constant", "Mc")
+    page.locator("#trend").press("Enter")
+    require_made(page, "Trend of Mc", "STEP at run 5")
+    for width in as_on_two_screens(page):
+        page.locator("#made").scroll_into_view_if_needed()
+        shoot(page, f"made-of-runs-{width}")
+    require_accessible(page)
+    for button in reading.locator("#compare, #trend").all():
+        expect(button).to_be_disabled()
+
+
+def require_made(page: Page, name: str, words: str) -> None:
+    """Check that a page was made, is accessible, fits, and has some words."""
+    link = page.locator("#made a", has_text=name)
+    with page.context.expect_page() as opening:
+        link.click()
+    made = opening.value
+    expect(made.locator("body")).to_contain_text(words)
+    for width in as_on_two_screens(made):
+        shoot(made, f"{name.split()[0].lower()}-{width}")
+    # The sandbox of the page also holds up the checker.
+    free = page.context.new_page()
+    free.set_viewport_size({"width": 390, "height": 844})
+    free.emulate_media(color_scheme="dark")
+    free.set_content(made.content())
+    require_accessible(free)
+    for each in (free, made):
+        each.close()
+
+
+def as_on_two_screens(page: Page) -> Iterator[int]:
+    """Show a page on a desk, then on a phone in the dark, and check that it fits the width."""
+    for width, scheme in ((1200, "light"), (390, "dark")):
+        page.set_viewport_size({"width": width, "height": 844})
+        page.emulate_media(color_scheme=scheme)
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        yield width
 
 
 def late_click(page: Page, button: str) -> None:
