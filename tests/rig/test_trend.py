@@ -188,7 +188,7 @@ def test_what_moved_by_more_than_its_uncertainty_is_marked() -> None:
     document = compare_document(runs)
     shown = text(document)
     assert shown.count("MOVED") == 1
-    assert "another servo: drive, serial 1 before, drive, serial 2 now" in shown
+    assert "the servo was replaced: drive, serial 1 before, drive, serial 2 now" in shown
     assert "Figures" in page(document)
     assert compare_record(runs)["compared"][0]["constants"]["Ms"]["moved"] is True
 

@@ -138,7 +138,7 @@ def test_runs_are_compared_on_a_page_that_can_do_nothing(root: Path) -> None:
     assert headers["content-security-policy"] == SANDBOX
     assert "mine-08 against" in page
     assert "<td>MOVED</td>" in page
-    assert "moved by more than their uncertainty: Mc" in page
+    assert "changed by more than their uncertainty: Mc" in page
     assert desk.post(found["page"], {})[0] == 405
 
 
@@ -175,7 +175,7 @@ def test_nothing_is_made_for_strangers(
 
 def test_a_page_without_contact_and_a_repeated_command_make_nothing(desk: Desk) -> None:
     answer = desk.post("/compare", {"runs": ["mine-01", "mine-02"], "page": "gone"})
-    assert (answer[0], "no contact" in words(answer)) == (409, True)
+    assert (answer[0], "not connected" in words(answer)) == (409, True)
     answer = desk.post("/trend", {"constant": "Mc", "number": 0})
     assert "received before" in words(answer)
 
@@ -229,7 +229,7 @@ def test_a_run_without_constants_and_a_damaged_one_are_refused_with_the_remedy(r
     answer = desk.post("/compare", {"runs": ["mine-01", "bare", "half", "mine-02"]})
     assert answer[0] == 409
     for run in ("bare", "half", "mine-02"):
-        assert f"{run}: has no constants; `rig identify" in words(answer)
+        assert f"{run}: this run has no identified constants" in words(answer)
     assert os.listdir(root.parent / "outside") == []
 
 
