@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
+from drivers.homing import Homes
 from drivers.lacks import NOTHING, Lacks
 from drivers.remedies import Recognised, SpeedRemedies
 
@@ -192,7 +193,7 @@ class Link(ABC):
         """Return the raw frames seen since the last call, oldest first."""
 
 
-class Servo(SpeedRemedies, Recognised, ABC):
+class Servo(SpeedRemedies, Recognised, Homes, ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:

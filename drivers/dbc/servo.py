@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.canopen import cia402
-from drivers.canopen.transitions import await_state, exchanges
+from drivers.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.dbc import limits as dbc_limits
 from drivers.dbc.channel import DbcChannel
