@@ -47,19 +47,24 @@ class HomingOffer:
     Attributes:
         methods: Values of 6098h that it takes; none where it cannot home.
         why_not: Why it cannot home, or why only without motion; empty where nothing is missing.
+        listed: Whether the drive lists these methods (60E3h); else they are all that its EDS allows
+            in 6098h, and it may refuse one.
     """
 
     methods: tuple[int, ...] = ()
     why_not: str = ""
+    listed: bool = True
 
     @property
     def words(self) -> str:
         """Return the offer for the operator."""
         if not self.methods:
             return f"no homing by the drive: {self.why_not}"
-        shown = ", ".join(map(str, self.methods))
-        more = f" (others not: {self.why_not})" if self.why_not else ""
-        return f"the drive can set its zero by homing, methods {shown}{more}"
+        shown = f"methods {', '.join(map(str, self.methods))}"
+        if not self.listed:
+            shown = "by the methods in its manual, as it does not list them (60E3h)"
+        more = f" (only without motion: {self.why_not})" if self.why_not else ""
+        return f"the drive can set its zero by homing, {shown}{more}"
 
     def refusal(self, method: int) -> str:
         """Return why a method cannot be used; empty where it can."""

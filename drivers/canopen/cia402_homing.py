@@ -82,18 +82,24 @@ def offer(channel: ProcessChannel) -> HomingOffer:
         return HomingOffer(why_not=str(refused))
     if still:
         fit = tuple(m for m in fit if m in IN_PLACE)
-    return HomingOffer(fit, still or ("" if fit else "60E3h lists no method that 6098h takes"))
+    why = still or ("" if fit else "60E3h lists no method that 6098h takes")
+    return HomingOffer(fit, why, listed is not None)
 
 
 def _missing(channel: ProcessChannel, *addresses: ObjectAddress) -> str:
     """Return which object the drive lacks; empty where it has all."""
     for address in addresses:
-        name = f"{address[0]:04X}h:{address[1]:02X}h"
+        name = _name(address)
         if not channel.describes(*address):
             return f"object {name} is not in the device's EDS"
         if optional(channel.read, *address) is None:
             return f"object {name} is in the device's EDS, but the device does not have it"
     return ""
+
+
+def _name(address: ObjectAddress) -> str:
+    index, subindex = address
+    return f"{index:04X}h:{subindex:02X}h" if subindex else f"{index:04X}h"
 
 
 def _mode_missing(channel: ProcessChannel) -> str:
@@ -166,7 +172,7 @@ class HomingServo(Servo, ABC):
         for address, value in settings(self._channel, self._scales, order):
             self._channel.require_fit(*address, value)
             servo_limits.store(self._channel, address, value)
-            held[f"{address[0]:04X}h:{address[1]:02X}h"] = value
+            held[_name(address)] = value
         self._motion = Homing(self._motion)
         try:
             self.enable()

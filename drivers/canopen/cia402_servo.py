@@ -14,7 +14,6 @@ from drivers.canopen.cia402_homing import HomingServo
 from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
-from drivers.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.errors import (
     ConfigurationError,
@@ -39,6 +38,7 @@ from drivers.objects import (
     read_identity,
     refusal,
 )
+from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1

@@ -13,7 +13,7 @@ from drivers.clock import SimulatedClock
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
-from drivers.mock.drive_homing import HM
+from drivers.mock.drive_homing import HM, check_method
 from drivers.mock.drive_modes import CST, CSV, PP, Mover
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
@@ -158,6 +158,7 @@ class SimulatedDrive(SimulatedNode):
         objects = self.objects
         objects.checks[0x6060] = self._check_mode
         objects.checks[0x605A] = _check_quick_stop
+        objects.checks[0x6098] = check_method
         objects.checks[0x60C2] = self._check_disabled
         objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
         objects.written[0x60C2] = lambda _sub, _value: self._read_period()

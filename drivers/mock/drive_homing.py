@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.clock import NS, SimulatedClock
-from drivers.mock.canopen.dictionary import key
+from drivers.mock.canopen.dictionary import OUT_OF_RANGE, SdoAbortError, key
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.timer import Timer
 
@@ -30,6 +30,16 @@ _STEP_NS: Final = 1_000_000
 _TOO_LITTLE_A: Final = 0.2
 _BLOCKED_DEG: Final = 1.0
 """Lag of the joint from which it counts as blocked; half the following error window if less."""
+
+
+def check_method(_subindex: int, value: int) -> None:
+    """Refuse a method that the drive does not have.
+
+    Raises:
+        SdoAbortError: The method is another.
+    """
+    if value not in METHODS:
+        raise SdoAbortError(OUT_OF_RANGE)
 
 
 class Homing:

@@ -4,17 +4,18 @@ wrong value.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from drivers.errors import DeviceError
 from rig.commissioning import moving, still
+from rig.commissioning.homing import announced, homing
 from rig.commissioning.interview import Interview
 from rig.commissioning.patch import patched
 from rig.commissioning.record import SkippedError, StepRecord, Verdict, WrongError
-from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import Bench, bench_from_text
 from rig.config.configuration import Document
@@ -87,6 +88,21 @@ STEPS: Final = (
 """The steps in their order: each is tried with what the ones before have proven."""
 
 
+def steps(setup: Setup) -> Iterator[Step]:
+    """Yield the steps with the homing that is asked for: before the drive follows a position where
+    nothing moves, else once units, watchdog and stop are proven. Whether the drive can home is
+    asked when its turn comes.
+    """
+    home = setup.home
+    before = "" if home is None else "limits" if home.in_place else "stop"
+    for step in STEPS:
+        yield step
+        if home is not None and step.name == before:
+            refused = setup.homing_offer.refusal(home.method)
+            words = f"Not done: {refused}. {STILL}" if refused else announced(home)
+            yield Step("homing", words, homing, asks=not refused)
+
+
 @dataclass
 class Commissioning:
     """The result.
@@ -123,7 +139,7 @@ class Commissioning:
                 {"key": f"{change.section}.{change.key}", "value": change.value}
                 for change in self.changes
             ],
-            "sessions": [[step.record() for step in steps] for steps in self.sessions],
+            "sessions": [[step.record() for step in done] for done in self.sessions],
             "drive": None if self.safe is None else self.safe.record(),
         }
 
@@ -135,6 +151,7 @@ def commission(
     stop: StopButton,
     record_in: Callable[[int], Recorder],
     fastest_deg_s: float = FASTEST_DEG_S,
+    home: HomeRequest | None = None,
 ) -> Commissioning:
     """Go through a bench. Raises only what a connection raises before anything is energised.
 
@@ -145,6 +162,7 @@ def commission(
         stop: Stop button.
         record_in: Creates the recording of a connection, by its number from 1.
         fastest_deg_s: Limit on the joint speed, deg/s.
+        home: The homing that is asked for; None to set no zero by homing.
 
     Raises:
         InputError: The bench cannot be connected to.
@@ -155,7 +173,7 @@ def commission(
     result = Commissioning(Ending.DONE, "", text)
 
     def setup_of(bench: Bench, devices: Devices, recorder: Recorder) -> Setup:
-        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s)
+        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s, home)
 
     while True:
         wrong = _session(document, connect, setup_of, record_in, result)
@@ -193,15 +211,15 @@ def _session(
     result: Commissioning,
 ) -> WrongError | None:
     """Go through the steps on one connection; returns the error of the step that found one."""
-    steps: list[StepRecord] = []
-    result.sessions.append(steps)
+    done: list[StepRecord] = []
+    result.sessions.append(done)
     wrong: WrongError | None = None
     with connect(document) as devices:
         recorder = record_in(len(result.sessions))
         try:
             setup = setup_of(document.value, devices, recorder)
             try:
-                wrong = _steps(setup, steps, result)
+                wrong = _steps(setup, done, result)
             except StorageError as error:
                 # Whoever reports it says how the drive was left.
                 error.__dict__["safe"] = setup.safe
@@ -214,11 +232,11 @@ def _session(
     return wrong
 
 
-def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
+def _steps(setup: Setup, done: list[StepRecord], result: Commissioning) -> WrongError | None:
     """Carry the steps out until one is wrong; sets how that ended."""
-    for step in STEPS:
+    for step in steps(setup):
         record = StepRecord(step.name, step.announced)
-        steps.append(record)
+        done.append(record)
         setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)
         try:
             setup.stop.check()
