@@ -99,7 +99,7 @@ def steps(setup: Setup) -> Iterator[Step]:
         yield step
         if home is not None and step.name == before:
             refused = setup.homing_offer.refusal(home.method)
-            words = f"Not done: {refused}. {STILL}" if refused else announced(home)
+            words = f"Not done: {refused}. {STILL}" if refused else announced(setup, home)
             yield Step("homing", words, homing, asks=not refused)
 
 

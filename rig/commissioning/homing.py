@@ -19,7 +19,7 @@ from rig.control.readings import take_readings
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError
 
-SETTLE_S: Final = 0.1
+SETTLE_S: Final = 0.3
 """Time after the start before the statusword is believed: until then it may show what was before.
 """
 STILL_S: Final = 0.2
@@ -39,15 +39,21 @@ UNSET: Final = (
 )
 
 
-def announced(home: HomeRequest) -> str:
+def announced(setup: Setup, home: HomeRequest) -> str:
     """Return what moves and what is under power."""
     what = f"The drive homes by method {home.method} ({method_words(home.method)})"
     if home.in_place:
         return f"{what}: it is energised, and the joint stands still."
     again = "" if home.home_deg is not None else ", and once more with the offset that was found"
+    alone = ""
+    if setup.devices.servo.watch_s is None or not setup.devices.link.has_watchdog:
+        alone = (
+            " This drive has no watchdog: if this program dies or the cable is lost, THE HOMING "
+            "GOES ON to its end."
+        )
     return (
         f"{what}: THE JOINT TURNS BY ITSELF at up to {0.5 * FASTEST_DEG_S:g} deg/s, as far as the "
-        f"limits of the bench allow{again}."
+        f"limits of the bench allow{again}.{alone}"
     )
 
 

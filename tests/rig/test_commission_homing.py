@@ -193,6 +193,17 @@ def test_a_wrong_home_angle_is_found(here: Path) -> None:
     assert "correct --home-angle, or the zero of the joint encoder" in record["message"]
 
 
+def test_a_drive_without_a_watchdog_is_said_to_home_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    options = ("--home", "17", "--home-angle", "-20", "--mistake", "home_jammed")
+    bench = ("--yes", "--out", "out")
+    assert status(["commission", "practical_serial", *bench, *options]) == 1
+    assert "This drive has no watchdog: if this program dies" in capsys.readouterr().out
+    assert ends_off(commissioned_record())
+
+
 def test_without_consent_it_is_not_energised(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     powered: list[bool] = []
     monkeypatch.setattr(SimulatedMachine, "power", lambda _self, on: powered.append(on))
