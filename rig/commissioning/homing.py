@@ -95,12 +95,20 @@ def _tolerance(home: HomeRequest) -> float:
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position; that of position 0 where it is to be found."""
+    """Return the joint angle of the home position; that of position 0 where it is to be found.
+
+    Raises:
+        WrongError: It is not given, and the joint encoder gives no angle.
+    """
     if home.home_deg is not None:
         return math.radians(home.home_deg)
     if home.in_place:
-        encoder = setup.devices.encoder.reading()
-        return encoder if setup.true_deg is None else math.radians(setup.true_deg)
+        if setup.true_deg is not None:
+            return math.radians(setup.true_deg)
+        angle = setup.devices.encoder.reading()
+        if math.isnan(angle):
+            raise WrongError("the joint encoder gives no angle: give the true one (--angle)")
+        return angle
     return math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
 
 
