@@ -154,6 +154,34 @@ def test_however_it_is_ended_the_drive_is_read_back_as_off(
     assert -0.2 < angle < -0.01
 
 
+def test_a_lost_bus_leaves_it_to_the_watchdog_and_says_so(
+    here: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    attend, calls, power = Cycle.attend, [0], SimulatedMachine.power
+    powered: list[bool] = []
+
+    def cut(self: Cycle, limits: Limits) -> Sample:
+        calls[0] += 1
+        if calls[0] == 200:
+            bus = self._link._port  # type: ignore[attr-defined]
+            bus.frame_filters.append(lambda *_: None)
+        return attend(self, limits)
+
+    def switched(self: SimulatedMachine, on: bool) -> None:
+        powered.append(on)
+        power(self, on)
+
+    monkeypatch.setattr(Cycle, "attend", cut)
+    monkeypatch.setattr(SimulatedMachine, "power", switched)
+    ended, record = commissioned("--home", "17")
+    assert ended == 1
+    assert "The zero of the drive counts as not set" in record["message"]
+    assert not record["drive"]["verified"]
+    assert "not restored" in measured(record)["mode of operation afterwards, 6061h"]
+    assert "could NOT be verified" in " ".join(capsys.readouterr().out.split())
+    assert not powered[-1]
+
+
 def test_a_joint_that_moves_where_it_must_not_ends_it(
     here: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
