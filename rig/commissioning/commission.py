@@ -88,7 +88,7 @@ STEPS: Final = (
 """The steps in their order: each is tried with what the ones before have proven."""
 
 
-def steps(setup: Setup) -> Iterator[Step]:
+def steps_of(setup: Setup) -> Iterator[Step]:
     """Yield the steps with the homing that is asked for: before the drive follows a position where
     nothing moves, else once units, watchdog and stop are proven. Whether the drive can home is
     asked when its turn comes.
@@ -139,7 +139,7 @@ class Commissioning:
                 {"key": f"{change.section}.{change.key}", "value": change.value}
                 for change in self.changes
             ],
-            "sessions": [[step.record() for step in done] for done in self.sessions],
+            "sessions": [[step.record() for step in steps] for steps in self.sessions],
             "drive": None if self.safe is None else self.safe.record(),
         }
 
@@ -211,15 +211,15 @@ def _session(
     result: Commissioning,
 ) -> WrongError | None:
     """Go through the steps on one connection; returns the error of the step that found one."""
-    done: list[StepRecord] = []
-    result.sessions.append(done)
+    steps: list[StepRecord] = []
+    result.sessions.append(steps)
     wrong: WrongError | None = None
     with connect(document) as devices:
         recorder = record_in(len(result.sessions))
         try:
             setup = setup_of(document.value, devices, recorder)
             try:
-                wrong = _steps(setup, done, result)
+                wrong = _steps(setup, steps, result)
             except StorageError as error:
                 # Whoever reports it says how the drive was left.
                 error.__dict__["safe"] = setup.safe
@@ -232,11 +232,11 @@ def _session(
     return wrong
 
 
-def _steps(setup: Setup, done: list[StepRecord], result: Commissioning) -> WrongError | None:
+def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
     """Carry the steps out until one is wrong; sets how that ended."""
-    for step in steps(setup):
+    for step in steps_of(setup):
         record = StepRecord(step.name, step.announced)
-        done.append(record)
+        steps.append(record)
         setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)
         try:
             setup.stop.check()
