@@ -1,8 +1,7 @@
 """Interfaces of the devices of a bench to the rest of the program, in SI units.
 
-A :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder`
-are the devices on it. Angles, speeds and torques are at the joint, after the gear, unless the name
-says ``motor``.
+A :class:`Link` exchanges all outputs and inputs of its :class:`Servo` and :class:`Encoder` once a
+cycle. Angles, speeds and torques are at the joint unless the name says ``motor``.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from typing import NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault
+from drivers.homing import Homes
 from drivers.lacks import NOTHING, Lacks
 from drivers.remedies import Recognised, SpeedRemedies
 
@@ -192,7 +192,7 @@ class Link(ABC):
         """Return the raw frames seen since the last call, oldest first."""
 
 
-class Servo(SpeedRemedies, Recognised, ABC):
+class Servo(SpeedRemedies, Recognised, Homes, ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:

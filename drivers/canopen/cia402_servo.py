@@ -10,10 +10,10 @@ from drivers import servo_limits
 from drivers.canopen import cia402, cia402_checks, cia402_mode, velocity_unit
 from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
+from drivers.canopen.cia402_homing import HomingServo
 from drivers.canopen.cia402_values import CyclicValues, read_once
 from drivers.canopen.emergency import explain
 from drivers.canopen.motion import TORQUE_OFFSET, CyclicPosition, Motion
-from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.errors import (
     ConfigurationError,
@@ -25,7 +25,6 @@ from drivers.interfaces import (
     Identity,
     LimitSteps,
     Link,
-    Servo,
     ServoLimits,
     ServoReadings,
     ServoSample,
@@ -39,6 +38,7 @@ from drivers.objects import (
     read_identity,
     refusal,
 )
+from drivers.transitions import await_state, exchanges
 from drivers.units import ServoScales
 
 WATCH_S: Final = 0.1
@@ -47,7 +47,7 @@ _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
 
-class Cia402Servo(Servo):
+class Cia402Servo(HomingServo):
     """A drive that follows a position. Only :meth:`enable` ever moves it toward power.
 
     Args:
@@ -330,7 +330,7 @@ class Cia402Servo(Servo):
         """Return the sample of the last exchange."""
         statusword, position = self._values.motion()
         following = 0
-        if statusword & 0x6F == 0x27:
+        if statusword & 0x6F == 0x27 and self._motion.follows:
             # At this SYNC the drive has reached the target of the previous exchange.
             demand = self._previous if self._channel.cycle <= self._staged_in + 1 else self._target
             following = demand - position

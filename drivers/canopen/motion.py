@@ -66,6 +66,7 @@ class Motion(ABC):
         target: The object that it commands.
         unheld: Objects of limits that a drive need not obey in this mode.
         needs_watch: Whether it is safe only with a drive that notices a lost master by itself.
+        follows: Whether the drive follows what is staged, rather than moving by itself.
         remarks: What the operator has to know, in words.
         offset: Torque offset, in units of 60B2h.
         takes_offset: Whether the torque offset is sent.
@@ -76,6 +77,7 @@ class Motion(ABC):
     target: ClassVar[ObjectAddress]
     unheld: ClassVar[frozenset[ObjectAddress]] = frozenset()
     needs_watch: ClassVar[bool] = False
+    follows: ClassVar[bool] = True
     remarks: ClassVar[tuple[str, ...]] = ()
 
     def __init__(self) -> None:

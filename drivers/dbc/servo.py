@@ -8,7 +8,6 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.canopen import cia402
-from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.dbc import limits as dbc_limits
 from drivers.dbc.channel import DbcChannel
@@ -27,6 +26,7 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.objects import refusal
+from drivers.transitions import await_state, exchanges
 
 _ANSWER_S: Final = 0.3
 _RETRY_S: Final = 0.02

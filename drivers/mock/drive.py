@@ -13,7 +13,8 @@ from drivers.clock import SimulatedClock
 from drivers.mock.canopen import dictionary as od
 from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
-from drivers.mock.drive_modes import CSP, CST, CSV, PP, Mover
+from drivers.mock.drive_homing import HM, check_method
+from drivers.mock.drive_modes import CST, CSV, PP, Mover
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.resolution import encoder_resolution
@@ -51,7 +52,6 @@ _VOLTAGE_ENABLED: Final = 0x0010
 _REMOTE: Final = 0x0200
 _TARGET_REACHED: Final = 0x0400
 _INTERNAL_LIMIT: Final = 0x0800
-_FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
 _MS: Final = 1_000_000
@@ -105,6 +105,7 @@ class SimulatedDrive(SimulatedNode):
         speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
             :meth:`use_speed_unit`.
         deaf_to: Orders that the drive ignores.
+        homing: Homing, and the zero that it has set.
         current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
     """
 
@@ -150,6 +151,7 @@ class SimulatedDrive(SimulatedNode):
             self.speed_unit,
             1.0 / self._per_mille_torque_A,
         )
+        self.homing = self._mover.homing
         self._period_ns = _MS
         # A drive without 60C2h measures the time between targets.
         self._told_period = key(0x60C2, 1) in self.objects.entries
@@ -158,6 +160,7 @@ class SimulatedDrive(SimulatedNode):
         objects = self.objects
         objects.checks[0x6060] = self._check_mode
         objects.checks[0x605A] = _check_quick_stop
+        objects.checks[0x6098] = check_method
         objects.checks[0x60C2] = self._check_disabled
         objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
         objects.written[0x60C2] = lambda _sub, _value: self._read_period()
@@ -181,7 +184,7 @@ class SimulatedDrive(SimulatedNode):
         values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
         values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
         self._limit_current()
-        self._last_word = self._flags = 0
+        self._last_word = self._flags = self.homing.shift = 0
         self._read_period()
         self._enter(State.SWITCH_ON_DISABLED)
 
@@ -252,7 +255,7 @@ class SimulatedDrive(SimulatedNode):
     def _measure(self, reading: Reading) -> None:
         values = self._values
         self.stamp(self._sampler.time_ns)
-        values[_POSITION] = reading.motor_counts
+        values[_POSITION] = reading.motor_counts + self.homing.shift
         speed = reading.motor_velocity_rad_s * self._counts_per_rad
         values[_VELOCITY] = round(speed / self.speed_unit)
         current = reading.current_A * self._per_mille_A
@@ -361,9 +364,7 @@ class SimulatedDrive(SimulatedNode):
         if self.state is Nmt.OPERATIONAL:
             word |= _REMOTE
         if self.power_state is State.OPERATION_ENABLED:
-            mode = self._values[_MODE]
-            if mode in (CSP, CSV, CST) or (mode == PP and self._mover.acknowledged):
-                word |= _FOLLOWS
+            word |= self._mover.flags
         self._values[_STATUSWORD] = word
 
     def _greatest(self, per_mille_A: float) -> int:
@@ -385,7 +386,7 @@ class SimulatedDrive(SimulatedNode):
     def _check_mode(self, _subindex: int, value: int) -> None:
         if value and not (value > 0 and self.traits.modes >> value - 1 & 1):
             raise SdoAbortError(od.OUT_OF_RANGE)
-        loops = {value, self._values[_MODE]} & {CSV, CST, PP}
+        loops = {value, self._values[_MODE]} & {CSV, CST, PP, HM}
         if loops and self.power_state in POWERED and value != self._values[_MODE]:
             raise SdoAbortError(od.DEVICE_STATE)
 

@@ -8,6 +8,7 @@ from typing import Final
 
 from drivers.clock import NS, SimulatedClock
 from drivers.mock.canopen.dictionary import key
+from drivers.mock.drive_homing import HM, Homing
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.sampler import Sampler
 from drivers.mock.wires.timer import Timer
@@ -28,8 +29,8 @@ _TORQUE_OFFSET: Final = key(0x60B2)
 _TARGET_SPEED: Final = key(0x60FF)
 _NEW: Final = 1 << 4
 _PROFILE_NS: Final = 1_000_000
-ACKNOWLEDGED: Final = 0x1000
-"""Bit 12 of the statusword in profile position."""
+_BIT_12: Final = 0x1000
+"""Of the statusword: the drive follows its target, or has taken a set-point."""
 
 
 class Mover:
@@ -42,6 +43,9 @@ class Mover:
         counts_per_rad: Motor counts per radian of the motor.
         speed_unit: Unit of the drive's speeds, counts/s.
         current_A: Motor current of one unit of torque.
+
+    Attributes:
+        homing: Homing, and the zero that it has set.
     """
 
     def __init__(
@@ -62,6 +66,7 @@ class Mover:
         self._counts_per_rad = counts_per_rad
         self.speed_unit = speed_unit
         self._current_A = current_A
+        self.homing = Homing(sampler, clock, values, counts_per_rad, lambda: self.speed_unit)
         self._gear = self._machine.constants.motor.gear_ratio
         self._profile = Timer(clock, self._advance_profile)
         self._speed = 0.0
@@ -73,8 +78,17 @@ class Mover:
         """Whether the drive closes its position loop, so that it has a following error."""
         return self._values[_MODE] not in (CSV, CST)
 
+    @property
+    def flags(self) -> int:
+        """Bits of the statusword that depend on the mode, while the drive operates."""
+        mode = self._values[_MODE]
+        if mode == HM:
+            return self.homing.flags
+        follows = mode in (CSP, CSV, CST) or (mode == PP and self.acknowledged)
+        return _BIT_12 if follows else 0
+
     def start(self, counts: int) -> None:
-        """Begin at a position, as the power comes on."""
+        """Begin at a position by the motor's counts, as the power comes on."""
         self.demand = self._goal = float(counts)
         self._speed = 0.0
         self.acknowledged = False
@@ -83,10 +97,13 @@ class Mover:
         self._machine.control(position=self.positions, speed=mode != CST)
         if mode == PP:
             self._profile.start(self._clock.now_ns() + _PROFILE_NS)
+        elif mode == HM:
+            self.homing.begin(counts)
 
     def stop(self) -> None:
-        """End the profile."""
+        """End the profile or the homing."""
         self._profile.stop()
+        self.homing.stop()
 
     def follow(self, period_ns: int) -> bool:
         """Obey the targets; returns whether a limit changed them."""
@@ -95,12 +112,15 @@ class Mover:
             CSV: self._spin,
             CST: self._push,
             PP: self._set_point,
+            HM: self._home,
         }.get(self._values[_MODE])
         return move is not None and move(period_ns)
 
     def _clamped(self) -> float:
+        """Return the target within its limits, in the motor's counts."""
         values = self._values
-        return float(min(max(values[_TARGET], values[_TARGET_MIN]), values[_TARGET_MAX]))
+        target = min(max(values[_TARGET], values[_TARGET_MIN]), values[_TARGET_MAX])
+        return float(target - self.homing.shift)
 
     def _position(self, period_ns: int) -> bool:
         values, target = self._values, self._clamped()
@@ -111,7 +131,7 @@ class Mover:
         self.demand = target
         self._machine.track(target, period_ns)
         self._machine.feed(values[_TORQUE_OFFSET] * self._current_A)
-        return target != values[_TARGET]
+        return target + self.homing.shift != values[_TARGET]
 
     def _spin(self, _period_ns: int) -> bool:
         values = self._values
@@ -137,7 +157,12 @@ class Mover:
         elif not word & _NEW:
             self.acknowledged = False
         self._word = word
-        return self._goal != self._values[_TARGET] and self.acknowledged
+        goal = self._goal + self.homing.shift
+        return goal != self._values[_TARGET] and self.acknowledged
+
+    def _home(self, _period_ns: int) -> bool:
+        self.homing.obey()
+        return False
 
     def _advance_profile(self) -> None:
         """Take one step of a profile with constant accelerations to the set-point."""

@@ -18,14 +18,15 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.device_data import identity
 from drivers.canopen.eds_file import addresses
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.traits import PP, Shown, Traits, current_A, supply_V, temperature_C
+from drivers.mock.traits import HM, PP, Shown, Traits, current_A, supply_V, temperature_C
 
-_OWN: Final = frozenset({0x2100, 0x2101})
+_OWN: Final = frozenset({0x2100, 0x2101, 0x60E3})
+"""Of the simulated drive only; its list of homing methods is rare."""
 MAKES: Final[Mapping[str, Traits]] = {
     "EPOS4": Traits(
         0xFB,
         0x65510000,
-        _OWN | {0x1009, 0x100A, 0x1013, 0x6072, 0x6073, 0x6075, 0x6078, 0x6079, 0x60C2},
+        _OWN | {0x1009, 0x100A, 0x1013, 0x6072, 0x6073, 0x6075, 0x6078, 0x6079, 0x607C, 0x60C2},
         (
             Shown((0x30D1, 2), "i", current_A, 1e-3),
             Shown((0x3001, 1), "I", None, 1e-3),
@@ -45,7 +46,7 @@ MAKES: Final[Mapping[str, Traits]] = {
             Shown((0x6410, 1), "H", None, 1e-3),
         ),
         rpm=True,
-        modes=PP,
+        modes=PP | HM,
     ),
     "Elmo": Traits(
         0x9A,

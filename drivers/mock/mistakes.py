@@ -89,5 +89,17 @@ MISTAKES: Final[Mapping[str, Mistake]] = {
         "the motor has twice the stated torque constant",
         change=_motor(torque_constant_N_m_A=2.0, back_emf_constant_V_s_rad=2.0),
     ),
+    "home_jammed": Mistake(
+        "the joint is jammed while the drive homes (--home)",
+        lambda bench, _: setattr(bench.drive.homing, "jammed", True),
+    ),
+    "home_endless": Mistake(
+        "the drive never ends a homing (--home)",
+        lambda bench, _: setattr(bench.drive.homing, "endless", True),
+    ),
+    "home_switch": Mistake(
+        "the limit switches never close (--home 17 or 18)",
+        lambda bench, _: setattr(bench.drive.homing, "switches_deg", None),
+    ),
 }
 """Name to mistake."""

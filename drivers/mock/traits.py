@@ -10,7 +10,7 @@ from drivers.mock.plant.machine import Reading
 
 Quantity = Callable[[Reading], float]
 """What an object shows, in SI units or deg C."""
-PP, CSP, CSV, CST = 1 << 0, 1 << 7, 1 << 8, 1 << 9
+PP, HM, CSP, CSV, CST = 1 << 0, 1 << 5, 1 << 7, 1 << 8, 1 << 9
 """Bits of 6502h: modes that a drive offers."""
 
 
@@ -71,7 +71,7 @@ class Traits:
     rpm: bool = False
     speed_counts_per_s: float = 1.0
     rated_torque_unit_N_m: float = 1e-3
-    modes: int = PP | CSP | CSV | CST
+    modes: int = PP | HM | CSP | CSV | CST
     shown: Container[tuple[int, int]] | None = None
 
     def speed_unit(self, counts_per_turn: float) -> float:

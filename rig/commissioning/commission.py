@@ -4,17 +4,18 @@ finds a wrong value.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from drivers.errors import DeviceError
 from rig.commissioning import moving, still
+from rig.commissioning.homing import announced, homing
 from rig.commissioning.interview import Interview
 from rig.commissioning.patch import patched
 from rig.commissioning.record import SkippedError, StepRecord, Verdict, WrongError
-from rig.commissioning.setup import FASTEST_DEG_S, Setup
+from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
 from rig.common.errors import StorageError
 from rig.config.bench import Bench, bench_from_text
 from rig.config.configuration import Document
@@ -87,6 +88,21 @@ STEPS: Final = (
 """The steps in their order: each is tried with what the ones before have proven."""
 
 
+def steps_of(setup: Setup) -> Iterator[Step]:
+    """Yield the steps with the homing that is asked for: before the drive follows a position where
+    nothing moves, else once units, watchdog and stop are proven. Whether the drive can home is
+    asked when its turn comes.
+    """
+    home = setup.home
+    before = "" if home is None else "limits" if home.in_place else "stop"
+    for step in STEPS:
+        yield step
+        if home is not None and step.name == before:
+            refused = setup.homing_offer.refusal(home.method)
+            words = f"Not done: {refused}. {STILL}" if refused else announced(setup, home)
+            yield Step("homing", words, homing, asks=not refused)
+
+
 @dataclass
 class Commissioning:
     """The result of a commissioning.
@@ -135,6 +151,7 @@ def commission(
     stop: StopButton,
     record_in: Callable[[int], Recorder],
     fastest_deg_s: float = FASTEST_DEG_S,
+    home: HomeRequest | None = None,
 ) -> Commissioning:
     """Commission a bench. Raises only the errors of a connection, before the drive is energised.
 
@@ -145,6 +162,7 @@ def commission(
         stop: Stop button.
         record_in: Creates the recording of a connection, by its number from 1.
         fastest_deg_s: Limit on the joint speed, deg/s.
+        home: The homing that is asked for; None to set no zero by homing.
 
     Raises:
         InputError: The bench cannot be connected to.
@@ -155,7 +173,7 @@ def commission(
     result = Commissioning(Ending.DONE, "", text)
 
     def setup_of(bench: Bench, devices: Devices, recorder: Recorder) -> Setup:
-        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s)
+        return Setup.of(bench, devices, interview, stop, recorder, fastest_deg_s, home)
 
     while True:
         wrong = _session(document, connect, setup_of, record_in, result)
@@ -218,7 +236,7 @@ def _session(
 
 def _steps(setup: Setup, steps: list[StepRecord], result: Commissioning) -> WrongError | None:
     """Perform the steps until one finds an error; store how the session ended."""
-    for step in STEPS:
+    for step in steps_of(setup):
         record = StepRecord(step.name, step.announced)
         steps.append(record)
         setup.recorder.event(setup.cycle.now_ns, "step", step=step.name)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Final
 
+from drivers.errors import DeviceError
+from drivers.homing import IN_PLACE, HomingOffer, HomingOrder
 from drivers.interfaces import ServoLimits, ServoState
 from rig.commissioning.interview import Interview
 from rig.commissioning.record import StepRecord, WrongError
@@ -29,6 +32,26 @@ SPEED_SHARE: Final = 0.25
 TORQUE_SHARE: Final = 0.6
 """Share of the bench's torque and current limits that a commissioning uses."""
 REST_S: Final = 0.2
+
+
+@dataclass(frozen=True)
+class HomeRequest:
+    """A homing that the operator asks for.
+
+    Attributes:
+        method: Value of 6098h.
+        home_deg: True joint angle of the home position; None where it is not known.
+        time_limit_s: Longest time of a homing; None for the usual one.
+    """
+
+    method: int
+    home_deg: float | None = None
+    time_limit_s: float | None = None
+
+    @property
+    def in_place(self) -> bool:
+        """Whether nothing moves."""
+        return self.method in IN_PLACE
 
 
 def low_limits(bench: Bench, fastest_deg_s: float = FASTEST_DEG_S) -> Limits:
@@ -59,6 +82,8 @@ class Setup:
         own: Limits that the drive held before; None until they are read.
         safe: How the drive was left after the last time under power; None before the first.
         steps: Steps so far.
+        home: The homing that was asked for; None for none.
+        true_deg: True joint angle as the operator gave it; None where it is not known.
     """
 
     bench: Bench
@@ -71,6 +96,8 @@ class Setup:
     own: ServoLimits | None = None
     safe: SafeState | None = None
     steps: list[StepRecord] = field(default_factory=list)
+    home: HomeRequest | None = None
+    true_deg: float | None = None
 
     @classmethod
     def of(
@@ -81,11 +108,23 @@ class Setup:
         stop: StopButton,
         recorder: Recorder,
         fastest_deg_s: float = FASTEST_DEG_S,
+        home: HomeRequest | None = None,
     ) -> Setup:
         """Return the setup of a bench whose link is open."""
         limits = low_limits(bench, fastest_deg_s)
         cycle = Cycle(limits, bench.cycle_ns, devices, recorder, stop, lambda *_: None)
-        return cls(bench, devices, interview, stop, recorder, limits, cycle)
+        return cls(bench, devices, interview, stop, recorder, limits, cycle, home=home)
+
+    @cached_property
+    def homing_offer(self) -> HomingOffer:
+        """How the drive can home; it is asked once."""
+        return self.devices.servo.homing_offer()
+
+    @property
+    def homes_in_place(self) -> bool:
+        """Whether a homing without motion sets the drive's zero."""
+        home = self.home
+        return home is not None and home.in_place and not self.homing_offer.refusal(home.method)
 
     @property
     def wanted(self) -> ServoLimits:
@@ -116,15 +155,67 @@ class Setup:
             WrongError: It could not be verified that the power is off.
         """
         cycle, servo = self.cycle, self.devices.servo
-        self.recorder.event(cycle.now_ns, "power on", step=what)
-        done = False
-        try:
-            self.prepare()
-            servo.enable()
+        with self._energised(what, servo.enable):
             here = servo.sample().motor_angle_rad / self.bench.machine.gear_ratio
             cycle.ask_reset()
             cycle.begin(here)
             yield here
+
+    @contextmanager
+    def homing(self, order: HomingOrder, step: StepRecord) -> Iterator[None]:
+        """Energise in homing mode; at the end, whatever happens, take the power off, select the
+        bench's mode again and read it back (6061h).
+
+        Args:
+            order: The homing, which is not started yet.
+            step: Takes what was written and the mode that was read back.
+
+        Raises:
+            WrongError: It could not be verified that the power is off.
+            DeviceError: The mode could not be selected.
+        """
+        servo = self.devices.servo
+        held: Mapping[str, int] = {}
+
+        def energise() -> None:
+            nonlocal held
+            held = servo.begin_homing(order)
+
+        ended = False
+        try:
+            with self._energised("homing", energise):
+                known = {(item.name, item.value) for item in step.measured}
+                for name, value in held.items():
+                    words = f"written and read back, {name}"
+                    if (words, str(value)) not in known:
+                        step.measure(words, value)
+                yield
+            ended = True
+        finally:
+            try:
+                shown, usual = servo.end_homing()
+            except DeviceError as failure:
+                step.measure("mode of operation afterwards, 6061h", f"not restored: {failure}")
+                if ended:
+                    raise
+            else:
+                later = "" if shown == usual else f", {usual} once it is switched on"
+                step.measure("mode of operation afterwards, 6061h", f"{shown}{later}")
+
+    @contextmanager
+    def _energised(self, what: str, energise: Callable[[], None]) -> Iterator[None]:
+        """Energise, and take the power off at the end, whatever happens.
+
+        Raises:
+            WrongError: It could not be verified that the power is off.
+        """
+        cycle, servo = self.cycle, self.devices.servo
+        self.recorder.event(cycle.now_ns, "power on", step=what)
+        done = False
+        try:
+            self.prepare()
+            energise()
+            yield
             done = True
         finally:
             presses = self.stop.presses

@@ -77,6 +77,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
         WrongError: They differ; with the offsets to be set where the true angle is known.
     """
     bench = setup.bench
+    _say_offer(setup)
     taken = take_readings(setup.devices, bench.machine.gear_ratio)
     both = (
         ("servo", "drive", math.degrees(taken.motor_encoder_at_joint_rad)),
@@ -84,16 +85,19 @@ def zero(setup: Setup, step: StepRecord) -> None:
     )
     for _, name, reading in both:
         step.measure(f"angle by the {name}", reading, "deg")
-    true = setup.interview.angle_deg("True joint angle now, by protractor or stop, deg")
+    later = " (the drive's zero is set by homing, after the limits)" if setup.homes_in_place else ""
+    true = setup.true_deg = setup.interview.angle_deg(
+        "True joint angle now, by protractor or stop, deg"
+    )
     if true is None:
         difference = abs(both[0][2] - both[1][2])
         limit = bench.limits.encoder_disagreement_deg
-        if not difference <= limit:
+        if not difference <= limit and not later:
             raise WrongError(
                 f"drive and joint encoder differ by {difference:.4g} deg, limit {limit:g} deg: "
                 f"give the true angle (--angle), and the offsets follow"
             )
-        step.words = "the true angle was not given: the zero is not checked"
+        step.words = f"the true angle was not given: the zero is not checked{later}"
         return
     step.measure("true angle", true, "deg")
     if not bench.limits.angle_min_deg <= true <= bench.limits.angle_max_deg:
@@ -102,14 +106,25 @@ def zero(setup: Setup, step: StepRecord) -> None:
             f"{bench.limits.angle_max_deg:g} deg: turn it by hand"
         )
     changes = []
-    for section, _, reading in both:
+    for section, _, reading in both[1:] if later else both:
         offset = getattr(getattr(bench, section), "offset_deg", 0.0)
         if abs(true - reading) > ZERO_TOLERANCE_DEG:
             wanted = float(f"{offset + true - reading:.4f}")
             changes.append(Change(section, "offset_deg", wanted))
     if changes:
         raise WrongError(f"the zero is off: set {' and '.join(map(str, changes))}", tuple(changes))
-    step.words = f"both angles are within {ZERO_TOLERANCE_DEG:g} deg of the true one"
+    which = "the joint encoder is" if later else "both angles are"
+    step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true one{later}"
+
+
+def _say_offer(setup: Setup) -> None:
+    """Say whether the drive can set its zero by itself, and what is done."""
+    offer, home = setup.homing_offer, setup.home
+    if home is None:
+        then = "--home METHOD does that" if offer.methods else "the zero is typed in"
+        setup.interview.tell(f"  note: {offer.words}; {then}")
+    elif why := offer.refusal(home.method):
+        setup.interview.tell(f"  note: {why}; the zero is typed in instead")
 
 
 def limits(setup: Setup, step: StepRecord) -> None:

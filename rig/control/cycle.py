@@ -15,7 +15,7 @@ from rig.common.errors import StorageError
 from rig.common.sample import Sample
 from rig.common.timing import Timing
 from rig.control.motion_witness import MotionWitness
-from rig.control.safety import Check, Latch, Trip, check_stage_time
+from rig.control.safety import Check, Latch, Trip, check, check_stage_time
 from rig.control.speed_witness import SpeedWitness
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import StopButton
@@ -253,6 +253,25 @@ class Cycle:
         # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
             self._exchange(self._target, 0)
+
+    def attend(self, limits: Limits) -> Sample:
+        """Run one cycle without a command, while the drive moves by itself; return its sample.
+
+        Args:
+            limits: What the sample is held against; the latch has no part in it.
+
+        Raises:
+            TripError: The sample is outside a limit.
+            OperatorStopError: The stop button was pressed.
+            DeviceError: A device or the bus failed.
+            StorageError: The recording cannot be written.
+        """
+        self._stop.check()
+        sample = self._exchange(self._target, 0)
+        trip = check(sample, self._age_s, self._late_s, self._checkable(limits))
+        if trip is not None:
+            raise TripError(trip)
+        return sample
 
     def _checkable(self, limits: Limits) -> Limits:
         """Return limits without those on values that the drive does not report."""

@@ -91,15 +91,16 @@ class Trip:
     @property
     def message(self) -> str:
         """Message with value, limit, unit, time and remedy."""
-        return f"{self._found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+        return f"{self.found} at {self.time:.3f} s; {_REMEDY[self.check]}"
 
     @property
     def now(self) -> str:
         """Message with value, limit and unit, for a value read outside a run."""
-        return f"{self._found}; {_REMEDY[self.check]}"
+        return f"{self.found}; {_REMEDY[self.check]}"
 
     @property
-    def _found(self) -> str:
+    def found(self) -> str:
+        """Value, limit and unit, without a remedy."""
         if self.check is Check.DRIVE_STATE:
             return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
         if self.check is Check.NOT_RESET:

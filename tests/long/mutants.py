@@ -42,7 +42,7 @@ TARGETS: Mapping[str, tuple[str, ...]] = {
         "tests/drivers/test_lean_devices.py",
     ),
     "rig.control.speed_witness": ("tests/rig/test_speed_witness.py",),
-    "drivers.canopen.transitions": (
+    "drivers.transitions": (
         "tests/drivers/test_cia402_servo.py",
         "tests/drivers/test_dbc_servo_steps.py",
     ),

@@ -228,7 +228,7 @@ def test_loads_that_cannot_be_are_refused(tmp_path: Path) -> None:
     text = path.read_text()
     for bench, words in (
         ("bench: {motion: linear, torque_constant: 1}", "remove `radius`"),
-        ("bench: {}", "this one is in amperes"),
+        ("bench: {}", "no use in a fit in amperes"),
     ):
         head, _, rest = text.partition("bench: ")
         changed = f"{head}{bench}\n{rest.partition(chr(10))[2]}".replace("torque: m", "current: m")

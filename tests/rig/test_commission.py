@@ -76,7 +76,8 @@ def fastest_deg_s(gear_ratio: float) -> float:
 
 
 def test_all_mistakes_are_tried() -> None:
-    assert set(CORRECTED) | set(FOUND) == set(MISTAKES)
+    homing = {name for name in MISTAKES if name.startswith("home_")}  # test_commission_homing.py
+    assert set(CORRECTED) | set(FOUND) | homing == set(MISTAKES)
     assert len(MISTAKES) >= 10
 
 

@@ -289,4 +289,4 @@ def test_the_documents_list_every_status() -> None:
         line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()
     ] == list("012345")
     readme = (root / "README.md").read_text(encoding="utf-8")
-    assert "5 the program itself broke down" in readme
+    assert "5 the\nprogram itself failed" in readme

@@ -469,7 +469,7 @@ def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
     assert "lost between" in capsys.readouterr().out
     record = read_record(holed)
     assert (record.state, record.stages[0].state) == ("failed", "failed")
-    assert "samples of empty are lost" in record.message
+    assert "samples of empty are missing" in record.message
     # What came behind the hole is there: the end of the run, and most of its samples.
     log = read_run(holed / "recording.mcap")
     assert log.events[-1]["event"] == "done"

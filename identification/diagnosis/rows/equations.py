@@ -35,6 +35,8 @@ WITHIN_STEP = 0.3
 SURE_NM = 0.1
 """Approximate torque noise of one sample."""
 Places = NDArray[np.int64]
+GREATEST_RATIO = 1e100
+"""Greatest ratio of an error to a noise, whose square can still be computed with."""
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
 """Error of the most accurate encoders for one turn."""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
@@ -164,7 +166,8 @@ def _own_noise(equation: Equation, rest: Array, sigma: float) -> dict[int, float
     error that the sensors may have.
     """
     low_pass, owner = equation.views[0].low_pass, equation.owner
-    sensors = (_accuracy(equation) / sigma) ** 2
+    # Recordings at rest have no noise at all.
+    sensors = min(_accuracy(equation) / sigma, GREATEST_RATIO) ** 2
     return {
         index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2) + sensors
         for index in np.unique(owner).tolist()

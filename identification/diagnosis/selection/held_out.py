@@ -178,7 +178,7 @@ def _with_rivals_judged(
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen
-            worse = _studentised_reduction(stack, [left, there[1]], names)
+            worse = _decisive_reduction(stack, [left, there[1]], names)
             if worse >= RULES.rejected:
                 rival = replace(rival, preference=max(rival.preference, worse))
             elif worse <= -RULES.rejected:
@@ -349,6 +349,15 @@ def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[
     worth = float(np.sum(lessened)) / spread if spread > 0.0 else math.inf
     first, second = np.sum(squares, axis=0)
     return worth if first < second else min(worth, 0.0)
+
+
+def _decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`_studentised_reduction`; 0 if the two mean squares differ by less than the
+    noise's is known to.
+    """
+    rows = np.concatenate([np.stack(left, axis=1)[stack.part(name)] for name in names])
+    low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))
+    return 0.0 if high <= RULES.tested_from * low else _studentised_reduction(stack, left, names)
 
 
 def folds(joint: Joint) -> Array:

@@ -21,7 +21,7 @@ from rig.cli.crash import note_drive, noting_folder
 from rig.cli.entry import DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
 from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
-from rig.commissioning.setup import FASTEST_DEG_S
+from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest
 from rig.common.errors import InputError
 from rig.common.places import require_file, require_folder, write_asked, write_text
 from rig.common.provenance import utc_now
@@ -75,6 +75,27 @@ PATCH_FILE = "bench.patch"
     help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; a soft "
     "drive slips faster than the commanded speed.",
 )
+@click.option(
+    "--home",
+    "home_method",
+    type=click.IntRange(-128, 127),
+    help="Let the drive set its zero by its own homing, with this method (6098h): 35 or 37 take "
+    "the present position, 17 and 18 turn to a limit switch; others as the drive offers them.",
+)
+@click.option(
+    "--home-angle",
+    "home_deg",
+    type=float,
+    help="True joint angle of the home position, deg. [default: --angle where nothing moves, else "
+    "by the joint encoder]",
+)
+@click.option(
+    "--home-time",
+    "home_time_s",
+    type=click.FloatRange(min=1.0),
+    help="Longest time of the homing, s. [default: 5 where nothing moves, else by the limits of "
+    "angle and speed]",
+)
 @click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
 @click.option(
     "--mistake",
@@ -90,6 +111,9 @@ def command(
     bench_out: Path | None,
     angle_deg: float | None,
     fastest_deg_s: float,
+    home_method: int | None,
+    home_deg: float | None,
+    home_time_s: float | None,
     yes: bool,
     mistake: str | None,
     seed: int,
@@ -108,11 +132,15 @@ def command(
     The corrected bench is written to a new file; BENCH itself is never changed. The folder contains
     protocol, recording and the corrections as a patch.
 
+    With --home the drive sets its zero itself (CiA 402 homing), where its EDS file and the drive
+    have the objects for it.
+
     \b
     Example:
       rig commission my_bench.yaml --operator "A. Person"
       rig commission practical --yes --angle 0 --out runs/commissioned
       rig commission practical --yes --mistake rpm
+      rig commission practical --yes --angle 0 --home 37
     """
     require_file(json_file, "--json")
     document = load_bench(bench)
@@ -126,7 +154,8 @@ def command(
     require_file(new_file if bench_out else None, "--bench-out")
     if new_file.exists():
         raise InputError(f"{new_file}: exists already and is not overwritten; give --bench-out")
-    plan = _Plan(document, folder, new_file, seed, mistake, operator_name, fastest_deg_s)
+    home = _home(document, home_method, home_deg, home_time_s)
+    plan = _Plan(document, folder, new_file, seed, mistake, operator_name, fastest_deg_s, home)
     status, record = _carry_out(plan, yes, angle_deg)
     write_asked(json_file, record)
     return status
@@ -143,6 +172,28 @@ class _Plan:
     mistake: str | None
     operator: str | None
     fastest_deg_s: float
+    home: HomeRequest | None
+
+
+def _home(
+    document: Document[Bench], method: int | None, angle_deg: float | None, time_s: float | None
+) -> HomeRequest | None:
+    """Return the homing that is asked for.
+
+    Raises:
+        InputError: An option of a homing without --home, or a home position outside the bench.
+    """
+    for given, name in ((angle_deg, "--home-angle"), (time_s, "--home-time")):
+        if method is None and given is not None:
+            raise InputError(f"{name}: belongs to a homing; give --home METHOD as well")
+    limits = document.value.limits
+    low, high = limits.angle_min_deg, limits.angle_max_deg
+    if angle_deg is not None and not low <= angle_deg <= high:
+        raise InputError(
+            f"--home-angle: is {angle_deg:g} deg, must be from {low:g} to {high:g} deg, the limits "
+            f"of the bench"
+        )
+    return None if method is None else HomeRequest(method, angle_deg, time_s)
 
 
 def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, dict[str, Any]]:
@@ -162,6 +213,7 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
                 stop,
                 lambda number: open_recorder(folder / part_file(number)),
                 plan.fastest_deg_s,
+                plan.home,
             )
             written = _keep(result, plan.document, folder, plan.new_file)
             record = commission_record(result, plan.document, plan.seed, plan.operator, written)

@@ -1,0 +1,244 @@
+"""The step in which the drive sets its zero by its own homing, at low limits and under watch."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Final
+
+from drivers.clock import NS
+from drivers.errors import DeviceError
+from drivers.homing import HomingOrder, HomingState, method_words
+from rig.commissioning.record import SkippedError, StepRecord, WrongError
+from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
+from rig.commissioning.still import ZERO_TOLERANCE_DEG
+from rig.common.sample import Sample
+from rig.control.cycle import TripError
+from rig.control.motion_words import Change
+from rig.control.readings import take_readings
+from rig.planning.limits import Limits
+from rig.terminal.stop_button import OperatorStopError
+
+SETTLE_S: Final = 0.3
+"""Time after the start before the statusword is believed: until then it may show what was before.
+"""
+STILL_S: Final = 0.2
+"""Time for which the joint is watched after the end of a homing."""
+IN_PLACE_LIMIT_S: Final = 5.0
+SPARE_S: Final = 20.0
+MOVED_DEG: Final = 0.2
+"""Largest motion of the joint in a homing without motion."""
+NEAR_DEG: Final = 1.0
+"""Largest distance from the home position at the end of a homing with motion: it brakes there."""
+ZERO_DEG_S: Final = 1.0
+ACCELERATION_S: Final = 0.2
+"""Time in which the speed is reached."""
+UNSET: Final = (
+    "The zero of the drive counts as not set: home again, or leave --home out and give the true "
+    "angle (--angle)"
+)
+
+
+def announced(setup: Setup, home: HomeRequest) -> str:
+    """Return what moves and what is under power."""
+    what = f"The drive homes by method {home.method} ({method_words(home.method)})"
+    if home.in_place:
+        return f"{what}: it is energised, and the joint stands still."
+    again = "" if home.home_deg is not None else ", and once more with the offset that was found"
+    alone = ""
+    if setup.devices.servo.watch_s is None or not setup.devices.link.has_watchdog:
+        alone = (
+            " This drive has no watchdog: if this program dies or the cable is lost, THE HOMING "
+            "GOES ON to its end."
+        )
+    return (
+        f"{what}: THE JOINT TURNS BY ITSELF at up to {0.5 * FASTEST_DEG_S:g} deg/s, as far as the "
+        f"limits of the bench allow{again}.{alone}"
+    )
+
+
+def homing(setup: Setup, step: StepRecord) -> None:
+    """Home, and hold the drive's position against the joint angle of the home position.
+
+    Raises:
+        SkippedError: The drive cannot home by this method.
+        WrongError: The homing failed, took too long, or the position is not what it should be.
+        OperatorStopError: The operator stopped it.
+    """
+    home = setup.home
+    assert home is not None
+    if why := setup.homing_offer.refusal(home.method):
+        raise SkippedError(f"{why}. The zero of the bench file counts")
+    step.measure("method, 6098h", home.method)
+    home_rad = _home_rad(setup, home)
+    drive, joint = _homed(setup, step, home, home_rad)
+    if home.home_deg is None and not home.in_place and abs(joint - drive) > _tolerance(home):
+        home_rad += joint - drive
+        drive, joint = _homed(setup, step, home, home_rad)
+    degrees = math.degrees(home_rad)
+    step.measure("joint angle of the home position", degrees, "deg")
+    step.measure("angle by the drive afterwards", math.degrees(drive), "deg")
+    step.measure("angle by the joint encoder afterwards", math.degrees(joint), "deg")
+    for section in ("servo", "encoder"):
+        offset = getattr(getattr(setup.bench, section), "offset_deg", 0.0)
+        step.measure(f"{section}.offset_deg of the bench file", offset, "deg")
+    _judge(setup, home, home_rad, drive, joint)
+    step.words = (
+        f"the drive has set its zero: the home position is {degrees:.4g} deg. It holds until the "
+        f"drive loses its supply, unless the drive stores it: home again then"
+    )
+
+
+def _tolerance(home: HomeRequest) -> float:
+    """Return the distance from the home position at which a homing may end, rad."""
+    return math.radians(ZERO_TOLERANCE_DEG if home.in_place else NEAR_DEG)
+
+
+def _home_rad(setup: Setup, home: HomeRequest) -> float:
+    """Return the joint angle of the home position; that of position 0 where it is to be found.
+
+    Raises:
+        WrongError: It is not given, and the joint encoder gives no angle.
+    """
+    if home.home_deg is not None:
+        return math.radians(home.home_deg)
+    if home.in_place:
+        if setup.true_deg is not None:
+            return math.radians(setup.true_deg)
+        angle = setup.devices.encoder.reading()
+        if math.isnan(angle):
+            raise WrongError("the joint encoder gives no angle: give the true one (--angle)")
+        return angle
+    return math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
+
+
+def _homed(
+    setup: Setup, step: StepRecord, home: HomeRequest, home_rad: float
+) -> tuple[float, float]:
+    """Home once; returns the angles by drive and joint encoder afterwards, rad, power off.
+
+    Raises:
+        WrongError: It failed.
+        OperatorStopError: The operator stopped it.
+    """
+    search = min(0.5 * setup.limits.speed, math.radians(0.5 * FASTEST_DEG_S))
+    zero = min(search, math.radians(ZERO_DEG_S))
+    order = HomingOrder(home.method, home_rad, search, zero, search / ACCELERATION_S)
+    try:
+        with setup.homing(order, step):
+            _attend(setup, home, search)
+    except WrongError as wrong:
+        raise WrongError(f"{wrong}. {UNSET}") from wrong
+    except TripError as tripped:
+        raise WrongError(
+            f"homing by method {home.method} ended: {tripped.trip.found}; look for a switch that "
+            f"does not close within the limits of the bench, a joint that is blocked, and a fault "
+            f"of the drive (603Fh). {UNSET}"
+        ) from tripped
+    except DeviceError as error:
+        raise WrongError(f"homing by method {home.method} ended: {error}. {UNSET}") from error
+    except OperatorStopError as stopped:
+        raise OperatorStopError(f"{stopped}; the homing was ended. {UNSET}") from stopped
+    taken = take_readings(setup.devices, setup.bench.machine.gear_ratio)
+    return taken.motor_encoder_at_joint_rad, taken.joint_encoder_rad
+
+
+def _limits(setup: Setup, home: HomeRequest) -> Limits:
+    """Return the limits in force: the drive's angle has no meaning until its zero is set."""
+    limits = dataclasses.replace(
+        setup.limits, following_error=math.inf, encoder_disagreement=math.inf
+    )
+    if home.in_place:
+        limits = dataclasses.replace(limits, angle_min=-math.inf, angle_max=math.inf)
+    return limits
+
+
+def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
+    """Start the homing and watch it to its end.
+
+    Raises:
+        WrongError: The drive reports an error, the joint moves where it must not, or it takes too
+            long.
+        TripError: A sample is outside a limit.
+        OperatorStopError: The operator stopped it.
+        DeviceError: A device or the bus failed.
+    """
+    servo, cycle, clock = setup.devices.servo, setup.cycle, setup.devices.link.clock
+    limits = _limits(setup, home)
+    cycle.resume()
+    begun = cycle.attend(limits)
+    way = setup.limits.angle_max - setup.limits.angle_min
+    allowed_s = home.time_limit_s
+    if allowed_s is None:
+        allowed_s = IN_PLACE_LIMIT_S if home.in_place else SPARE_S + 2.0 * way / search
+    servo.start_homing()
+    started, state, sample = clock.now_ns(), HomingState.RUNNING, begun
+    while state is HomingState.RUNNING:
+        sample = cycle.attend(limits)
+        _require_still(home, begun, sample)
+        took_s = (clock.now_ns() - started) / NS
+        if took_s >= SETTLE_S:
+            state = servo.homing_state()
+        if state is HomingState.RUNNING and took_s > allowed_s:
+            raise WrongError(
+                f"homing by method {home.method} is not at its end after {took_s:.3g} s, limit "
+                f"{allowed_s:g} s; look for a switch that does not close, or give more time "
+                f"(--home-time)"
+            )
+    if state is not HomingState.ATTAINED:
+        angle = math.degrees(sample.angle)
+        what = (
+            "the drive reports a homing error (6041h bit 13)"
+            if state is HomingState.FAILED
+            else "the drive did not start the homing, or broke it off (6041h bits 10 and 12)"
+        )
+        raise WrongError(
+            f"{what} at {angle:.4g} deg, method {home.method}, statusword "
+            f"{sample.statusword:04X}h; look for a joint that is blocked, switches and their "
+            f"wiring, and the error history (603Fh, 1003h)"
+        )
+    for _ in range(max(1, round(STILL_S / setup.bench.cycle_s))):
+        _require_still(home, begun, cycle.attend(limits))
+
+
+def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
+    """Check that the joint stands still in a homing without motion, by the joint encoder."""
+    moved = math.degrees(sample.angle - begun.angle)
+    if home.in_place and not abs(moved) <= MOVED_DEG:
+        raise WrongError(
+            f"the joint moved by {moved:.3g} deg in a homing without motion (method "
+            f"{home.method}), must be at most {MOVED_DEG:g} deg; look at the drive's gains and at "
+            f"what its manual says of this method"
+        )
+
+
+def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint: float) -> None:
+    """Hold drive and joint encoder against the home position.
+
+    Raises:
+        WrongError: They differ.
+    """
+    near = _tolerance(home)
+    zero = math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
+    if not abs(drive - home_rad) <= near:
+        found = f"the drive shows {math.degrees(drive):.4g} deg after homing"
+        # A drive that takes the offset the other way round is right with an offset of 0.
+        if abs(drive - (2.0 * zero - home_rad)) <= near:
+            value = float(f"{math.degrees(home_rad):.4f}")
+            change = Change("servo", "offset_deg", value)
+            raise WrongError(
+                f"{found}: it takes the home offset 607Ch with the other sign; set {change}, so "
+                f"that 607Ch is 0",
+                (change,),
+            )
+        raise WrongError(
+            f"{found}, must be {math.degrees(home_rad):.4g} deg within "
+            f"{math.degrees(near):.2g} deg: look in its manual for the meaning of 607Ch. {UNSET}"
+        )
+    limit = max(near, math.radians(setup.bench.limits.encoder_disagreement_deg))
+    if not abs(joint - drive) <= limit:
+        raise WrongError(
+            f"the joint encoder shows {math.degrees(joint):.4g} deg after homing, the drive "
+            f"{math.degrees(drive):.4g} deg, must agree within {math.degrees(limit):.3g} deg: "
+            f"correct --home-angle, or the zero of the joint encoder (--angle). {UNSET}"
+        )

@@ -1,0 +1,227 @@
+"""Homing of CiA 402 drives: what is offered, what is sent, and how the power goes off."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import pytest
+
+from drivers.errors import ConfigurationError, ObjectAccessError, StateError
+from drivers.homing import HomingOrder, HomingState
+from drivers.interfaces import ServoState
+from drivers.mock.canopen.dictionary import key
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.traits import CSP, HM, Traits
+
+from .host import SCALES, Host, enabled, make_host, prepared
+from .test_servo import LIMITS
+
+DEG = math.pi / 180.0
+
+
+def order(method: int, home_deg: float = 0.0) -> HomingOrder:
+    return HomingOrder(method, home_deg * DEG, 10 * DEG, 1 * DEG, 50 * DEG)
+
+
+def homed(host: Host, wanted: HomingOrder, cycles: int = 4000) -> HomingState:
+    """Home, and return how it stands after at most this many cycles."""
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(wanted)
+    host.servo.start_homing()
+    host.cycles(50)
+    for _ in range(cycles // 50):
+        if host.servo.homing_state() is not HomingState.RUNNING:
+            break
+        host.cycles(50)
+    return host.servo.homing_state()
+
+
+def mode_of(host: Host) -> int:
+    return host.bench.drive.objects.integer(0x6061)
+
+
+def lean(tmp_path: Path, *indices: str) -> Path:
+    """Write the simulated drive's EDS without these objects."""
+    kept, keep = [], True
+    for line in DRIVE_EDS.read_text().splitlines():
+        if line.startswith("["):
+            keep = not line.startswith(tuple(f"[{index}" for index in indices))
+        if keep:
+            kept.append(line)
+    path = tmp_path / "lean.eds"
+    path.write_text("\n".join(kept))
+    return path
+
+
+@pytest.mark.parametrize("method", [35, 37])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_the_present_position_becomes_the_home_position(method: int, sign: int) -> None:
+    scales = dataclasses.replace(SCALES, sign=sign, offset_rad=0.03)
+    host = make_host(scales=scales)
+    assert homed(host, order(method, 12.0)) is HomingState.ATTAINED
+    assert host.servo.sample().following_error_rad == 0.0
+    host.servo.disable()
+    assert host.servo.end_homing() == (8, 8)
+    angle = host.servo.readings().motor_angle_rad / SCALES.gear_ratio
+    assert angle == pytest.approx(12.0 * DEG, abs=1e-5)
+    assert abs(host.bench.machine.truth().angle_rad) < 1e-4
+    host.servo.enable()
+    host.cycles(200, lambda _: 12.5 * DEG)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(0.5 * DEG * sign, abs=0.02 * DEG)
+
+
+@pytest.mark.parametrize(("method", "edge_deg"), [(17, -20.0), (18, 20.0)])
+def test_a_switch_is_found_and_left(method: int, edge_deg: float) -> None:
+    host = make_host()
+    assert homed(host, order(method, 3.0)) is HomingState.ATTAINED
+    truth = host.bench.machine.truth().angle_rad
+    assert truth == pytest.approx(edge_deg * DEG, abs=0.2 * DEG)
+    shown = host.servo.sample().motor_angle_rad / SCALES.gear_ratio
+    assert shown - truth == pytest.approx((3.0 - edge_deg) * DEG, abs=0.05 * DEG)
+
+
+def test_power_alone_does_not_start_it() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(order(17))
+    host.cycles(500)
+    assert mode_of(host) == 6
+    assert host.servo.homing_state() is HomingState.INTERRUPTED
+    assert abs(host.bench.machine.truth().angle_rad) < 1e-4
+    assert not host.bench.drive.objects.integer(0x6040) & 1 << 4
+
+
+def test_a_blocked_joint_is_a_homing_error() -> None:
+    host = make_host()
+    host.bench.drive.homing.jammed = True
+    assert homed(host, order(17)) is HomingState.FAILED
+    assert host.bench.drive.objects.integer(0x6041) & 1 << 13
+    assert abs(host.bench.machine.truth().angle_rad) < 0.5 * DEG
+    host.servo.disable()
+    assert host.servo.end_homing() == (8, 8)
+
+
+def test_a_homing_that_never_ends_is_running() -> None:
+    host = make_host()
+    host.bench.drive.homing.endless = True
+    assert homed(host, order(37), cycles=1000) is HomingState.RUNNING
+
+
+def test_a_quick_stop_ends_it() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(order(17))
+    host.servo.start_homing()
+    host.cycles(500)
+    with pytest.raises(StateError, match="its mode is left at homing: take the power off first"):
+        host.servo.end_homing()
+    host.servo.quick_stop()
+    host.cycles(100)
+    host.servo.disable()
+    at = host.bench.machine.truth().angle_rad
+    assert host.servo.end_homing() == (8, 8)
+    host.cycles(200)
+    assert host.bench.machine.truth().angle_rad == at
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    assert not host.bench.drive.objects.integer(0x6040) & 1 << 4
+    assert not host.powered[-1]
+
+
+def test_a_host_that_falls_silent_stops_it() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(order(17))
+    host.servo.start_homing()
+    host.cycles(500)
+    host.wait(0.5)
+    assert not host.powered[-1]
+    assert abs(host.bench.machine.truth().velocity_rad_s) < 1e-3
+
+
+def test_a_falling_start_bit_interrupts_it() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(order(17))
+    host.servo.start_homing()
+    host.cycles(500)
+    host.drive.stage(1, 0x0F, 0)
+    host.cycles(50)
+    assert host.servo.homing_state() is HomingState.INTERRUPTED
+
+
+def test_an_energised_drive_is_not_homed() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    enabled(host)
+    with pytest.raises(StateError, match="disable it before homing"):
+        host.servo.begin_homing(order(37))
+    assert mode_of(host) == 8
+
+
+def test_what_the_drive_refuses_is_not_energised() -> None:
+    host = prepared(make_host())
+    with pytest.raises(ObjectAccessError, match="6098h"):
+        host.servo.begin_homing(order(1))
+    with pytest.raises(ConfigurationError, match="less than one unit of 6099h"):
+        host.servo.begin_homing(dataclasses.replace(order(17), zero_rad_s=1e-7))
+    assert True not in host.powered
+
+
+def test_a_drive_that_does_not_show_the_mode_is_not_started() -> None:
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host)
+    objects = host.bench.drive.objects
+    objects.written[0x6060] = lambda _sub, _value: None
+    objects.values[key(0x6061)] = 8
+    with pytest.raises(StateError, match=r"6061h still reads 8 .* after 6 \(homing\)"):
+        host.servo.begin_homing(order(37))
+    assert True not in host.powered
+    assert objects.integer(0x6060) == 8
+
+
+@pytest.mark.parametrize(
+    ("lacks", "methods", "words"),
+    [
+        ((), (17, 18, 35, 37), "methods 17, 18, 35, 37"),
+        (("6098",), (), "object 6098h is not in the device's EDS"),
+        (("607C",), (), "object 607Ch is not in the device's EDS"),
+        (("6099",), (35, 37), "only without motion: object 6099h:01h is not in the device's EDS"),
+    ],
+)
+def test_homing_is_offered_where_its_objects_are(
+    tmp_path: Path, lacks: tuple[str, ...], methods: tuple[int, ...], words: str
+) -> None:
+    offer = make_host(eds=lean(tmp_path, *lacks)).servo.homing_offer()
+    assert offer.methods == methods
+    assert words in offer.words
+
+
+def test_a_drive_without_a_list_takes_what_its_manual_says(tmp_path: Path) -> None:
+    offer = make_host(eds=lean(tmp_path, "60E3")).servo.homing_offer()
+    assert {1, 17, 18, 33, 35, 37} <= set(offer.methods)
+    assert "does not list them" in offer.words
+
+
+@pytest.mark.parametrize("index", [0x6098, 0x607C])
+def test_an_object_of_the_file_that_the_drive_lacks_is_no_offer(index: int) -> None:
+    host = make_host()
+    del host.bench.drive.objects.entries[key(index)]
+    offer = host.servo.homing_offer()
+    assert not offer.methods
+    assert f"{index:04X}h is in the device's EDS, but the device does not have it" in offer.words
+
+
+def test_a_drive_without_the_mode_is_no_offer() -> None:
+    assert make_host(traits=Traits(modes=CSP | HM)).servo.homing_offer().methods
+    offer = make_host(traits=Traits(modes=CSP)).servo.homing_offer()
+    assert "6502h reads 00000080h, bit 5 is 0: no homing mode" in offer.words
+
+
+def test_a_makers_own_methods_are_negative() -> None:
+    host = make_host()
+    host.bench.drive.objects.values[key(0x60E3, 1)] = -3
+    assert host.servo.homing_offer().methods == (-3, 18, 35, 37)
+    assert "method 17 is not offered" in host.servo.homing_offer().refusal(17)
