@@ -71,7 +71,8 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
     servo, link = setup.devices.servo, setup.devices.link
     if servo.watch_s is None or not link.has_watchdog:
         raise SkippedError(
-            "this drive has no watchdog: the limits are cut, and the operator stays at the bench"
+            "this drive has no watchdog: the program uses lower limits, and the operator "
+            "must stay at the bench"
         )
     with setup.power("watchdog") as here:
         setup.rest(here)
@@ -87,11 +88,11 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
                 break
         else:
             raise WrongError(
-                f"the drive is still in state {state.value!r} {silent_s:.3g} s after this program "
-                f"went silent, must be off after {servo.watch_s:g} s: the drive would continue "
-                "if the program died. Set its reaction (6007h, 1016h) with the maker's tool, "
-                "or set "
-                f"servo.stops_alone: false, which cuts the limits"
+                f"the drive is still in state {state.value!r} {silent_s:.3g} s after this "
+                f"program went silent, but must be off within {servo.watch_s:g} s: the drive "
+                "would continue if the program died. Set its reaction (6007h, 1016h) with the "
+                "maker's tool, or set servo.stops_alone: false, with which the program uses "
+                "lower limits"
             )
     step.measure("power off within", silent_s, "s")
     step.measure("state", state.value)

@@ -197,7 +197,7 @@ class Console:
         self._require_controls(page)
         run = self._hub.runs.get(str(message.get("run")))
         if run is None or not run.over:
-            raise Refusal("no run with this key has ended; choose an ended run")
+            raise Refusal("this run is unknown or has not ended; choose a run that has ended")
         if not run.closed:
             raise Refusal(
                 "the program of this run is still writing the page of the run; wait a few seconds"

@@ -55,11 +55,14 @@ class MotionWitness:
         return Motion.of(self._rows[: self._count])
 
     def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
-        """Compare the collected samples; see :func:`rig.control.motion_proof.prove`."""
+        """Compare the devices' reports in the collected samples with each other and with the bench
+        file; see :func:`rig.control.motion_proof.prove`.
+        """
         return prove(self.motion, self._nominal, self._servo, tolerance)
 
     def require(self) -> Proof:
-        """Compare the collected samples, and raise an error on a contradiction.
+        """Compare the devices' reports as :meth:`prove` does, and raise an error on a
+        contradiction.
 
         Raises:
             ConfigurationError: Reports contradict each other or the bench file.

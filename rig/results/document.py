@@ -2,9 +2,6 @@
 
 A command makes one :class:`Document` from its result record; :mod:`rig.results.terminal` and
 :mod:`rig.results.html` show the document. This module is independent of results, terminal and HTML.
-
-A command makes one :class:`Document` of its result record; :mod:`rig.results.terminal` and
-:mod:`rig.results.html` show it. This module is independent of results, terminal and HTML.
 """
 
 from __future__ import annotations

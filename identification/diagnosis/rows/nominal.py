@@ -138,7 +138,9 @@ class Nominal:
         return _helping(view, self.undeclared)
 
     def helped(self, view: View) -> bool:
-        """Whether any load torque turns with the joint."""
+        """Whether a load that turns with the joint, declared or identified, acts in this
+        recording.
+        """
         return any(self.undeclared) or view.burdened
 
     def drive(self, view: View) -> Array:

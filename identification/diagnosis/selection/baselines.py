@@ -2,9 +2,9 @@
 regression, on the nominal model's mismatch.
 
 Both use the same data as the search: the same equations, whitened rows with the nominal tangent
-projected out, and the same regressors at the same trial shapes, with the physical signs of their
-coefficients. They lack the search's block-wise tests, joint refits with continuous shapes, test of
-adequacy, and rivals.
+projected out, and the same regressors at the same trial parameters, with the physical signs of
+their coefficients. They lack the search's block-wise tests, joint refits of the nonlinear
+parameters, test of adequacy, and rivals.
 
 Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
 461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)

@@ -310,8 +310,8 @@ def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequenc
 
 
 def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
-    """Whether a residual is beyond the noise in some equations; otherwise no effect can reduce
-    it.
+    """Whether the mean square of a residual over the named equations together exceeds the noise;
+    otherwise no effect can reduce it.
     """
     rows = np.concatenate([left[stack.part(name)] for name in names])
     return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
@@ -335,7 +335,7 @@ def _reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> flo
 
 def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
     """Return by how many standard errors, over blocks of time, the first residual is smaller than
-    the second in some equations.
+    the second in the named equations together.
 
     The rms of each block is compared; with squares a few blocks would decide.
     """

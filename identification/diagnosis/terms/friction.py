@@ -139,8 +139,9 @@ def _initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
-    direction, which no recording shows. This one number of the measured torque decays with the
-    first slip, so it explains nothing else.
+    direction, which no recording shows. The friction at the start is therefore taken from the
+    measured torque. Its contribution decays with the first slip, so that this one value cannot
+    account for any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]

@@ -36,7 +36,7 @@ class Certificate:
         devices: Identities of the devices.
         calibrations: Calibrations and due dates; None where the bench file names none.
         digests: Files and their SHA-256.
-        figure: What says the result.
+        figure: Figure that shows the result.
         made: Program and time.
     """
 

@@ -31,7 +31,7 @@ class Course:
         name: Name of the constant.
         runs: Index of the run of each value, in the history.
         constants: The values with their intervals.
-        change: What fits best; None with too few runs.
+        change: The step or drift that fits best; None with too few runs.
         p_value: Of the change, for all constants of the history together; None without a test.
         with_devices: Devices that changed just where the step is.
     """

@@ -153,10 +153,10 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return held-out errors, and the achieved share of the possible gain, which ends at the noise
-    floor.
+    """Return the errors on unused recordings, and the reduction of this error over the largest
+    possible one, from the error before the diagnosis to the noise floor.
 
-    A model fitted to the same data falls below the floor only by chance.
+    On unused recordings the error of a model does not fall below the noise floor, except by chance.
     """
     before, after, floor = (
         fit["validate_baseline_rms"],
