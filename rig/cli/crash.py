@@ -3,9 +3,6 @@
 The necessary information for the operator is attached to the exception as notes: the code that made
 the drive safe adds the final state of the drive, and the code that opened the run folder adds its
 path.
-
-What the operator must know is attached to the exception as notes: the final state of the drive, by
-the code that made it safe, and the run folder, by the code that opened it.
 """
 
 from __future__ import annotations

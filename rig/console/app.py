@@ -3,9 +3,6 @@
 A reading request needs no token. A command is a POST request with the token in its header and JSON
 as its content; the JSON contains the number of the command, and each command of a page has a higher
 number than the previous one.
-
-Reading needs no token. Commands are POST requests with the token in their header, JSON as their
-content and a number that rises from one command of a page to the next.
 """
 
 from __future__ import annotations
@@ -58,8 +55,8 @@ class Console:
 
     Attributes:
         app: The routes.
-        broken: Called where following the runs breaks down.
-        failure: Why following the runs broke down; None while it goes on.
+        broken: Called when the console can no longer follow the runs.
+        failure: Reason why the console can no longer follow the runs; None while it follows them.
     """
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
@@ -130,12 +127,12 @@ class Console:
                 )
             kind = request.headers.get("content-type", "").partition(";")[0].strip()
             if kind != "application/json":
-                return _refused(415, "a command is JSON")
+                return _refused(415, "a command must be JSON, with Content-Type application/json")
             body = b""
             async for part in request.stream():
                 body += part
                 if len(body) > LONGEST_BODY:
-                    return _refused(413, f"longer than {LONGEST_BODY} bytes")
+                    return _refused(413, f"the command is longer than {LONGEST_BODY} bytes")
             try:
                 message = json.loads(body)
                 page_key, number = message.pop("page"), message.pop("number")

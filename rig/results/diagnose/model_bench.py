@@ -2,9 +2,6 @@
 
 Effects and parameters have the same names in results and in the simulated machine; only this module
 maps the names.
-
-Effects and parameters have the same names in results and in the simulated machine; only this module
-maps them.
 """
 
 from __future__ import annotations
