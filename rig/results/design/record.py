@@ -1,4 +1,4 @@
-"""JSON record of a planned experiment, in the form of the contract."""
+"""Converts a planned experiment to the JSON record of ``rig identify --plan --json``."""
 
 from __future__ import annotations
 
