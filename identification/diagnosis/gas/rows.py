@@ -1,5 +1,5 @@
-"""Rows of the pressure equation with the nominal tangent projected out, for the tests common to all
-equations.
+"""Makes the rows of the pressure equation, with the nominal tangent projected out, for the tests
+common to all equations.
 """
 
 from __future__ import annotations

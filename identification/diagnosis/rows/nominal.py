@@ -1,5 +1,5 @@
-"""The nominal model at the full rate: torque, friction level and tangent, for regressors and joint
-refits.
+"""Computes the nominal model at the full rate, for regressors and joint refits: torque, friction
+level and tangent.
 
 It uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
 """

@@ -32,7 +32,9 @@ MOST_STEPS = 40
 """Greatest number of groups that greedy selection takes."""
 FOLDS = 4
 RIDGE = 1e-3
-"""Ridge, relative to the unit norm of the regressors, which keeps neighbouring shapes solvable."""
+"""Ridge, relative to the unit norm of the regressors, which keeps the equations of neighbouring
+trial parameters solvable.
+"""
 LEAST_THRESHOLD = 3.0
 """Norm of a contribution, over the noise of one row, at which the path begins; smaller ones occur
 by chance.
@@ -45,8 +47,8 @@ MOST_ROUNDS = 10
 
 @dataclass(frozen=True)
 class Group:
-    """One effect at one trial shape: its columns, and the indices of coefficients that must be
-    positive.
+    """One effect at one set of trial parameters: its columns, and the indices of coefficients that
+    must be positive.
     """
 
     name: str

@@ -191,7 +191,7 @@ def _with_rivals_judged(
         return joint, replace(taken, rivals=tuple(rivals))
     worse, rival, tried = min(better, key=lambda b: b[0])
     steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
-    # Stouffer's sum of what the fitted recordings and those set aside say.
+    # Stouffer's sum of the preferences of the fitted recordings and of those set aside.
     former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
     others = (r for r in rivals if r.name != rival.name)
     return tried, Round(rival.name, (former, *others))
@@ -241,7 +241,7 @@ def _step(
     action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
 ) -> Step:
     if alone:
-        note = "is in one recording alone, so that no other can test it"
+        note = "occurs in one recording only, so that no other recording can test it"
         return Step(action, name, None, gain, note)
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):

@@ -1,4 +1,4 @@
-"""Friction beyond eq. 9 and 13."""
+"""Computes the regressors of friction effects that eq. 9 and 13 omit."""
 
 from __future__ import annotations
 
@@ -181,7 +181,9 @@ def _coulomb_drift(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _left_of_the_start(view: View, shape: Shape) -> Array:
-    """Return what is left of a state at the start of the running time, shape (m,)."""
+    """Return the remaining share of a state that was 1 at the start of the running time, shape
+    (m,).
+    """
     return np.asarray(np.exp(-view.run_time / shape[0]))
 
 
