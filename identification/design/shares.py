@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Information, weights_of_scores
+from identification.design.intervals import NAMES, Information, weights_of_scores
 from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2

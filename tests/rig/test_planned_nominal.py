@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from identification.design.pinning import NAMES
+from identification.design.intervals import NAMES
 from identification.model.nominal import NOMINAL
 from rig.common.errors import InputError
 from rig.common.result_files import IDENTIFY_SCHEMA

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from identification.design.pinning import NAMES
+from identification.design.intervals import NAMES
 from identification.model.nominal import NOMINAL
 from identification.recording import Recording
 from rig.common.errors import InputError
