@@ -1,5 +1,5 @@
-"""Proposal of an excitation, within a bench's limits and in the same time, that minimises the
-interval of the least determined parameter.
+"""Proposes an excitation, within a bench's limits and with the duration of the given one, that
+minimises the interval of the least determined parameter.
 
 The information of stages is additive and proportional to time. Therefore many sines and ramps are
 each judged once on a short stage, and a convex problem shares the time among them

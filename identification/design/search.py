@@ -1,4 +1,4 @@
-"""Search for a set of sines, ramps and weights, and their shares of the time, that minimises the
+"""Searches for a set of sines, ramps and weights, and their shares of the time, that minimises the
 interval of one parameter.
 """
 

@@ -1,4 +1,5 @@
-"""Optimal shares of the time among many excitations, which minimise the variance of one parameter.
+"""Computes the optimal shares of the time among many excitations, which minimise the variance of
+one parameter.
 
 Information is additive and proportional to time, so the variance of a parameter is convex in the
 shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7

@@ -1,5 +1,5 @@
-"""Simulated trials of a proposed experiment: simulation on the nominal model with noise, and
-identification.
+"""Tries a proposed experiment: simulates it on the nominal model with noise, and identifies the
+simulated recordings.
 
 Fisher information is a linearisation at one point; under a heavy weight the joint breaks away
 within one sample, and the predicted information may be ten times the attained one. So the best few

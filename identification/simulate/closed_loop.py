@@ -1,4 +1,4 @@
-"""Simulation of a fitted model in the position loop of its recording."""
+"""Simulates a fitted model in the position loop of its recording."""
 
 from __future__ import annotations
 

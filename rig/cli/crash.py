@@ -1,4 +1,4 @@
-"""Report on a defect of this program: message to the operator, and file with the traceback.
+"""Reports a defect of this program: message to the operator, and file with the traceback.
 
 The necessary information for the operator is attached to the exception as notes: the code that made
 the drive safe adds the final state of the drive, and the code that opened the run folder adds its
