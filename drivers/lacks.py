@@ -1,4 +1,6 @@
-"""What a drive neither holds nor tells, so that only the host checks it, or nothing does."""
+"""Lists limits that a drive does not enforce and values that it does not report, so that only the
+host checks them, or nothing does.
+"""
 
 from __future__ import annotations
 
@@ -7,13 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Lacks:
-    """What is missing in a drive.
+    """Limits and values that a drive lacks.
 
     Attributes:
-        limits: Fields of :class:`~drivers.interfaces.ServoLimits` that the drive does not hold.
+        limits: Fields of :class:`~drivers.interfaces.ServoLimits` that the drive does not enforce.
         temperature: Whether it does not report its temperature.
         supply: Whether it does not report its supply voltage.
-        words: All of it for the operator, one sentence each.
+        words: Text for the operator, one sentence for each limit or value.
     """
 
     limits: frozenset[str] = frozenset()
@@ -23,4 +25,4 @@ class Lacks:
 
 
 NOTHING = Lacks()
-"""A drive that holds and tells everything."""
+"""A drive that enforces all limits and reports all values."""

@@ -1,4 +1,4 @@
-"""Files that somebody names: only plain ones are opened."""
+"""Checks that a file that the user names is a plain file, before it is opened."""
 
 from __future__ import annotations
 

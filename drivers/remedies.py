@@ -1,4 +1,6 @@
-"""What a device says of itself and of its remedies, beside its work; bases of the interfaces."""
+"""Base classes of the device interfaces: identity, checks and remedies of a device, in addition to
+its work.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +8,9 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 KNOWN_SPREAD: Final = 2.2
-"""Ratio up to which a unit of speed that a motion shows is one of those with a name; these differ
-by far more, and at low speed rounding to whole units changes a measured one.
+"""Ratio between the unit of speed that a motion shows and a known unit, up to which they count as
+equal. Known units differ by far more; at low speed, rounding to whole units changes the measured
+one.
 """
 MEASURED_SPREAD: Final = 1.5
 """Ratio up to which a motion of some hundredths of a radian shows a unit of speed without rounding:
@@ -16,30 +19,30 @@ MEASURED_SPREAD: Final = 1.5
 
 
 class SpeedRemedies:
-    """What corrects the speed of a drive."""
+    """Corrections of a wrong unit of the reported speed of a drive."""
 
     def speed_remedy(self, factor: float) -> str:
-        """Return what to change where the reported speed is ``factor`` times the true one."""
+        """Return the correction, as text, for a reported speed of ``factor`` times the true one."""
         return "correct the unit of its speed in the bench file"
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor that a speed in another known unit would be reported with, the nearest
-        to a rough one that is right up to ``spread``, a ratio; that one where there is none.
+        """Return the factor of the known unit that is nearest to a rough factor, which is right up
+        to the ratio ``spread``; the rough factor if no known unit is within this ratio.
         """
         return factor
 
     def speed_settings(self, factor: float) -> Sequence[tuple[str, str | float | None]]:
-        """Return the keys of the bench file's drive, and their values, that correct a speed which
-        is reported as ``factor`` times the true one; none where no key does.
+        """Return the keys in the drive's section of the bench file, and their values, that correct
+        a speed reported as ``factor`` times the true one; empty if no key corrects it.
         """
         return ()
 
 
 class Recognised:
-    """What shows that a device is another one than it is taken for."""
+    """Evidence that a device is not the one that was assumed."""
 
     def identity_doubts(self) -> Iterator[str]:
-        """Yield in which way the device is another one than its description says.
+        """Yield each difference between the device and its description.
 
         Raises:
             LinkError: The device cannot be reached.

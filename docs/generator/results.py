@@ -46,7 +46,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig identify --plan: plan file": (
         "rig.results.design.record:plan_record",
-        "rig.results.design.record:_pinned_record",
+        "rig.results.design.record:_intervals_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.record:diagnosis_record",

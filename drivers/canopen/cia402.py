@@ -3,9 +3,6 @@ commands.
 
 States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
 that lead toward power.
-
-States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
-that lead toward power.
 """
 
 from __future__ import annotations

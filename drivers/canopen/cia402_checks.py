@@ -18,7 +18,7 @@ _ONLY_HOST = "only this program checks the limit, in every cycle"
 
 
 def description_refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion
+    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion
 ) -> Iterator[DeviceError]:
     """Yield an error for each object that the servo needs and the EDS lacks. Nothing is sent."""
     yield from refusal(channel.require_fit, *VENDOR, 0)
@@ -34,7 +34,7 @@ def description_refusals(
                 f"{error}; the bench file names this object: correct the bench file"
             )
     yield from refusal(channel.require_watchable)
-    if told.current is None:
+    if sent.current is None:
         lacking = True
         yield ConfigurationError(
             "neither the current 6078h nor the torque 6077h is in the device's EDS as process "
@@ -47,7 +47,7 @@ def description_refusals(
             if channel.describes(*address):
                 yield from refusal(channel.require_fit, *address, 0)
         yield from refusal(
-            channel.require_mappable, objects.outputs(motion), objects.inputs(told, channel)
+            channel.require_mappable, objects.outputs(motion), objects.inputs(sent, channel)
         )
 
 
@@ -63,7 +63,7 @@ def held_limits(channel: ProcessChannel, motion: Motion) -> tuple[ObjectAddress,
 
 
 def lacks(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion, cycle_s: float
 ) -> Lacks:
     """Return the limits and values that the drive does not have, according to its EDS. Nothing
     is sent.
@@ -71,7 +71,7 @@ def lacks(
     Args:
         channel: The drive.
         scales: Its units.
-        told: What it tells in every cycle.
+        sent: The objects that the drive sends in every cycle.
         motion: The mode of operation.
         cycle_s: Control cycle, s.
     """
@@ -83,12 +83,12 @@ def lacks(
     }
     words = [f"mode {motion.mode}, {motion.words}: {text}" for text in motion.remarks]
     words += [f"no such limit in the drive: {text}; {_ONLY_HOST}" for text in missing.values()]
-    words += _replaced(channel, scales, told, cycle_s)
-    return Lacks(frozenset(missing), told.temperature is None, told.supply is None, tuple(words))
+    words += _replaced(channel, scales, sent, cycle_s)
+    return Lacks(frozenset(missing), sent.temperature is None, sent.supply is None, tuple(words))
 
 
 def _replaced(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, cycle_s: float
 ) -> Iterator[str]:
     """Yield texts on the values that are not monitored, and on what replaces a missing object."""
 
@@ -102,16 +102,16 @@ def _replaced(
         place, (scales.supply_object, scales.temperature_object, scales.voltage_object)
     )
     for there, text in (
-        (told.supply, f"not monitored: supply voltage{supply}; servo.supply_object names it"),
+        (sent.supply, f"not monitored: supply voltage{supply}; servo.supply_object names it"),
         (
-            told.temperature,
+            sent.temperature,
             f"not monitored: temperature{temperature}; servo.temperature_object names it",
         ),
-        (told.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
-        (told.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
-        (told.speed, "no motor speed (606Ch): computed from the change of the position"),
+        (sent.voltage, f"not recorded: motor voltage{voltage}; servo.voltage_object names it"),
+        (sent.time, "no time stamp (1013h): samples have this computer's time of the SYNC"),
+        (sent.speed, "no motor speed (606Ch): computed from the change of the position"),
         (
-            told.current if told.current in (scales.current_object, objects.CURRENT) else None,
+            sent.current if sent.current in (scales.current_object, objects.CURRENT) else None,
             "no motor current (6078h): the current is computed from the torque 6077h",
         ),
         *(
@@ -147,7 +147,7 @@ def _name(address: ObjectAddress) -> str:
 
 
 def refusals(
-    channel: ProcessChannel, scales: ServoScales, told: Cyclic, motion: Motion, cycle_s: float
+    channel: ProcessChannel, scales: ServoScales, sent: Cyclic, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
     """Yield an error for each unit that differs from the bench file, a cycle time that cannot be
     set, and each missing object.
@@ -155,7 +155,7 @@ def refusals(
     if (error := cia402_mode.not_offered(channel, motion)) is not None:
         yield error
     yield from unit_refusals(channel, scales, motion, cycle_s)
-    inputs = objects.inputs(told, channel)
+    inputs = objects.inputs(sent, channel)
     unmappable = list(refusal(channel.require_mappable, objects.outputs(motion), inputs))
     yield from unmappable
     if not unmappable:

@@ -77,25 +77,25 @@ def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
     """
     named = scales.named_objects
 
-    def told(address: ObjectAddress | None) -> ObjectAddress | None:
+    def sent(address: ObjectAddress | None) -> ObjectAddress | None:
         if address is None or address in named:
             return address
         return address if channel.describes(*address, mappable=True) else None
 
-    current, unit_A = told(scales.current_object), scales.named_current_unit_A
+    current, unit_A = sent(scales.current_object), scales.named_current_unit_A
     if current is None:
-        current, unit_A = told(CURRENT), scales.current_unit_A
+        current, unit_A = sent(CURRENT), scales.current_unit_A
     if current is None:
-        current, unit_A = told(TORQUE), scales.torque_as_current_A
+        current, unit_A = sent(TORQUE), scales.torque_as_current_A
     return Cyclic(
         current,
         unit_A,
-        told(SPEED_ACTUAL),
-        told(TIME),
-        told(scales.voltage_object),
-        told(scales.supply_object),
-        told(scales.temperature_object),
-        told(TORQUE) if channel.latches and current not in (None, TORQUE) else None,
+        sent(SPEED_ACTUAL),
+        sent(TIME),
+        sent(scales.voltage_object),
+        sent(scales.supply_object),
+        sent(scales.temperature_object),
+        sent(TORQUE) if channel.latches and current not in (None, TORQUE) else None,
     )
 
 
@@ -104,24 +104,24 @@ def outputs(motion: Motion) -> list[PdoLayout]:
     return [PdoLayout(OUTPUT_PDO, (cia402.CONTROLWORD, *motion.outputs))]
 
 
-def inputs(told: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
+def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
     """Return the inputs of a control cycle. An object that does not fit into one PDO with others of
     its kind is put into the next PDO.
     """
-    motion = (cia402.STATUSWORD, POSITION, told.current)
+    motion = (cia402.STATUSWORD, POSITION, sent.current)
     layouts: list[PdoLayout] = []
     over: list[ObjectAddress] = []
-    for group in (motion, (told.speed, told.time), (told.voltage,), ()):
+    for group in (motion, (sent.speed, sent.time), (sent.voltage,), ()):
         together = [*over, *(address for address in group if address is not None)]
         over = []
         while len(together) > 1 and not channel.fit_together(together):
             over.insert(0, together.pop())
-        _add(layouts, together, told.current)
-    _add(layouts, over, told.current)
-    slow = [address for address in (told.supply, told.temperature) if address is not None]
+        _add(layouts, together, sent.current)
+    _add(layouts, over, sent.current)
+    slow = [address for address in (sent.supply, sent.temperature) if address is not None]
     if slow:
         layouts.append(PdoLayout(len(layouts) + 1, tuple(slow), SUPPLY_EVERY))
-    return layouts if told.torque is None else _beside(layouts, told.torque, channel)
+    return layouts if sent.torque is None else _beside(layouts, sent.torque, channel)
 
 
 def _beside(

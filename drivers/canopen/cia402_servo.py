@@ -78,10 +78,10 @@ class Cia402Servo(HomingServo):
         self._clock = link.clock
         self._scales = scales
         self._motion = motion or CyclicPosition()
-        self._told = objects.cyclic(channel, scales)
+        self._sent = objects.cyclic(channel, scales)
         self._held = cia402_checks.held_limits(channel, self._motion)
-        self._inputs = objects.inputs(self._told, channel)
-        self._values = CyclicValues(channel, scales, self._told, self._inputs)
+        self._inputs = objects.inputs(self._sent, channel)
+        self._values = CyclicValues(channel, scales, self._sent, self._inputs)
         self._watch_s = watch_s
         if stops_alone is None:
             stops_alone = channel.describes(*objects.ON_ABORT)
@@ -114,7 +114,7 @@ class Cia402Servo(HomingServo):
         """Return the limits and values that the drive does not have, according to its EDS. Nothing
         is sent.
         """
-        return cia402_checks.lacks(self._channel, self._scales, self._told, self._motion, cycle_s)
+        return cia402_checks.lacks(self._channel, self._scales, self._sent, self._motion, cycle_s)
 
     def speed_remedy(self, factor: float) -> str:
         """Return a text with the setting to change if the reported speed is ``factor`` times the
@@ -157,7 +157,7 @@ class Cia402Servo(HomingServo):
 
     def readings(self) -> ServoReadings:
         """Read each value by SDO; NaN for values that the drive does not have."""
-        return read_once(self._channel, self._scales, self._told)
+        return read_once(self._channel, self._scales, self._sent)
 
     def fault(self) -> DriveFault:
         """Read the cause of the drive's fault (603Fh)."""
@@ -174,7 +174,7 @@ class Cia402Servo(HomingServo):
         sent.
         """
         yield from cia402_checks.description_refusals(
-            self._channel, self._scales, self._told, self._motion
+            self._channel, self._scales, self._sent, self._motion
         )
         if self._motion.needs_watch and self.watch_s is None:
             yield ConfigurationError(
@@ -189,7 +189,7 @@ class Cia402Servo(HomingServo):
         be set, and each missing object.
         """
         yield from cia402_checks.refusals(
-            self._channel, self._scales, self._told, self._motion, cycle_s
+            self._channel, self._scales, self._sent, self._motion, cycle_s
         )
 
     def prepare(self, cycle_s: float) -> None:

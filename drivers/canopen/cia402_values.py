@@ -22,7 +22,7 @@ _SPAN: Final = 8
 """Number of exchanges over which a speed is computed from positions; over one cycle the resolution,
 one count per cycle, is too coarse.
 """
-_NOT_TOLD: Final = -1
+_NOT_SENT: Final = -1
 """Index of a NaN that follows the values."""
 
 
@@ -32,7 +32,7 @@ class CyclicValues:
     Args:
         channel: The drive.
         scales: Its units.
-        told: The objects that the drive sends.
+        sent: The objects that the drive sends.
         layouts: PDOs of these objects; the first two objects are state and position.
     """
 
@@ -40,12 +40,12 @@ class CyclicValues:
         self,
         channel: ProcessChannel,
         scales: ServoScales,
-        told: Cyclic,
+        sent: Cyclic,
         layouts: Sequence[PdoLayout],
     ) -> None:
         self._channel = channel
         self._scales = scales
-        self._told = told
+        self._sent = sent
         self._numbers = tuple(layout.number for layout in layouts)
         addresses = chain.from_iterable(layout.objects for layout in layouts)
         self._at: dict[ObjectAddress | None, int] = {
@@ -74,7 +74,7 @@ class CyclicValues:
         values: list[int] = []
         for number in self._numbers:
             values += channel.latest(number)
-        position, speed = values[1], self._told.speed
+        position, speed = values[1], self._sent.speed
         return Observed(
             values[0],
             scales.joint_angle_rad(position),
@@ -90,27 +90,27 @@ class CyclicValues:
         Args:
             following_counts: Target less position, counts.
         """
-        channel, scales, told, at = self._channel, self._scales, self._told, self._at
+        channel, scales, sent, at = self._channel, self._scales, self._sent, self._at
         values: list[float] = []
         for number in self._numbers:
             values += channel.latest(number)
         values.append(math.nan)
         position = int(values[1])
-        time_us = channel.sync_us if told.time is None else int(values[at[told.time]])
+        time_us = channel.sync_us if sent.time is None else int(values[at[sent.time]])
         return ServoSample(
             self._time.update(time_us) * _US,
             position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
             self._change(position)
-            if told.speed is None
-            else values[at[told.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
-            values[at[told.current]] * told.current_unit_A * scales.sign * scales.current_sign,
-            values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V * scales.sign,
-            values[at.get(told.supply, _NOT_TOLD)] * scales.supply_unit_V,
-            values[at.get(told.temperature, _NOT_TOLD)] * scales.temperature_unit_C,
+            if sent.speed is None
+            else values[at[sent.speed]] * scales.joint_speed_unit_rad_s * scales.sign,
+            values[at[sent.current]] * sent.current_unit_A * scales.sign * scales.current_sign,
+            values[at.get(sent.voltage, _NOT_SENT)] * scales.voltage_unit_V * scales.sign,
+            values[at.get(sent.supply, _NOT_SENT)] * scales.supply_unit_V,
+            values[at.get(sent.temperature, _NOT_SENT)] * scales.temperature_unit_C,
             following_counts * scales.joint_rad_per_count,
             int(values[0]),
             channel.fresh,
-            values[at.get(told.torque, _NOT_TOLD)]
+            values[at.get(sent.torque, _NOT_SENT)]
             * scales.motor_torque_unit_N_m
             * scales.sign
             * scales.current_sign,
@@ -130,7 +130,7 @@ class CyclicValues:
         return self._speed
 
 
-def read_once(channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> ServoReadings:
+def read_once(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoReadings:
     """Read each value of a drive outside the control cycle; NaN for values that the drive does not
     have.
     """
@@ -139,7 +139,7 @@ def read_once(channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> Ser
         for address in (
             objects.POSITION,
             objects.SPEED_ACTUAL,
-            told.current,
+            sent.current,
             scales.supply_object,
             scales.temperature_object,
         )
@@ -147,7 +147,7 @@ def read_once(channel: ProcessChannel, scales: ServoScales, told: Cyclic) -> Ser
     return ServoReadings(
         counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
         speed * scales.joint_speed_unit_rad_s * scales.sign,
-        current * told.current_unit_A * scales.sign * scales.current_sign,
+        current * sent.current_unit_A * scales.sign * scales.current_sign,
         supply * scales.supply_unit_V,
         temperature * scales.temperature_unit_C,
     )

@@ -1,4 +1,4 @@
-"""What a simulated CiA 402 drive does with its targets in each mode of operation (6060h)."""
+"""Applies the targets of a simulated CiA 402 drive in each mode of operation (6060h)."""
 
 from __future__ import annotations
 

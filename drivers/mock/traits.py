@@ -1,4 +1,6 @@
-"""What differs between simulated CiA 402 drives: identity, units, objects of their own, modes."""
+"""Lists the differences between simulated CiA 402 drives: identity, units, objects of their own,
+modes.
+"""
 
 from __future__ import annotations
 

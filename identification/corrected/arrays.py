@@ -1,4 +1,6 @@
-"""Signals of a motion from plain arrays, for the model that is exported as a separate file."""
+"""Computes the signals of a motion from plain arrays, for the model that is exported as a separate
+file.
+"""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Refit of the nominal parameters, by the default estimator, on recordings from which the effects
-are subtracted.
+"""Refits the nominal parameters, by the default estimator, to recordings from which the effects are
+subtracted.
 
 The diagnosis works on equation errors, which do not resolve friction's falling branch under load.
 The default estimator refines by prediction errors, but only if no physics is missing; subtracting

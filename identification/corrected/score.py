@@ -1,4 +1,5 @@
-"""Errors of a corrected model on recordings: the error of each equation at the stated bandwidth.
+"""Computes the errors of a corrected model on recordings: the error of each equation at the stated
+bandwidth.
 
 Both sides of an equation are formed at the full rate and pass the same filter.
 """

@@ -1,4 +1,4 @@
-"""Signals of one recording for the functions of the corrected model."""
+"""Computes the signals of one recording for the functions of the corrected model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Functions of a series with memory: lag, time shift, Dahl friction, play, winding heat."""
+"""Computes responses of a series with memory: lag, time shift, Dahl friction, play, winding
+heat.
+"""
 
 from __future__ import annotations
 

@@ -210,7 +210,9 @@ def load_inertia(s: Any, m: Any, inertia_kgm2: float) -> Array:
 
 
 def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
-    """Coulomb friction of the lever's pivot, which acts under any weight."""
+    """Coulomb friction of the lever's pivot: the same for every mass on the lever, zero without
+    load.
+    """
     return np.asarray(s["sense"] * torque_Nm * (s["moment"] != 0.0))
 
 

@@ -1,1 +1,3 @@
-"""Design of experiments: the information of a planned excitation, and a better excitation."""
+"""Designs experiments: computes the information of a planned excitation, and searches for a better
+excitation.
+"""

@@ -1,6 +1,4 @@
-"""Candidate excitations: sines and ramps drawn at random, and small changes of the selected
-ones.
-"""
+"""Draws candidate excitations: random sines and ramps, and small changes of the selected ones."""
 
 from __future__ import annotations
 

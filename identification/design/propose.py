@@ -1,5 +1,5 @@
-"""Proposal of an excitation, within a bench's limits and in the same time, that minimises the
-interval of the least determined parameter.
+"""Proposes an excitation, within a bench's limits and with the duration of the given one, that
+minimises the interval of the least determined parameter.
 
 The information of stages is additive and proportional to time. Therefore many sines and ramps are
 each judged once on a short stage, and a convex problem shares the time among them
@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.design.excitation import Bounds, Frame, Part
-from identification.design.pinning import Pinned
+from identification.design.intervals import Intervals
 from identification.design.search import Design, Search, halved, planned, predicted
 from identification.design.simulated import PlannedModel, PlannedStage, with_drives
 from identification.design.simulated_trial import attained, expected
@@ -53,17 +53,18 @@ class Proposal:
         weakest: The parameter whose interval is to be narrowed.
         present: Intervals of the present excitation, by simulation.
         stages: The proposal; the present excitation if nothing better was found.
-        pinned: Intervals of the proposal by simulation and identification with the default method.
-        promised: Intervals of the proposal predicted by its Fisher information.
+        proposed: Intervals of the proposal, from simulation and identification by the default
+            method.
+        predicted: Intervals of the proposal, from its Fisher information.
         judged: Number of excitations simulated.
         identified: Number of whole experiments simulated and identified by the default method.
     """
 
     weakest: str
-    present: Pinned
+    present: Intervals
     stages: tuple[Part, ...]
-    pinned: Pinned
-    promised: Pinned
+    proposed: Intervals
+    predicted: Intervals
     judged: int
     identified: int
 
@@ -119,8 +120,8 @@ def propose(
 
 
 def _best_confirmed(
-    designs: Iterable[Design], search: Search, now: Pinned, report: Progress
-) -> tuple[Pinned, Design | None, int]:
+    designs: Iterable[Design], search: Search, now: Intervals, report: Progress
+) -> tuple[Intervals, Design | None, int]:
     """Return the intervals of the best design that the default method identifies, the design, and
     the number of designs simulated.
 
@@ -135,7 +136,7 @@ def _best_confirmed(
         (p for p in judged if search.merit(p[0]) < search.merit(now)),
         key=lambda p: search.merit(p[0]) * p[1],
     )
-    best: tuple[Pinned, Design | None] = now, None
+    best: tuple[Intervals, Design | None] = now, None
     for tried, (found, _, design) in enumerate(ranked[:TRIALS], 1):
         stages = _stages(frames, design.parts)
         whole = _worst(stages, search)
@@ -148,7 +149,7 @@ def _best_confirmed(
     return *best, min(len(ranked), TRIALS)
 
 
-def _worst(stages: Sequence[PlannedStage], search: Search) -> Pinned:
+def _worst(stages: Sequence[PlannedStage], search: Search) -> Intervals:
     """Return the intervals of the worst of a few simulated trials; the first that fails ends
     them.
     """

@@ -1,4 +1,4 @@
-"""Search for a set of sines, ramps and weights, and their shares of the time, that minimises the
+"""Searches for a set of sines, ramps and weights, and their shares of the time, that minimises the
 interval of one parameter.
 """
 
@@ -13,13 +13,13 @@ import numpy as np
 
 from identification.design.draws import MARGIN, Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import (
+from identification.design.intervals import (
     NAMES,
     NOTHING,
     Information,
-    Pinned,
+    Intervals,
     effective,
-    pinned,
+    intervals_of,
     stage_information,
 )
 from identification.design.shares import shared
@@ -77,7 +77,7 @@ class Design:
     """
 
     parts: tuple[Part, ...]
-    predicted: Pinned
+    predicted: Intervals
 
 
 def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
@@ -87,13 +87,13 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
 
 def predicted(
     frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[PlannedModel], target: str
-) -> Pinned:
+) -> Intervals:
     """Return the intervals of fixed stages, predicted by their information."""
     informations = [
         stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts
     ]
     loaded = any(f.loaded for f in frames)
-    return pinned(effective(informations, target, loaded), loaded)
+    return intervals_of(effective(informations, target, loaded), loaded)
 
 
 def halved(
@@ -133,7 +133,7 @@ class Search:
     pool: list[Candidate] = field(default_factory=list)
     count: int = 0
 
-    def merit(self, pins: Pinned) -> float:
+    def merit(self, pins: Intervals) -> float:
         """Return the merit to minimise: the target's relative half width, increased if another
         parameter's exceeds ``now``.
         """
@@ -297,7 +297,7 @@ class Search:
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
         parts = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
-        return self.merit(pinned(parts, any(f.loaded for f in self.frames)))
+        return self.merit(intervals_of(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
         """Return the least share of the time of each candidate, its pause included, shape (n,)."""
@@ -325,7 +325,8 @@ class Search:
             range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight)
         )
         return Design(
-            tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames))
+            tuple(parts[k] for k in order),
+            intervals_of(informations, any(f.loaded for f in self.frames)),
         )
 
     def _rate(self, part: Part) -> Information | None:

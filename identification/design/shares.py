@@ -1,4 +1,5 @@
-"""Optimal shares of the time among many excitations, which minimise the variance of one parameter.
+"""Computes the optimal shares of the time among many excitations, which minimise the variance of
+one parameter.
 
 Information is additive and proportional to time, so the variance of a parameter is convex in the
 shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7
@@ -12,7 +13,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Information, weights_of_scores
+from identification.design.intervals import NAMES, Information, weights_of_scores
 from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2

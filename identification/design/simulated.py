@@ -1,5 +1,5 @@
-"""Simulation of a planned experiment on the nominal model: motion, recording, and sensitivities at
-the simulated values.
+"""Simulates a planned experiment on the nominal model: motion, recording, and sensitivities at the
+simulated values.
 """
 
 from __future__ import annotations

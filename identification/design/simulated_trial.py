@@ -1,5 +1,5 @@
-"""Simulated trials of a proposed experiment: simulation on the nominal model with noise, and
-identification.
+"""Tries a proposed experiment: simulates it on the nominal model with noise, and identifies the
+simulated recordings.
 
 Fisher information is a linearisation at one point; under a heavy weight the joint breaks away
 within one sample, and the predicted information may be ten times the attained one. So the best few
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Pinned, likelihood_slope
+from identification.design.intervals import NAMES, Intervals, likelihood_slope
 from identification.design.simulated import PlannedModel, PlannedStage, at_the_truth, recorded
 from identification.estimate.default import identify
 from identification.estimate.uncertainty.covariance import covariances, rise_to_static
@@ -25,7 +25,7 @@ from identification.recording import Dataset, RecordingError
 
 def attained(
     stages: Sequence[PlannedStage], nominal: PlannedModel, rng: np.random.Generator
-) -> Pinned:
+) -> Intervals:
     """Return the relative half widths that the default method attains on one simulated run.
 
     Where an estimate is farther from the simulated value than its half width, the distance replaces
@@ -34,7 +34,7 @@ def attained(
     values are not accepted, since the design was made for these.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
-    nothing = Pinned(dict.fromkeys(names, math.inf))
+    nothing = Intervals(dict.fromkeys(names, math.inf))
     try:
         result = identify(
             Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages))), rng=rng
@@ -48,12 +48,12 @@ def attained(
     for name, p in result.parameters.items():
         if name in widths and p.value and p.low is not None and p.high is not None:
             widths[name] = max(0.5 * (p.high - p.low), abs(p.value - truth[name])) / abs(p.value)
-    return Pinned(widths)
+    return Intervals(widths)
 
 
 def expected(
     stages: Sequence[PlannedStage], nominals: Sequence[PlannedModel]
-) -> tuple[Pinned, float]:
+) -> tuple[Intervals, float]:
     """Return the relative half widths that the joint fit would state at the simulated values, and
     the steepness of the likelihood there.
 
@@ -66,7 +66,7 @@ def expected(
         nominals: Model of each run, three at least; each run has its own noise.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
-    nothing = Pinned(dict.fromkeys(names, math.inf)), math.inf
+    nothing = Intervals(dict.fromkeys(names, math.inf)), math.inf
     runs = []
     for number, nominal in enumerate(nominals):
         run = at_the_truth(stages, nominal, names, number)
@@ -86,4 +86,4 @@ def expected(
         found.append([spread.half_width(n) / nominals[0].values[n] for n in names])
     widths = np.where(np.all(np.isfinite(found), axis=0), np.median(found, axis=0), np.inf)
     slopes = [math.sqrt(max(likelihood_slope(run.point), 1.0)) for run in runs]
-    return Pinned(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))
+    return Intervals(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))

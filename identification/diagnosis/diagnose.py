@@ -1,5 +1,5 @@
-"""Diagnosis of recordings: noise floor, test for a mismatch, its location, the effects, the
-corrected model and its validation.
+"""Diagnoses recordings: noise floor, test for a mismatch, its location, the effects, the corrected
+model and its validation.
 
 Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which
 effects are accepted, and they are scored.
@@ -61,8 +61,8 @@ from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, Recording, RecordingError
 
 FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
-"""Effects with which the valve moves otherwise than the motor, so that its friction depends on the
-joint encoder's angle.
+"""Effects with which valve and motor move differently, so that the friction of the valve depends on
+the joint encoder's angle.
 """
 Maps = tuple[Map, ...]
 Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]]]
@@ -96,7 +96,8 @@ def diagnose(
         rng: Random generator for the sign flips.
         progress: Called with the name of the step and the share done.
         inspect: Called with the nominal model's fit before the search.
-        estimate: Estimator of what is reported if nothing is missing; None keeps the fit.
+        estimate: Estimator of the nominal parameters that are reported if nothing is missing; None
+            reports those of the fit.
 
     Raises:
         RecordingError: The recordings do not determine the nominal model or a declared term.

@@ -1,5 +1,5 @@
-"""Oracle of a proof: error on recordings set aside of a model with the true effects, given by name
-and fitted to the same recordings.
+"""Computes the oracle of a proof: the error, on recordings set aside, of a model with the true
+effects, given by name and fitted to the recordings of the diagnosis.
 
 The sizes and nonlinear parameters of the effects, and the nominal parameters, are estimated from
 the recordings alone, as in a diagnosis.

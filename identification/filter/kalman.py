@@ -1,4 +1,5 @@
-"""Extended Kalman filter with the measured torque as input: one-step errors of the angle (M14-M21).
+"""Computes the one-step prediction errors of the angle by an extended Kalman filter with the
+measured torque as input (M14-M21).
 
 The measured torque is a noisy mean over each period, and the encoder is quantised. The output error
 drifts with the torque noise, and the equation error differentiates the encoder signal; the one-step

@@ -1,4 +1,6 @@
-"""The static friction limit at breakaways (M3), and the times at which the torque reaches it."""
+"""Computes the static friction limit at breakaways (M3), and the times at which the torque reaches
+it.
+"""
 
 from __future__ import annotations
 

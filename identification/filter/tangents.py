@@ -1,4 +1,5 @@
-"""Compiled derivatives (tangents) of one step and of one reading of the Kalman filter.
+"""Computes the derivatives (tangents) of one step and of one reading of the Kalman filter;
+compiled.
 
 A tangent is the derivative of the filter's state in one direction of the parameters or breakaway
 times; several directions are computed together.

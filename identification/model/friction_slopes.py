@@ -1,4 +1,6 @@
-"""Compiled derivatives of the expected friction (M15) with respect to speed and parameters."""
+"""Computes the derivatives of the expected friction (M15) with respect to speed and parameters;
+compiled.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Least squares with a block-arrow Jacobian: common parameters and one extra unknown a block (M12).
+"""Solves least squares with a block-arrow Jacobian: common parameters and one extra unknown a block
+(M12).
 
 The rows are divided into blocks. Each row depends on the parameters, which all blocks have in
 common, and on the own unknown of its block. The Jacobian is therefore stored as the columns of the

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt within bounds, for few parameters and a robust cost.
+"""Minimises a robust cost of few parameters by Levenberg-Marquardt steps within bounds.
 
 Each step minimises the damped quadratic model of the cost within the bounds, so that a parameter
 can stop at its bound and leave it again. Kanzow, Yamashita and Fukushima, J. Comput. Appl. Math.

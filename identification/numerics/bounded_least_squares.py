@@ -1,4 +1,4 @@
-"""Linear least squares with bounds on the coefficients."""
+"""Solves linear least squares with bounds on the coefficients."""
 
 from __future__ import annotations
 

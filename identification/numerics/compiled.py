@@ -1,4 +1,4 @@
-"""Compilation of numeric kernels by numba, with the same options everywhere.
+"""Compiles numeric kernels by numba, all with equal options.
 
 :mod:`identification.numerics.kernel_cache` keeps the machine code on disk for the next process.
 """

@@ -1,4 +1,4 @@
-"""Linear least squares of many rows and few columns, and the scaling of normal equations."""
+"""Solves linear least squares of many rows and few columns, and scales normal equations."""
 
 from __future__ import annotations
 

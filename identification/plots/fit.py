@@ -1,4 +1,4 @@
-"""Figures of a fit: friction against speed, convergence, intervals."""
+"""Draws the figures of a fit: friction against speed, convergence, intervals."""
 
 from __future__ import annotations
 

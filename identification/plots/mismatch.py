@@ -1,5 +1,5 @@
-"""Figures of a diagnosis: the mismatch against each coordinate and time, its empirical curve, and
-the rivals.
+"""Draws the figures of a diagnosis: the mismatch against each coordinate and time, its empirical
+curve, and the rivals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Figure of a prediction: measured and predicted signal, and the residual."""
+"""Draws the figure of a prediction: measured and predicted signal, and the residual."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figures of uncertainty: likelihood profiles, and search ends."""
+"""Draws the figures of uncertainty: likelihood profiles, and search ends."""
 
 from __future__ import annotations
 

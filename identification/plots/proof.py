@@ -1,4 +1,4 @@
-"""Figures of a blind proof: rates of detection by strength, and confusion of effects."""
+"""Draws the figures of a blind proof: rates of detection by strength, and confusion of effects."""
 
 from __future__ import annotations
 

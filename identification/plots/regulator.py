@@ -1,4 +1,6 @@
-"""Figures of the flow regulator: tracking, areas, friction against speed, the closed loop."""
+"""Draws the figures of the flow regulator: tracking, areas, friction against speed, the closed
+loop.
+"""
 
 from __future__ import annotations
 

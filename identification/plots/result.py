@@ -1,4 +1,4 @@
-"""The figure that a report opens with: what was identified, and how the machine moved."""
+"""Draws the figure at the top of a report: identified friction, and the motion of the machine."""
 
 from __future__ import annotations
 

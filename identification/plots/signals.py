@@ -1,4 +1,4 @@
-"""Figures of one recording: its signals, and the residual of the fit."""
+"""Draws the figures of one recording: its signals, and the residual of the fit."""
 
 from __future__ import annotations
 

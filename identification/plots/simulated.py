@@ -1,4 +1,4 @@
-"""Figures of a simulated response and its recording."""
+"""Draws the figures of a simulated response and its recording."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Figure of an estimator's errors over many seeds."""
+"""Draws the figure of an estimator's errors over many seeds."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulation of a fitted model in the position loop of its recording."""
+"""Simulates a fitted model in the position loop of its recording."""
 
 from __future__ import annotations
 
@@ -181,8 +181,9 @@ def replay(
         RecordingError: Something the simulation needs is missing.
     """
     inputs = inputs_of(recording)
+    assert recording.controller is not None  # otherwise `inputs_of` raises
     measured = joint_angle(recording)
-    if measured is None or recording.controller is None:
+    if measured is None:
         raise RecordingError(
             f"{recording.name}: the recording has no angle channel, and a simulation starts from "
             "the measured angle; add a channel `angle` or `motor_angle`"

@@ -1,5 +1,5 @@
-"""Integration of the position loop: a continuous P-D controller with limited output around a joint
-with Stribeck friction and stiction.
+"""Integrates the position loop: a continuous P-D controller with limited output around a joint with
+Stribeck friction and stiction.
 
 J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. The speed follows the trapezoidal
 rule, implicit in friction and solved by Newton's method; the controller uses the angle in the

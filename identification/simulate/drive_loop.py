@@ -1,4 +1,4 @@
-"""The drive's loop, estimated from recordings (M33).
+"""Estimates the drive's loop from recordings (M33).
 
 A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e
 from its target. The logged command reaches the loop some cycles late: whole cycles are searched,

@@ -1,4 +1,4 @@
-"""Errors of a simulated response against its recording, pooled over recordings."""
+"""Computes the errors of a simulated response against its recording, pooled over recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Acceptance in the command line: of ``rig runs accept``, and at the end of a run."""
+"""Accepts a run in the command line: for ``rig runs accept``, and at the end of a run."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Steps after a run has ended, common to ``rig run`` and ``rig resume``: label check, page,
-status.
+"""Performs the steps after a run has ended, common to ``rig run`` and ``rig resume``: label check,
+page, status.
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
-"""Report on a defect of this program: message to the operator, and file with the traceback.
+"""Reports a defect of this program: message to the operator, and file with the traceback.
 
 The necessary information for the operator is attached to the exception as notes: the code that made
 the drive safe adds the final state of the drive, and the code that opened the run folder adds its
 path.
-
-What the operator must know is attached to the exception as notes: the final state of the drive, by
-the code that made it safe, and the run folder, by the code that opened it.
 """
 
 from __future__ import annotations

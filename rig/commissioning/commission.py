@@ -39,8 +39,8 @@ class Step:
     Attributes:
         name: Short name.
         announced: What moves and what is under power.
-        do: Carries it out.
-        asks: Whether it needs the operator's consent.
+        do: Function that carries out the step.
+        asks: Whether the step needs the operator's consent.
     """
 
     name: str
@@ -85,7 +85,7 @@ STEPS: Final = (
         moving.large_move,
     ),
 )
-"""The steps in their order: each is tried with what the ones before have proven."""
+"""The steps in their order; each step relies on the results of the steps before it."""
 
 
 def steps_of(setup: Setup) -> Iterator[Step]:
@@ -108,12 +108,12 @@ class Commissioning:
     """The result of a commissioning.
 
     Attributes:
-        ending: How it ended; `done` where every step was good or could not be tried.
-        words: How it ended, for the operator.
+        ending: Kind of the ending; `done` if every step succeeded or was skipped.
+        words: Message on the ending, for the operator.
         text: Text of the bench file with all corrections.
         changes: All corrections, in order.
         sessions: Steps of each connection; a correction begins a new one.
-        safe: How the drive was left; None where it was never energised.
+        safe: State in which the drive was left; None if it was never energised.
         error: A defect of this program, to be raised once everything is stored.
     """
 
@@ -158,7 +158,7 @@ def commission(
     Args:
         document: The bench file.
         connect: Opens the devices of a bench.
-        interview: Whoever stands at the bench.
+        interview: The person at the bench.
         stop: Stop button.
         record_in: Creates the recording of a connection, by its number from 1.
         fastest_deg_s: Limit on the joint speed, deg/s.
@@ -166,7 +166,7 @@ def commission(
 
     Raises:
         InputError: The bench cannot be connected to.
-        DeviceError: The same.
+        DeviceError: A device does not answer when the bench is connected.
         StorageError: The recording cannot be written.
     """
     text = document.path.read_text(encoding="utf-8-sig")
@@ -223,7 +223,7 @@ def _session(
             try:
                 wrong = _steps(setup, steps, result)
             except StorageError as error:
-                # Whoever reports it says how the drive was left.
+                # The code that reports this error also states in which state the drive was left.
                 error.__dict__["safe"] = setup.safe
                 raise
             finally:
@@ -268,7 +268,7 @@ def _one(setup: Setup, step: Step, record: StepRecord) -> None:
     """Announce a step, ask for consent, and perform the step.
 
     Raises:
-        OperatorStopError: It was not agreed to; the steps after it rest on it.
+        OperatorStopError: The operator did not agree; the following steps depend on this step.
     """
     setup.interview.tell(f"Step {step.name}. {step.announced}")
     if step.asks:

@@ -19,10 +19,10 @@ class Interview(Protocol):
         ...
 
     def agrees(self, words: str) -> bool:
-        """Ask whether to do something; only an explicit yes agrees.
+        """Ask for consent to an action; only an explicit yes counts as consent.
 
         Raises:
-            OperatorStopError: The operator gave up.
+            OperatorStopError: The operator aborted the commissioning.
         """
         ...
 

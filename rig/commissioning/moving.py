@@ -20,8 +20,9 @@ HOLD_S: Final = 0.5
 DRIFT_DEG: Final = 0.2
 """Largest motion of a joint that is to stand still."""
 SILENCES: Final = (2.0, 5.0)
-"""Times without this program, after one of which the drive must have stopped, in units of its own
-time-out. It is not asked meanwhile, as a question may count as a sign of life.
+"""Durations of silence of this program, in units of the drive's time-out; after the longest one the
+drive must be off. The drive is queried only after each silence, because it may count a query as a
+sign of life.
 """
 SMALL_DEG: Final = 0.5
 LARGE_DEG: Final = 5.0
@@ -66,12 +67,13 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
 
     Raises:
         SkippedError: The drive has no watchdog.
-        WrongError: It does not act.
+        WrongError: The drive does not switch the power off.
     """
     servo, link = setup.devices.servo, setup.devices.link
     if servo.watch_s is None or not link.has_watchdog:
         raise SkippedError(
-            "this drive has no watchdog: the limits are cut, and the operator stays at the bench"
+            "this drive has no watchdog: the program uses lower limits, and the operator "
+            "must stay at the bench"
         )
     with setup.power("watchdog") as here:
         setup.rest(here)
@@ -79,7 +81,8 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
             link.clock.sleep_until_ns(link.clock.now_ns() + round(silent_s * NS))
             state = servo.state()
             if state.energised:
-                # Some drives report their state in answer to a target only: the one that they hold.
+                # Some drives report their state only in answer to a target; this target is the
+                # angle that they hold.
                 with suppress(DeviceError):
                     setup.cycle.watch()
                 state = servo.state()
@@ -87,11 +90,11 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
                 break
         else:
             raise WrongError(
-                f"the drive is still in state {state.value!r} {silent_s:.3g} s after this program "
-                f"went silent, must be off after {servo.watch_s:g} s: the drive would continue "
-                "if the program died. Set its reaction (6007h, 1016h) with the maker's tool, "
-                "or set "
-                f"servo.stops_alone: false, which cuts the limits"
+                f"the drive is still in state {state.value!r} {silent_s:.3g} s after this "
+                f"program went silent, but must be off within {servo.watch_s:g} s: the drive "
+                "would continue if the program died. Set its reaction (6007h, 1016h) with the "
+                "maker's tool, or set servo.stops_alone: false, with which the program uses "
+                "lower limits"
             )
     step.measure("power off within", silent_s, "s")
     step.measure("state", state.value)
@@ -100,8 +103,8 @@ def watchdog(setup: Setup, step: StepRecord) -> None:
 
 
 def small_move(setup: Setup, step: StepRecord) -> None:
-    """Move the joint a little both ways and compare all reports; move further if the joint does not
-    follow.
+    """Move the joint a little in both directions, and compare the reports of drive and joint
+    encoder with each other and with the bench file; move further if the joint does not follow.
 
     Raises:
         WrongError: Units, signs, ratio or constants are wrong.
@@ -167,7 +170,7 @@ def stop(setup: Setup, step: StepRecord) -> None:
     step.measure("time to the end of the stop", took_s, "s")
     step.measure("way", way, "deg")
     step.measure("state", state.value)
-    # It stops within the ramp at twice the deceleration's time, and the drive's settling.
+    # Upper bound: constant speed for twice the time of the stop, plus the drift of a joint at rest.
     allowed = 2.0 * math.degrees(speed) * max(took_s, 0.05) + DRIFT_DEG
     if way > allowed:
         raise WrongError(
@@ -177,7 +180,9 @@ def stop(setup: Setup, step: StepRecord) -> None:
 
 
 def _fastest_deg_s(setup: Setup) -> float:
-    """Return the speed of the larger moves: half the limit, which lets the joint break away."""
+    """Return the speed of the larger moves: half the limit, so that the faster motion after a
+    breakaway stays below the limit.
+    """
     return min(0.5 * math.degrees(setup.limits.speed), 0.5 * FASTEST_DEG_S)
 
 

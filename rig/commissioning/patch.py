@@ -30,7 +30,10 @@ def _set(text: str, change: Change) -> str:
             return text
         return f"{text.rstrip()}\n{change.section}: {{{change.key}: {_scalar(change)}}}\n"
     if not isinstance(section, yaml.MappingNode):
-        raise InputError(f"{change.section}: is no mapping, so that {change} cannot be set in it")
+        raise InputError(
+            f"{change.section}: must consist of keys with values, so that {change} can be set in "
+            "it; correct the section"
+        )
     found = next(((n, v) for n, v in section.value if n.value == change.key), None)
     if change.value is None:
         return text if found is None else _without(text, section, *found)

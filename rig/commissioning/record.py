@@ -22,7 +22,7 @@ class Measured:
     """One value that was measured or read.
 
     Attributes:
-        name: What it is.
+        name: Name of the quantity.
         value: The value as text.
         unit: Its unit; empty if it has none.
     """
@@ -38,12 +38,12 @@ class StepRecord:
 
     Attributes:
         name: Short name.
-        announced: What was said before it: what moves, and what is under power.
-        consent: How it was agreed to: `typed`, `--yes`, or empty where nothing was asked.
-        measured: What was measured.
-        verdict: How it ended.
-        words: Result, and what to do about it.
-        changes: What to set in the bench file.
+        announced: Message before the step: what moves, and what is under power.
+        consent: Form of the operator's consent: `typed`, `--yes`, or empty if nothing was asked.
+        measured: Measured values.
+        verdict: Verdict of the step.
+        words: Result and remedy.
+        changes: Values to set in the bench file.
     """
 
     name: str
@@ -80,7 +80,7 @@ class WrongError(Exception):
 
     Args:
         words: Finding and remedy.
-        changes: What to set in the bench file; none where the bench or the drive must be changed.
+        changes: Values to set in the bench file; none if the bench or the drive must be changed.
     """
 
     def __init__(self, words: str, changes: tuple[Change, ...] = ()) -> None:

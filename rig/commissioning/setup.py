@@ -74,13 +74,14 @@ class Setup:
     Attributes:
         bench: The bench file.
         devices: Its devices, on an open link.
-        interview: Whoever stands at the bench.
+        interview: The person at the bench.
         stop: Stop button, read every cycle.
-        recorder: Takes samples and events.
+        recorder: Records samples and events.
         limits: Limits in force.
         cycle: The control cycle.
-        own: Limits that the drive held before; None until they are read.
-        safe: How the drive was left after the last time under power; None before the first.
+        own: Limits stored in the drive before the commissioning; None until they are read.
+        safe: State in which the drive was left after it was last energised; None before the first
+            time.
         steps: Steps so far.
         home: The homing that was asked for; None for none.
         true_deg: True joint angle as the operator gave it; None where it is not known.
@@ -135,7 +136,7 @@ class Setup:
         """Map process data and write the low limits into the drive; nothing is energised.
 
         Raises:
-            DeviceError: A device is not what the bench file says, or does not take a limit.
+            DeviceError: A device differs from the bench file, or rejects a limit.
         """
         servo, bench, wanted = self.devices.servo, self.bench, self.wanted
         self.devices.prepare(bench.cycle_s)

@@ -46,7 +46,7 @@ def readings(setup: Setup, step: StepRecord) -> None:
     """Read values, state and settings.
 
     Raises:
-        WrongError: A run would refuse them.
+        WrongError: A run would not start with these values.
     """
     devices, bench = setup.devices, setup.bench
     taken = take_readings(devices, bench.machine.gear_ratio)
@@ -55,7 +55,7 @@ def readings(setup: Setup, step: StepRecord) -> None:
     step.measure("state of the drive", taken.state)
     step.measure("watched by", watcher(devices).words)
     found = list(device_findings(devices, setup.wanted, bench.cycle_s))
-    # Angles are the matter of the next step.
+    # The next step checks the angles.
     found += [
         item
         for item in reading_findings(taken, setup.limits)
@@ -95,7 +95,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
         if not difference <= limit and not later:
             raise WrongError(
                 f"drive and joint encoder differ by {difference:.4g} deg, limit {limit:g} deg: "
-                f"give the true angle (--angle), and the offsets follow"
+                "state the true angle with --angle; the offsets are then computed"
             )
         step.words = f"the true angle was not given: the zero is not checked{later}"
         return
@@ -112,7 +112,9 @@ def zero(setup: Setup, step: StepRecord) -> None:
             wanted = float(f"{offset + true - reading:.4f}")
             changes.append(Change(section, "offset_deg", wanted))
     if changes:
-        raise WrongError(f"the zero is off: set {' and '.join(map(str, changes))}", tuple(changes))
+        raise WrongError(
+            f"the zero is wrong: set {' and '.join(map(str, changes))}", tuple(changes)
+        )
     which = "the joint encoder is" if later else "both angles are"
     step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true one{later}"
 
@@ -131,7 +133,7 @@ def limits(setup: Setup, step: StepRecord) -> None:
     """Write the low limits into the drive, and read them back.
 
     Raises:
-        WrongError: The drive does not take one.
+        WrongError: The drive rejects a limit.
     """
     servo = setup.devices.servo
     try:
@@ -143,6 +145,6 @@ def limits(setup: Setup, step: StepRecord) -> None:
         if row.field not in lacks.limits:
             step.measure(f"{row.name}, {row.objects}", show(row.field, row.first))
     only = sorted(lacks.limits)
-    step.words = "the drive holds the limits as written" + (
-        f"; held by this program alone: {', '.join(only)}" if only else ""
+    step.words = "the limits in the drive are those that were written" + (
+        f"; checked by this program only: {', '.join(only)}" if only else ""
     )

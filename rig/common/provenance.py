@@ -1,4 +1,4 @@
-"""Provenance of a result: digests, versions, commit."""
+"""Collects the provenance of a result: digests, versions, commit."""
 
 from __future__ import annotations
 

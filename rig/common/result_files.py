@@ -1,4 +1,4 @@
-"""Common head of all result files, and numbers in plain JSON form."""
+"""Makes the common head of all result files, and numbers in plain JSON form."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Aligned text tables for the terminal."""
+"""Makes aligned text tables for the terminal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Timing statistics of a run: counts in fixed bins, fast enough for every cycle."""
+"""Collects the timing statistics of a run: counts in fixed bins, fast enough for every cycle."""
 
 from __future__ import annotations
 

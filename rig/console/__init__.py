@@ -3,7 +3,4 @@ serves the page.
 
 The process is separate from the processes of the runs. It reads run folders, and exchanges messages
 with a run only through the control socket of that run.
-
-A process of its own. It reads run folders, and speaks to a run only through the run's control
-socket.
 """

@@ -3,9 +3,6 @@
 A reading request needs no token. A command is a POST request with the token in its header and JSON
 as its content; the JSON contains the number of the command, and each command of a page has a higher
 number than the previous one.
-
-Reading needs no token. Commands are POST requests with the token in their header, JSON as their
-content and a number that rises from one command of a page to the next.
 """
 
 from __future__ import annotations
@@ -59,8 +56,8 @@ class Console:
 
     Attributes:
         app: The routes.
-        broken: Called where following the runs breaks down.
-        failure: Why following the runs broke down; None while it goes on.
+        broken: Called when the console can no longer follow the runs.
+        failure: Reason why the console can no longer follow the runs; None while it follows them.
     """
 
     def __init__(self, hub: Hub, token: Token, hosts: frozenset[str]) -> None:
@@ -136,12 +133,12 @@ class Console:
                 )
             kind = request.headers.get("content-type", "").partition(";")[0].strip()
             if kind != "application/json":
-                return _refused(415, "a command is JSON")
+                return _refused(415, "a command must be JSON, with Content-Type application/json")
             body = b""
             async for part in request.stream():
                 body += part
                 if len(body) > LONGEST_BODY:
-                    return _refused(413, f"longer than {LONGEST_BODY} bytes")
+                    return _refused(413, f"the command is longer than {LONGEST_BODY} bytes")
             try:
                 message = json.loads(body)
                 page_key, number = message.pop("page"), message.pop("number")
@@ -202,7 +199,7 @@ class Console:
         self._require_controls(page)
         run = self._hub.runs.get(str(message.get("run")))
         if run is None or not run.over:
-            raise Refusal("no run with this key has ended; choose an ended run")
+            raise Refusal("this run is unknown or has not ended; choose a run that has ended")
         if not run.closed:
             raise Refusal(
                 "the program of this run is still writing the page of the run; wait a few seconds"

@@ -67,7 +67,7 @@ def shown(samples: Mapping[str, Array], about: Mapping[str, Any]) -> Array:
 
     Args:
         samples: Field to array, shape (n,).
-        about: What the run states of itself: gear ratio and torque constant.
+        about: Description of the run, with gear ratio and torque constant.
     """
     derived = {
         "error": samples["angle"] - samples["command"],

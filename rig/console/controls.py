@@ -17,7 +17,7 @@ class Page:
         last: Number of its last command.
         run: The run that it shows; None for the newest.
         window_s: Width of its charts, s; 0 for the whole run.
-        pixels: The same in pixels.
+        pixels: Width of its charts, pixels.
     """
 
     name: str

@@ -1,10 +1,7 @@
-"""Minimum and maximum of every channel over intervals of 2^k cycles, updated as samples arrive.
+"""Computes minimum and maximum of every channel over intervals of 2^k cycles as samples arrive.
 
 A page draws one interval per pixel or two, so that a peak remains visible however many samples fall
 on one pixel.
-
-A page draws one interval per pixel or two, so that no peak is lost however many samples a pixel
-stands for.
 """
 
 from __future__ import annotations
@@ -26,10 +23,10 @@ class Slice:
     """Consecutive intervals of one length.
 
     Attributes:
-        level: Each is 2^level cycles long.
-        first: Number of the first; it begins at ``first`` times its length.
+        level: Exponent of the length: an interval has 2^level cycles.
+        first: Number of the first interval, which begins at ``first`` times its length.
         low: Minima, shape (channels, n); not a number where no sample lies in the interval.
-        high: Maxima, likewise.
+        high: Maxima, in the form of ``low``.
     """
 
     level: int
@@ -61,7 +58,7 @@ class Decimation:
 
         Args:
             window_s: Width of a chart, s.
-            pixels: The same in pixels.
+            pixels: Width of the chart, pixels.
         """
         pixels = min(max(pixels, 1), KEPT // 2)
         return max(0, math.floor(math.log2(max(window_s / pixels / self._cycle_s, 1.0))))
@@ -104,7 +101,7 @@ class Decimation:
 
 
 class _Level:
-    """Intervals of one length; the oldest are dropped."""
+    """Stores the intervals of one length; drops the oldest ones."""
 
     def __init__(self, channels: int) -> None:
         self._first = 0
@@ -134,7 +131,7 @@ class _Level:
         return Slice(level, self._first + start, self._low[:, kept], self._high[:, kept])
 
     def _make_room(self, first: int, last: int) -> None:
-        """Drop the oldest intervals where number ``last`` would not fit."""
+        """Drop the oldest intervals so that number ``last`` fits."""
         if not self._count:
             self._first = max(first, last - KEPT + 1)
         surplus = last - self._first + 1 - _ROOM

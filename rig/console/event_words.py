@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 _WORDS: Mapping[str, Callable[[Mapping[str, Any]], str]] = {
-    "prompt": lambda e: f"{e['stage']}: the weight is asked for; the drive is off",
+    "prompt": lambda e: f"{e['stage']}: the operator is asked for the weight; the drive is off",
     "answer": lambda e: f"{e['stage']}: {e['weight_kg']:g} kg confirmed",
     "repeat": lambda e: f"{e['stage']}: begins again",
     "stage start": lambda e: f"{e['stage']}: the stage begins",

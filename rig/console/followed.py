@@ -1,4 +1,4 @@
-"""State of one run that the console follows: its answers on the control socket, its record and its
+"""Follows one run: reads its state from its answers on the control socket, its record and its
 recording.
 """
 
@@ -22,7 +22,7 @@ from rig.runs.run_file import read_record
 from rig.runs.run_record import RUN_FILE, RunRecord
 
 EVENTS: Final = 200
-"""Events that are shown."""
+"""Greatest number of events that are shown."""
 SILENT_S: Final = 1.0
 """Time without an answer after which a run counts as silent, s."""
 DRIVE_STATES: Final = {
@@ -43,10 +43,10 @@ class Followed:
 
     Args:
         path: Its control socket.
-        about: What it states of itself.
+        about: Description that the run sent.
 
     Attributes:
-        status: Newest state that it told; None until it has.
+        status: Newest state that the run reported; None before the first report.
         gone: Whether its program is gone.
         record: ``run.json``; None until it is there.
         events: Number and words of the newest events.
@@ -83,7 +83,7 @@ class Followed:
 
     @property
     def silent(self) -> bool:
-        """Whether the run has not answered for a while."""
+        """Whether the run has not answered for longer than :data:`SILENT_S`."""
         return time.monotonic() - self.heard_s > SILENT_S
 
     @property
@@ -99,7 +99,7 @@ class Followed:
         return self.gone or not os.path.exists(self.path)
 
     def parts(self) -> dict[str, tuple[object, Any]]:
-        """Return what a page shows of the run: name of a part to its version and its JSON value."""
+        """Return the parts of the run that a page shows: name to version and JSON value."""
         return {
             "about": (self.key, {key: v for key, v in self.about.items() if key != "run"}),
             "channels": (self.key, self._channels),
@@ -173,7 +173,7 @@ class Followed:
         values = shown(news.samples, self.about)
         self.decimation.add(news.samples["time"], values)
         self.torque_speed.add(news.samples, self.about["torque_per_ampere"])
-        # NaN is no JSON.
+        # JSON has no NaN.
         self.values = [None if v != v else round(v, 5) for v in values[:, -1].tolist()]
         word = int(news.samples["statusword"][-1])
         state = word & _STATE_MASK

@@ -56,7 +56,7 @@ class Gate:
     others.
 
     Args:
-        app: What they pass to.
+        app: Application that receives the passed requests.
         hosts: Values of the Host header that are this console's own.
     """
 

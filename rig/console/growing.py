@@ -25,12 +25,12 @@ _EVENTS = TOPICS.index(EVENT_TOPIC) + 1
 
 
 class News(NamedTuple):
-    """What was added to a recording.
+    """Content that was added to a recording.
 
     Attributes:
         samples: Field of :class:`rig.common.sample.Sample` to array, shape (n,); empty for none.
         events: Events, each with ``time`` and ``event``.
-        more: Whether there is more to read at once.
+        more: Whether more content can be read immediately.
     """
 
     samples: Mapping[str, Array]
@@ -54,7 +54,7 @@ class Growing:
 
         Raises:
             OSError: The file cannot be read.
-            DamageError: It is no recording of this program, or damaged.
+            DamageError: The file is damaged, or another program wrote it.
         """
         require_plain(self._path)
         samples: list[bytes] = []
@@ -79,7 +79,7 @@ class Growing:
         """Return whether the file has the complete first bytes of a recording.
 
         Raises:
-            DamageError: They are not those of a recording.
+            DamageError: The first bytes are not those of a recording.
         """
         if not MAGIC.startswith(magic):
             raise DamageError(f"{self._path}: not an MCAP recording")

@@ -98,7 +98,7 @@ class Hub:
         """
         run = self.runs.get(key)
         if run is None:
-            raise Refusal("there is no such run")
+            raise Refusal("this run is unknown; choose a run that the page shows")
         try:
             answer = await self._links.command(run.path, run.key, command, who, prompt, text)
         except Unreachable as error:

@@ -164,7 +164,8 @@ class Recorded:
 
     async def _page(self, request: Request) -> Response:
         path = str(request.path_params["path"])
-        # The longest name that fits: a diagnosis has its page in a folder of its own.
+        # The longest fitting name, because the page of a diagnosis has the name of another page, in
+        # a folder of its own.
         fitting = [name for name, _ in PAGES if path.endswith(f"/{name}")]
         name = max(fitting, key=len, default="")
         folder = path.removesuffix(f"/{name}") or "."

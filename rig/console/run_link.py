@@ -91,8 +91,8 @@ class Links:
     ) -> dict[str, Any]:
         """Send a command to a run, repeatedly, until the run has answered.
 
-        It is sent again under the same number, so that the run carries it out once. Where another
-        program's command came in between, it gets a new number.
+        It is sent again under the same number, so that the run carries it out once. If another
+        program has sent a command in the meantime, the command gets a new number.
 
         Returns:
             The answer: ``taken`` and, if it was refused, ``words``.
@@ -109,7 +109,7 @@ class Links:
             elif answer["taken"] or answer["words"] != RECEIVED_BEFORE:
                 return answer
             elif sent_before:
-                # It was carried out when it was sent first; that answer was lost.
+                # The command was carried out when it was first sent; only the answer was lost.
                 return {"taken": True, "words": ""}
             else:
                 order = self._order(run, command, who, prompt, text)

@@ -59,7 +59,7 @@ class Wish:
         try:
             wish = Wish(**message)
         except TypeError as error:
-            raise StartError(f"no run to start: {error}") from error
+            raise StartError(f"the request does not describe a run: {error}") from error
         texts = (wish.bench, wish.sequence, wish.operator)
         if not all(isinstance(text, str) and len(text) < 500 for text in texts):
             raise StartError("bench, sequence and operator must be short texts")
@@ -95,7 +95,7 @@ class Starter:
         benches: Benches that may be chosen.
         runs: Where run folders are made.
         command: Start of the command line of ``rig``.
-        choices: What can be chosen, as JSON value.
+        choices: Benches and sequences that can be chosen, as JSON value.
     """
 
     benches: Sequence[str]
@@ -162,7 +162,7 @@ class Starter:
         """Start the run whose dry run was shown; return the run folder.
 
         Args:
-            key: Of the dry run.
+            key: Key of the dry run.
             typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
 
         Raises:
@@ -204,7 +204,9 @@ class Starter:
             StartError: The name is wrong.
         """
         if about["real"] and typed_bench.strip() != about["bench"]:
-            raise StartError(f"type the name of the REAL bench, {about['bench']}, to go on with it")
+            raise StartError(
+                f"type the name of the REAL bench, {about['bench']}, to continue the run"
+            )
         self._spawn(["resume", str(about["folder"]), "--console"])
 
     def failures(self) -> list[str]:

@@ -1,5 +1,5 @@
-"""Torque against speed of the recorded excitations, and the friction curve of the newest
-identification of the bench.
+"""Computes the points of the torque-speed plot from the recorded excitations, and the friction
+curve from the newest identification of the bench.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class TorqueSpeed:
         blocks = len(rows) // BLOCK
         self._rest = rows[blocks * BLOCK :]
         means = rows[: blocks * BLOCK].reshape(blocks, BLOCK, 3)
-        # A block in which a new excitation begins is of neither.
+        # A block that spans the start of an excitation belongs to none and is left out.
         means = means[means[:, 0, 2] == means[:, -1, 2]].mean(axis=1)
         kept = means[self._skipped % self._stride :: self._stride]
         self._skipped = (self._skipped - len(means)) % self._stride

@@ -93,9 +93,9 @@ class View:
     def charts(self) -> bytes | None:
         """Return the new intervals of the charts; None if there are none.
 
-        A header of JSON after its length, then for each channel the minima and the maxima as 32-bit
-        floats. The last interval of each message is sent again with the next one, as it may not
-        have been complete.
+        The message contains the length of a JSON header, the header, and for each channel the
+        minima and the maxima as 32-bit floats. The last interval of each message is sent again with
+        the next one, as it may not have been complete.
         """
         run = self._hub.run_of(self._page)
         if run is None or run.key != self._run:

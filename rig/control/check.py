@@ -2,8 +2,6 @@
 check``).
 
 The module writes nothing to the devices, and neither energises nor moves the drive.
-
-The module writes nothing to the devices, and energises and moves nothing.
 """
 
 from __future__ import annotations

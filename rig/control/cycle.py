@@ -73,7 +73,8 @@ class Cycle:
         stale: Number of cycles in which a part of the sample was missing.
         count: Number of cycles so far.
         timing: Statistics of the lateness of the cycles.
-        units: Samples that prove the units; None once they did, and on a bench without constants.
+        units: Collected samples that prove the units; None after the proof, and on a bench without
+            constants.
     """
 
     def __init__(
@@ -162,7 +163,9 @@ class Cycle:
             raise TripError(trip)
 
     def resume(self) -> None:
-        """Continue after work that took longer than a cycle, without counting it as lateness."""
+        """Continue after work that took longer than a cycle; the time of this work does not count
+        as lateness.
+        """
         self._fresh_ns = self._clock.now_ns()
         self._start_grid(self._fresh_ns)
 
@@ -195,7 +198,7 @@ class Cycle:
         try:
             self._follow(targets, segment, stage, keep, compensate)
         except DriveFault as fault:
-            # A drive that holds a limit in another unit ends the motion by itself.
+            # A drive that reads a limit in a wrong unit ends the motion by itself.
             if self.units is not None:
                 fault.args = (f"{fault}{self.units.explanation()}",)
             raise
@@ -208,7 +211,7 @@ class Cycle:
         keep: Callable[[Sample], object] | None,
         compensate: Callable[[Sample | None], float] | None,
     ) -> None:
-        """Follow targets as :meth:`follow` does."""
+        """Command the targets; :meth:`follow` adds the explanation of a drive fault."""
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
         time_limit_s = self._time_limit_s

@@ -23,7 +23,7 @@ slow to change noticeably within it.
 LEAST_RAD: Final = 0.004
 """Least travel in one direction that is evaluated, at the joint."""
 HINT_COUNTS: Final = 4
-"""Least number of different positions of an encoder on which words about a trip rest."""
+"""Least number of different positions of an encoder that an explanation of a trip requires."""
 SENSE: Final = 0.3
 """Relative work of the current against the motion above which the sign of the current counts as
 wrong, because friction takes work in both directions.
@@ -120,8 +120,8 @@ def shaft_factor(motion: Motion) -> float:
 def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
     """Return the coefficients of two regressors by least squares.
 
-    By their normal equations, as this may be computed between two control cycles; of the second
-    regressor nothing is taken where it is zero or proportional to the first.
+    The normal equations are solved, which is fast enough between two control cycles. The second
+    coefficient is zero if its regressor is zero or proportional to the first.
     """
     a, b, c = float(first @ first), float(first @ second), float(second @ second)
     p, q = float(first @ values), float(second @ values)
@@ -132,7 +132,8 @@ def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 
 def early_factor(motion: Motion) -> float:
-    """Return the same for the few samples before a trip; NaN unless they fit it.
+    """Return the ratio of the joint encoder's travel to the motor encoder's travel from the few
+    samples before a trip; NaN unless they agree with one ratio.
 
     A joint encoder that shows few positions is not compared: its step may be longer than the travel
     so far. If it shows one position only, the travel must be longer than its step, play and twist.
@@ -140,7 +141,7 @@ def early_factor(motion: Motion) -> float:
     shown = len(np.unique(motion.joint))
     if shown < HINT_COUNTS and (shown > 1 or float(np.ptp(motion.motor)) < LEAST_RAD):
         return math.nan
-    # At rest every factor fits.
+    # Samples at rest agree with every ratio and are left out.
     moved = (motion.motor != motion.motor[0]) | (motion.joint != motion.joint[0])
     begin = max(0, int(np.argmax(moved)) - 1)
     m, j = (x[begin:] - x[0] for x in (motion.motor, motion.joint))
@@ -155,7 +156,7 @@ def early_factor(motion: Motion) -> float:
 def turn_alike(motion: Motion, nominal: Nominal) -> bool:
     """Return whether both encoders may turn 1:1, within one count of the motor encoder.
 
-    A position that jumped in one sample is no turn.
+    A position that jumped within one sample does not count as a turn.
     """
     steps = np.abs(np.diff(motion.joint))
     counts = np.diff(np.unique(motion.motor))
@@ -200,7 +201,7 @@ def current_sense(motion: Motion) -> float:
     if min(up, down) < LEAST_RAD:
         return math.nan
     work = motion.current[1:] * way
-    # The same weight for both directions, as a constant load works up one way and down the other.
+    # Both directions have the same weight, so that the work of a constant load cancels.
     ups, downs = (float(work[way * side > 0].sum()) / path for side, path in ((1, up), (-1, down)))
     amount = float(np.abs(work).sum()) / (up + down)
     return 0.5 * (ups + downs) / amount if amount > 0.0 else math.nan
@@ -218,7 +219,8 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
         return constant, "the drive's torque 6077h against its current 6078h"
     induced, certain = emf_constant(motion, nominal)
     if certain:
-        # Constants of alternating current in root mean square: the same motor, other numbers.
+        # Data sheets state root-mean-square values for alternating current; the two constants of
+        # one motor then differ, although both are right.
         stated, emf = nominal.torque_constant_N_m_A, nominal.back_emf_constant_V_s_rad
         confirmed = emf is not None and abs(math.log(induced / emf)) < _SAME_EMF
         if confirmed and _LEAST_EMF <= induced / stated <= 1.0:
@@ -232,8 +234,8 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
 
 
 def _nearer(value: float, first: float, second: float) -> bool:
-    """Return whether a value is nearer to the first of two others by its ratio to them; NaN stands
-    for no value.
+    """Return whether a value differs from the first of two others by a smaller factor than from the
+    second; False for NaN.
     """
     if math.isnan(value) or first == second:
         return False

@@ -42,8 +42,9 @@ from rig.control.motion_words import (
 from rig.wiring.devices import Nominal
 
 INSTANT_SPREAD: Final = 15.0
-"""Ratio up to which the factor of a speed is known early in a motion: a drive shows the peak of a
-slip that lasts less than a cycle. Units with a name are taken within it.
+"""Uncertainty of the factor of a speed early in a motion, as a ratio: a drive may report the peak
+of a slip that lasts less than a cycle. A common unit within this ratio of the factor counts as the
+drive's unit.
 """
 ROUGH_COUNTS: Final = 30
 """Different motor positions up to which a motion counts as early; with more of them, the factors of
@@ -62,7 +63,7 @@ class Proof:
 
     Attributes:
         found: Quantity to its factor, found over expected; NaN where the motion did not show it.
-        contradictions: Those outside their tolerance.
+        contradictions: The comparisons whose factor is outside its tolerance.
     """
 
     found: dict[str, float]
@@ -134,8 +135,9 @@ def hint(
         motion: The samples up to the trip.
         nominal: Constants of the bench file.
         servo: The drive, which names the remedy for its speed.
-        too_fast: Whether the reported speed is what tripped.
-        too_strong: Whether the torque is, which follows from the current and the torque constant.
+        too_fast: Whether the reported speed exceeded its limit.
+        too_strong: Whether the torque, computed from current and torque constant, exceeded its
+            limit.
     """
     if len(motion.time) < 2:
         return None
@@ -150,7 +152,8 @@ def hint(
     if not _same(speed, SPEED_BAND) and counts >= HINT_COUNTS:
         if counts > ROUGH_COUNTS:
             return wrong_speed(speed, servo)
-        # A reported speed beyond its limit is not too small, though few samples may sum up so.
+        # A reported speed above its limit is not too small, although the sum of few samples may
+        # suggest it.
         if speed > 1.0 or not too_fast:
             return _rough_speed(speed, servo)
     if too_strong:
@@ -161,11 +164,11 @@ def hint(
 
 
 def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
-    """Return a speed of the last sample that contradicts the change of the position by far; None
-    otherwise.
+    """Return the contradiction if the speed of the last sample is far above the change of the
+    position; None otherwise.
 
-    The factor is rough: one count in one cycle is all that there may be, and a position that was
-    read before the speed lacks even that.
+    The factor is rough: the position may have changed by one count in one cycle, or not at all if
+    it was read before the speed.
     """
     last = slice(-HINT_COUNTS, None)
     steps = servo.limit_steps()

@@ -24,7 +24,7 @@ class MotionWitness:
     """Collects samples under power.
 
     Args:
-        servo: The drive, which names remedies.
+        servo: The drive, whose methods return remedies.
         nominal: Constants of the bench file.
     """
 
@@ -55,11 +55,14 @@ class MotionWitness:
         return Motion.of(self._rows[: self._count])
 
     def prove(self, tolerance: float = RATIO_TOLERANCE) -> Proof:
-        """Compare the collected samples; see :func:`rig.control.motion_proof.prove`."""
+        """Compare the devices' reports in the collected samples with each other and with the bench
+        file; see :func:`rig.control.motion_proof.prove`.
+        """
         return prove(self.motion, self._nominal, self._servo, tolerance)
 
     def require(self) -> Proof:
-        """Compare the collected samples, and raise an error on a contradiction.
+        """Compare the devices' reports as :meth:`prove` does, and raise an error on a
+        contradiction.
 
         Raises:
             ConfigurationError: Reports contradict each other or the bench file.
@@ -70,16 +73,18 @@ class MotionWitness:
         return proof
 
     def hint(self, too_fast: bool = False, too_strong: bool = False) -> Contradiction | None:
-        """Return what explains a trip or a fault; see :func:`rig.control.motion_proof.hint`."""
+        """Return the contradiction that explains a trip or a fault, or None; see
+        :func:`rig.control.motion_proof.hint`.
+        """
         return hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
 
     def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
-        """Return what explains a trip (``too_fast``: of the reported speed, ``too_strong``: of the
-        torque) or a fault; empty where nothing does.
+        """Return the explanation of a trip (``too_fast``: of the reported speed, ``too_strong``: of
+        the torque) or of a fault as text; empty if the samples do not explain it.
         """
         try:
             found = self.hint(too_fast, too_strong)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-            # Words about a trip must not stand in the way of the stop.
+            # An error of the explanation must not prevent the stop.
             return ""
         return "" if found is None else f"; {found.words}"

@@ -17,7 +17,7 @@ SPEED, SHAFT, WORK, CONSTANT = (
     "current against motion",
     "torque constant",
 )
-"""Names of what is compared."""
+"""Names of the compared quantities."""
 SPEED_BAND: Final = (0.25, 4.0)
 """Range of the ratio of reported to true speed that counts as the same unit. Filters, and samples
 at the pace of the loop that miss the peaks of stick and slip, change the ratio less (0.33 at one
@@ -70,10 +70,10 @@ class Contradiction:
     """Two reports, or a report and the bench file, that contradict each other.
 
     Attributes:
-        what: What was compared.
+        what: Compared quantity.
         factor: Found value over the one that was expected.
         words: Finding and remedy, for the operator.
-        changes: What to set in the bench file; empty where the bench or the drive must be changed.
+        changes: Values to set in the bench file; empty if the bench or the drive must be changed.
     """
 
     what: str
@@ -123,7 +123,8 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
         ratio = Change("machine", "gear_ratio", float(f"{gear / size:.4g}"))
         changes = (*changes, ratio)
         remedy = (
-            f"set {' and '.join(map(str, changes))}, where the counts per turn of both are right"
+            f"set {' and '.join(map(str, changes))}, if the counts per turn of both encoders "
+            "are right"
         )
     return Contradiction(SHAFT, factor, f"{found}: {remedy}", changes)
 
@@ -132,7 +133,7 @@ def wrong_sense(sense: float) -> Contradiction:
     """Return the contradiction if the current works against the motion."""
     words = (
         f"the current works against the motion in both directions ({sense:.2f} of its amount, "
-        f"must be above {-SENSE:g}), but friction takes work, so that the sign of the current "
+        f"must be above {-SENSE:g}), but friction consumes work, so that the sign of the current "
         "is wrong: set servo.current_sign: -1, or correct the sign with the maker's tool"
     )
     return Contradiction(WORK, sense, words, (Change("servo", "current_sign", -1),))

@@ -261,7 +261,7 @@ def operator_for(
         patience_s: Longest wait for an answer, s; None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
         control: Socket on which answers may arrive as well; None for none.
-        only_there: Whether there is no terminal, so that they can arrive there only.
+        only_there: Whether answers can arrive only on the socket, because there is no terminal.
     """
     if yes:
         return AutomaticOperator(screen=screen, control=control)

@@ -24,9 +24,9 @@ def commission_record(
 
     Args:
         result: The commissioning.
-        bench: The bench file that it began with.
+        bench: The bench file at the start of the commissioning.
         seed: Seed of a simulated bench's noise.
-        operator: Who did it, as given.
+        operator: Name of the operator, as given.
         new_file: The bench file that was written; empty for none.
     """
     return {

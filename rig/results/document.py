@@ -2,9 +2,6 @@
 
 A command makes one :class:`Document` from its result record; :mod:`rig.results.terminal` and
 :mod:`rig.results.html` show the document. This module is independent of results, terminal and HTML.
-
-A command makes one :class:`Document` of its result record; :mod:`rig.results.terminal` and
-:mod:`rig.results.html` show it. This module is independent of results, terminal and HTML.
 """
 
 from __future__ import annotations
@@ -78,7 +75,7 @@ class Picture:
 
     Attributes:
         name: File name without its ending.
-        caption: What it shows.
+        caption: Description of its content.
         data: PNG.
         lead: Whether it is what a page opens with, drawn to be read on a telephone.
     """
@@ -115,7 +112,7 @@ class Section:
 
     Attributes:
         title: Heading.
-        blocks: What it shows, in order.
+        blocks: Its content, in order.
         anchor: Name that links lead to.
     """
 
@@ -144,7 +141,7 @@ class Document:
         subtitle: Line under it.
         summary: Summary for the terminal; blank lines separate its sections.
         sections: Full content for the page; empty if there is no page.
-        facts: Name and value of what the page states first, such as bench, date and operator.
+        facts: Name and value of the facts at the top of the page, such as bench, date and operator.
     """
 
     title: str

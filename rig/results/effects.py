@@ -1,4 +1,4 @@
-"""The catalogue of effects as table, text and JSON."""
+"""Shows the catalogue of effects as table, text and JSON."""
 
 from __future__ import annotations
 

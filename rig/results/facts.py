@@ -1,4 +1,4 @@
-"""Facts at the top of a page on its source: bench, date and operator."""
+"""Collects the facts at the top of a page on its source: bench, date and operator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A document as one self-contained HTML page."""
+"""Renders a document as one self-contained HTML page."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Sections shared by several documents: provenance, corrections on reading, choice of plotted
-recordings.
+"""Makes the sections that several documents share, on provenance and corrections on reading, and
+chooses the plotted recordings.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A document as text for the terminal."""
+"""Renders a document as text for the terminal."""
 
 from __future__ import annotations
 

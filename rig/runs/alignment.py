@@ -1,9 +1,10 @@
 """Aligns drive and joint encoder, which sample with separate clocks, to one time base.
 
-If one SYNC latches both, only their time stamps drift, and no sample moves. Samples of a
-free-running encoder are up to a period older than the drive's, by an age that varies with the beat
-of the clocks. A delay tau biases the inertia by tau dF/domega, from the slope of friction: half a
-millisecond near the Stribeck speed gives a quarter of the inertia. Pure functions of arrays.
+If one SYNC latches both, only their time stamps drift apart; the samples are left unchanged.
+Samples of a free-running encoder are up to a period older than the drive's, by an age that varies
+with the beat of the clocks. A delay tau biases the inertia by tau dF/domega, from the slope of
+friction: half a millisecond near the Stribeck speed gives an error of a quarter of the inertia.
+Pure functions of arrays.
 """
 
 from __future__ import annotations

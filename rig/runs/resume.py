@@ -1,4 +1,4 @@
-"""Resumption of a stopped run at its first unfinished stage."""
+"""Resumes a stopped run at its first unfinished stage."""
 
 from __future__ import annotations
 

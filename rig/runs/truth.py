@@ -1,4 +1,4 @@
-"""True parameters of a simulated bench, for the tables of a demonstration.
+"""Reads the true parameters of a simulated bench, for the tables of a demonstration.
 
 Only code that prints uses this module, after the estimators have finished; the dataset of the
 estimators does not contain the true parameters.

@@ -1,4 +1,4 @@
-"""A progress bar over steps of known share."""
+"""Shows a progress bar over steps of known share."""
 
 from __future__ import annotations
 

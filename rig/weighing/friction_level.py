@@ -1,4 +1,4 @@
-"""Friction of a motion by speed: work over distance.
+"""Computes the friction of a motion by speed: work over distance.
 
 Work is used instead of instantaneous torque: current noise averages out, no acceleration is needed,
 and the inertia's work in acceleration and deceleration cancels.

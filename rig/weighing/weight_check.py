@@ -1,4 +1,4 @@
-"""Check of the confirmed mass on the lever by the measured friction.
+"""Checks the confirmed mass on the lever by the measured friction.
 
 The reference is an accepted identification of the bench, or the friction of stages with other
 masses in the same run. At each speed that friction is linear in the mass (eq. 13: the working load

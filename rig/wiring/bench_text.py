@@ -1,5 +1,5 @@
-"""Text that identifies a bench to the operator: name, real or simulated, and what stops the
-drive.
+"""Makes the text that identifies a bench to the operator: name, real or simulated, and the watchdog
+or guardian of the drive.
 """
 
 from __future__ import annotations

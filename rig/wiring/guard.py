@@ -1,7 +1,5 @@
 """Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms and feeds it, and
 receives its report after a takeover.
-
-Starts the guardian with the port, arms and feeds it, and receives its takeover report.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""Lock keys of the ports, adapters and channels of a bench; only one program may use each of
-these.
+"""Returns the lock keys of the ports, adapters and channels of a bench; only one program may use
+each of these.
 """
 
 from __future__ import annotations

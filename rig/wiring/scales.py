@@ -1,5 +1,5 @@
-"""Units of the devices in a bench file, in SI; missing units are taken from the known data of the
-drive's maker.
+"""Converts the units of the devices in a bench file to SI; missing units are taken from the known
+data of the drive's maker.
 """
 
 from __future__ import annotations

@@ -114,7 +114,7 @@ def test_a_linear_bench_keeps_its_own_units() -> None:
 
 def test_a_recording_is_named_where_the_effect_belongs_to_one() -> None:
     weight = {"mass_kg": Estimate(24.1, 23.8, 24.4, "kg")}
-    assert "on loaded_2 is 24.1 kg" in sentence(ENTRIES["wrong_weight"], weight, ("loaded_2",))
+    assert "in loaded_2 is 24.1 kg" in sentence(ENTRIES["wrong_weight"], weight, ("loaded_2",))
 
 
 def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:

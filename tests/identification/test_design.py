@@ -10,18 +10,18 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.design import pinning, search
+from identification.design import intervals, search
 from identification.design import propose as proposing
 from identification.design import shares as sharing
 from identification.design import simulated_trial as trials
 from identification.design.draws import Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
-from identification.design.pinning import (
+from identification.design.intervals import (
     NAMES,
     NOTHING,
     Information,
-    Pinned,
-    pinned,
+    Intervals,
+    intervals_of,
     stage_information,
 )
 from identification.design.propose import propose
@@ -100,10 +100,10 @@ def test_a_shaft_below_its_static_limit_stays() -> None:
     assert out.peak_speed == 0.0
 
 
-def test_noise_and_encoder_widen_what_is_pinned() -> None:
-    fine = pinned([information(figure10(0.0))], loaded=False)
-    noisy = pinned([information(figure10(0.0), nominal(noise=3.0 * NOISE))], loaded=False)
-    coarse = pinned(
+def test_noise_and_encoder_widen_intervals() -> None:
+    fine = intervals_of([information(figure10(0.0))], loaded=False)
+    noisy = intervals_of([information(figure10(0.0), nominal(noise=3.0 * NOISE))], loaded=False)
+    coarse = intervals_of(
         [information(figure10(0.0), nominal(step=2.0 * np.pi / 102400.0))], loaded=False
     )
     assert noisy.half_widths["sigma_2"] > 2.0 * fine.half_widths["sigma_2"]
@@ -113,19 +113,19 @@ def test_noise_and_encoder_widen_what_is_pinned() -> None:
 
 def test_loaded_parameters_need_a_load() -> None:
     free, heavy = (information(figure10(w, 10.0)) for w in (0.0, 30.6))
-    alone = pinned([free], loaded=True)
-    both = pinned([free, heavy], loaded=True)
+    alone = intervals_of([free], loaded=True)
+    both = intervals_of([free, heavy], loaded=True)
     assert math.isinf(alone.half_widths["mu_c"])
     assert alone.weakest in ("mu_c", "mu_s", "omega_sL", "mu_2")
     assert all(math.isfinite(w) for w in both.half_widths.values())
-    one_load = pinned([heavy], loaded=True)
+    one_load = intervals_of([heavy], loaded=True)
     assert math.isinf(one_load.half_widths["Mc"])
 
 
 def test_one_breakaway_says_nothing() -> None:
     ramp = PlannedStage(0.05 * PERIOD * np.arange(4000), 0.0)
     assert information(ramp) is NOTHING
-    assert all(math.isinf(w) for w in pinned([NOTHING], loaded=False).half_widths.values())
+    assert all(math.isinf(w) for w in intervals_of([NOTHING], loaded=False).half_widths.values())
 
 
 def test_a_simulated_trial_repeats_and_is_infinite_without_motion() -> None:
@@ -220,7 +220,7 @@ def test_information_is_believed_between_none_and_a_stages_own() -> None:
     assert np.min(np.linalg.eigvalsh(common)) > -1e-9
     assert np.min(np.linalg.eigvalsh(own - common)) > -1e-9
     within = 0.5 * own
-    assert pinning._bounded(within, own) == pytest.approx(within)
+    assert intervals._bounded(within, own) == pytest.approx(within)
 
 
 def rates(*diagonals: tuple[float, ...]) -> list[Information]:
@@ -333,7 +333,7 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
     stages = frames((0.0,))
     found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert found.stages != (Part(0, stages[0].present),)
-    assert found.pinned.half_widths["J"] < 0.6 * found.present.half_widths["J"]
+    assert found.proposed.half_widths["J"] < 0.6 * found.present.half_widths["J"]
     assert found.judged > 5
     assert 9.0 < sum(p.excitation.seconds for p in found.stages) <= 12.0
     for part in found.stages:
@@ -343,7 +343,7 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
     monkeypatch.setattr(
-        proposing, "attained", lambda *_: found.pinned
+        proposing, "attained", lambda *_: found.proposed
     )  # takes most of the time, and repeats
     again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert again.stages == found.stages
@@ -355,7 +355,7 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
     bounds = Bounds(-0.5, 0.5, 1.5, 5.0, 0.03, 20.0, (5.0,))  # less torque than the static limit
     found = propose(stages, nominal(), bounds, np.random.default_rng(1))
     assert found.stages == (Part(0, stages[0].present),)
-    assert found.pinned == found.present
+    assert found.proposed == found.present
     assert found.weakest == found.present.weakest
 
 
@@ -386,7 +386,7 @@ def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(
 
     monkeypatch.setattr(Search, "designs", drawn_up)
     monkeypatch.setattr(
-        proposing, "attained", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf))
+        proposing, "attained", lambda *_: Intervals(dict.fromkeys(NAMES[:5], math.inf))
     )
     stages = frames((0.0,))
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
@@ -403,9 +403,9 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
     stages = frames((0.0,))
     slow = planned(stages[0], stages[0].present.lasting(6.0)).command
 
-    def by_speed(own: list[PlannedStage], *_: object) -> Pinned:
+    def by_speed(own: list[PlannedStage], *_: object) -> Intervals:
         slowly = any(np.array_equal(s.command, slow) for s in own)
-        return Pinned(dict.fromkeys(NAMES[:5], 1e-6 if slowly else math.inf))
+        return Intervals(dict.fromkeys(NAMES[:5], 1e-6 if slowly else math.inf))
 
     monkeypatch.setattr(proposing, "attained", by_speed)
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
@@ -419,7 +419,7 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
 def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
     stages = frames((0.0,))
     fast, slow = (Part(0, Excitation(((0.1, f),), 0.0, s)) for f, s in ((1.0, 8.0), (0.25, 2.0)))
-    found = halved(Design((fast, slow), Pinned({})), stages, with_drives(nominal()), "Mc")
+    found = halved(Design((fast, slow), Intervals({})), stages, with_drives(nominal()), "Mc")
     assert [p.excitation.tones for p in found.parts] == [
         stages[0].present.tones,
         fast.excitation.tones,
@@ -554,7 +554,7 @@ def test_merit_counts_another_only_beyond_what_the_target_is_now() -> None:
     found = Search(
         frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "J", 0.02
     )
-    within = Pinned({"J": 0.004, "Mc": 0.02})
-    beyond = Pinned({"J": 0.004, "Mc": 0.04})
+    within = Intervals({"J": 0.004, "Mc": 0.02})
+    beyond = Intervals({"J": 0.004, "Mc": 0.04})
     assert found.merit(within) == pytest.approx(0.004)
     assert found.merit(beyond) == pytest.approx(0.008)

@@ -76,7 +76,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
         for value in (
             "values[at[told.current]] * told.current_unit_A",
             "values[at[told.speed]] * scales.joint_speed_unit_rad_s",
-            "values[at.get(told.voltage, _NOT_TOLD)] * scales.voltage_unit_V",
+            "values[at.get(sent.voltage, _NOT_SENT)] * scales.voltage_unit_V",
         )
     },
     (

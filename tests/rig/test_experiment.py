@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from identification.design import propose, search
 from identification.design.excitation import Excitation, Ramps
-from identification.design.pinning import Pinned
+from identification.design.intervals import Intervals
 from identification.design.propose import Proposal
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation
@@ -150,6 +150,6 @@ def test_a_nominal_that_cannot_be_used(
     ("tighter", "words"), [(0.5, "run both"), (1.0, "the sequence is proposed as it is")]
 )
 def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
-    now, then = Pinned({"omega_sL": 0.01}), Pinned({"omega_sL": 0.01 * tighter})
+    now, then = Intervals({"omega_sL": 0.01}), Intervals({"omega_sL": 0.01 * tighter})
     proposal = Proposal("omega_sL", now, (), then, then, judged=3, identified=2)
     assert words in _advice(cast(Experiment, SimpleNamespace(proposal=proposal)))

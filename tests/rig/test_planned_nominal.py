@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from identification.design.pinning import NAMES
+from identification.design.intervals import NAMES
 from identification.model.nominal import NOMINAL
 from rig.common.errors import InputError
 from rig.common.result_files import IDENTIFY_SCHEMA
@@ -43,7 +43,7 @@ def test_the_widest_for_its_value_is_the_weakest(tmp_path: Path) -> None:
     assert known.source == f"the identification {tmp_path / 'identify.json'}"
 
 
-def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path: Path) -> None:
+def test_an_undetermined_parameter_is_the_weakest_and_has_its_default_value(tmp_path: Path) -> None:
     path = result(tmp_path)
     record = json.loads(path.read_text())
     record["parameters"]["mu_2"] = {"value": None, "low": None, "high": None}
@@ -51,7 +51,7 @@ def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path
     known = nominal_values(path)
     assert known.weakest == "mu_2"
     assert known.values["mu_2"] == pytest.approx(NOMINAL["mu_2"])
-    assert "mu_2, which it leaves open" in known.source
+    assert "mu_2, which it does not determine" in known.source
 
 
 @pytest.mark.parametrize("value", [1.1e-12, 0.9e12])

@@ -1,4 +1,9 @@
-"""The drive's cascade with its outer loops opened, for speed and torque modes."""
+"""Opens the position and velocity loop of the simulated drive for speed and torque mode, and closes
+them again in motion.
+
+``s`` is the state vector of the machine, ``d`` the vector of its drive and motor constants, indexed
+as in :mod:`drivers.mock.plant.parts.loops`.
+"""
 
 from __future__ import annotations
 

@@ -97,8 +97,8 @@ DEVICE: tuple[Entry, ...] = (
             "both ways; and "
             "the same current without load by acceleration."
         ),
-        sentence="load friction grows with the contact force to the power {exponent:}, where 1 "
-        "was taken",
+        sentence="load friction grows with the contact force to the power {exponent:}, where the "
+        "nominal model has 1",
     ),
     Entry(
         name="load_position_dependence",
@@ -110,9 +110,8 @@ DEVICE: tuple[Entry, ...] = (
         parameters=(Quantity("slope_per_rad", "1/rad", -2.0, 2.0),),
         look_alikes=("position_dependent_friction", "load_exponent", "gravity_imbalance"),
         experiment=(
-            "Slow passes over the whole travel both ways, unloaded and under two weights: what is "
-            "the load's "
-            "grows with the weight, what is the bearing's does not."
+            "Slow passes over the whole travel both ways, unloaded and under two weights: "
+            "friction of the load grows with the weight, friction of the bearing does not."
         ),
         sentence="the contact force changes by {slope_per_rad:%/deg} of travel",
     ),
@@ -120,14 +119,15 @@ DEVICE: tuple[Entry, ...] = (
         name="wrong_weight",
         group="device",
         equation="F'_P = (L3/L4) m g with m other than the recording's label (eq. 17)",
-        assumption="the implied assumption that the weight is what its label says",
+        assumption="the implied assumption that the weight has the mass on its label",
         shows_in="torque",
-        coordinate="load: one recording's load friction is off by one factor, the others fit",
+        coordinate="load: the load friction of one recording is wrong by one factor; the other "
+        "recordings fit",
         parameters=(Quantity("mass_kg", "kg", 0.0, 200.0),),
         look_alikes=("load_exponent", "load_swing", "coulomb_drift"),
-        experiment="The recording again after weighing what hangs on the lever; the other "
-        "recordings stay.",
-        sentence="the weight on {recordings} is {mass_kg:kg}, which is not what its label says",
+        experiment="Weigh the load on the lever and repeat this recording; the other recordings "
+        "remain valid.",
+        sentence="the weight in {recordings} is {mass_kg:kg}, which differs from its label",
     ),
     Entry(
         name="load_swing",
@@ -145,8 +145,7 @@ DEVICE: tuple[Entry, ...] = (
         look_alikes=("wrong_weight", "load_position_dependence", "torque_ripple"),
         experiment=(
             "One constant slow speed under load, started at once after hanging the weight and "
-            "again after a "
-            "minute's wait: a swing is gone in the second."
+            "again after a minute's wait: in the second recording a swing has decayed."
         ),
         sentence=(
             "the hung weight swings: the contact force by {fraction:%} at {frequency_Hz:Hz}, "
@@ -181,10 +180,11 @@ DEVICE: tuple[Entry, ...] = (
         parameters=(Quantity("torque_Nm", "N m", 0.0, 20.0),),
         look_alikes=("load_exponent", "wrong_weight", "coulomb_drift"),
         experiment=(
-            "Two weights far apart and the lever with none: friction over mass meets zero mass at "
-            "the pivot's share."
+            "Two very different weights and the lever without weight: the line of friction over "
+            "mass meets zero mass at the friction of the pivot."
         ),
-        sentence="the lever's own pivot adds {torque_Nm:N m} of friction under any weight",
+        sentence="the lever's own pivot adds {torque_Nm:N m} of friction, the same for every "
+        "weight",
     ),
     Entry(
         name="load_dependent_friction",

@@ -1,5 +1,5 @@
-"""Effects of the system's friction beyond a static, symmetric, uniform, cold Stribeck curve (eq.
-9).
+"""Catalogue entries of effects of the system's friction beyond a static, symmetric, uniform, cold
+Stribeck curve (eq. 9).
 """
 
 from __future__ import annotations
@@ -25,10 +25,9 @@ FRICTION: tuple[Entry, ...] = (
             "transmission_efficiency",
         ),
         experiment=(
-            "Holding at rest after approaches from either side, at two loads, and over the widest "
-            "travel: "
-            "friction's asymmetry is gone at rest, an offset of current stays, gravity changes "
-            "with the angle."
+            "Holding at rest after approaches from either side, at two loads, and over the "
+            "widest travel: asymmetric friction vanishes at rest, an offset of the current "
+            "remains, gravity changes with the angle."
         ),
         sentence=(
             "friction is {torque_Nm:abs N m} {torque_Nm:?higher/lower} in the positive direction, "
@@ -47,8 +46,7 @@ FRICTION: tuple[Entry, ...] = (
         look_alikes=("asymmetric_coulomb", "quadratic_drag", "current_offset"),
         experiment=(
             "Steady speeds both ways, at least four between the Stribeck speed and the limit: "
-            "what grows with "
-            "speed is viscous, what stays is Coulomb."
+            "an asymmetry that grows with speed is viscous, a constant one is Coulomb."
         ),
         sentence=(
             "viscous friction is {coefficient_Nms_rad:abs N m s/rad} "
@@ -84,12 +82,12 @@ FRICTION: tuple[Entry, ...] = (
         parameters=(Quantity("alpha", "", 0.3, 6.0),),
         look_alikes=("friction_memory", "presliding", "quadratic_drag"),
         experiment=(
-            "Steady slow speeds, five between a fifth of and three Stribeck speeds, both ways and "
-            "approached from "
-            "above and below: a shape is the same from either side, a memory is not."
+            "Steady slow speeds, five between a fifth of and three Stribeck speeds, both ways "
+            "and approached from above and below: a Stribeck curve is the same from either "
+            "side, friction with memory differs."
         ),
-        sentence="friction falls from static to Coulomb with the exponent {alpha:}, where 2 was "
-        "taken",
+        sentence="friction falls from static to Coulomb with the exponent {alpha:}, where the "
+        "nominal model has 2",
     ),
     Entry(
         name="friction_memory",
@@ -120,7 +118,7 @@ FRICTION: tuple[Entry, ...] = (
         assumption="the implied assumption that static friction does not depend on the time at "
         "rest (eq. 9)",
         shows_in="breakaway",
-        coordinate="rest time: breakaway torque rises with the time stood still before it",
+        coordinate="rest time: breakaway torque rises with the preceding time at rest",
         parameters=(Quantity("growth_Nm", "N m", 0.0, 20.0), Quantity("time_s", "s", 0.02, 100.0)),
         look_alikes=("presliding", "backlash", "friction_memory"),
         experiment=(
@@ -138,7 +136,8 @@ FRICTION: tuple[Entry, ...] = (
         "(Dahl)",
         assumption="the implied assumption that a stuck contact does not move at all (eq. 9)",
         shows_in="torque",
-        coordinate="travel since reversal: friction turns over a small travel, not at once",
+        coordinate="travel since reversal: friction changes its sign over a small travel and not "
+        "at once",
         parameters=(Quantity("stiffness_Nm_rad", "N m/rad", 50.0, 1e6),),
         look_alikes=("backlash", "dwell_static_friction", "coupling_hysteresis", "friction_memory"),
         experiment=(
@@ -148,7 +147,7 @@ FRICTION: tuple[Entry, ...] = (
             "ageing moves "
             "nothing."
         ),
-        sentence="the contact gives like a spring of {stiffness_Nm_rad:N m/deg} before it slides",
+        sentence="the contact deforms like a spring of {stiffness_Nm_rad:N m/deg} before it slides",
     ),
     Entry(
         name="position_dependent_friction",
@@ -157,7 +156,7 @@ FRICTION: tuple[Entry, ...] = (
         assumption="the implied assumption that friction is the same everywhere on the travel "
         "(eq. 9)",
         shows_in="torque",
-        coordinate="angle: one stretch of the travel, against the motion both ways",
+        coordinate="angle: one range of the travel, against the motion both ways",
         parameters=(
             Quantity("torque_Nm", "N m", -10.0, 20.0),
             Quantity("center_rad", "rad", -pi, pi),

@@ -1,5 +1,5 @@
-"""Effects that the paper's gas generator omits (Sec. 3.2, assumptions G1, G4, G5, and the throat of
-eq. 3).
+"""Catalogue entries of effects that the paper's gas generator omits (Sec. 3.2, assumptions G1, G4,
+G5, and the throat of eq. 3).
 """
 
 from __future__ import annotations
@@ -8,10 +8,9 @@ from identification.diagnosis.catalogue.entry import Entry, Quantity
 
 _ALIKE = (
     "Steps of the valve between its least and its greatest throat, early and late in the burn, "
-    "and a second burn at "
-    "another level: at rest area, temperature and burning area look alike; in the transients a "
-    "wider throat is quicker "
-    "and a colder gas slower; and a deposit follows time, a grain what has burnt."
+    "and a second burn at another level: at rest area, temperature and burning area look alike; "
+    "in the transients a wider throat is quicker and a colder gas slower; and the effect of a "
+    "deposit follows time, that of the grain the burnt length."
 )
 
 GAS: tuple[Entry, ...] = (
@@ -34,13 +33,13 @@ GAS: tuple[Entry, ...] = (
         equation="A_b = (pi D_P^2/4) (1 + t w)^2, w = integral of r dt",
         assumption="assumption G1: end burning, the burning area constant (eq. 2)",
         shows_in="pressure",
-        coordinate="web burnt: the pressure drifts with what has burnt, by the same share at "
+        coordinate="web burnt: the pressure drifts with the burnt length, by the same share at "
         "every angle",
         parameters=(Quantity("taper_per_m", "1/m", -2.0, 2.0),),
         look_alikes=("throat_deposition", "heat_loss", "erosive_burning"),
         experiment=_ALIKE,
         sentence="the grain's diameter {taper_per_m:?grows/shrinks} by {taper_per_m:abs %/m} of "
-        "what has burnt",
+        "burnt length",
     ),
     Entry(
         name="erosive_burning",
@@ -75,9 +74,9 @@ GAS: tuple[Entry, ...] = (
         parameters=(Quantity("heat_flow_W", "W", 0.0, 1e6), Quantity("time_s", "s", 0.2, 200.0)),
         look_alikes=("throat_deposition", "burning_area_change", "leakage"),
         experiment=(
-            "A second burn soon after the first, its walls still warm: what walls take is gone, "
-            "what deposits or the "
-            "grain do is not. In one burn, steps early and late."
+            "A second burn soon after the first, its walls still warm: the heat loss to the "
+            "walls has ended, effects of deposits and grain remain. In one burn, steps early "
+            "and late."
         ),
         sentence="cold walls take {heat_flow_W:kW} from the gas at first, and warm in {time_s:s}",
     ),
@@ -87,7 +86,8 @@ GAS: tuple[Entry, ...] = (
         equation="m_g = p_g (A_t + A_l) / C_r",
         assumption="the implied assumption of eq. 3 that all gas leaves through the valve's throat",
         shows_in="pressure",
-        coordinate="throat area: too little pressure, and a quicker one, where the throat is least",
+        coordinate="throat area: too little pressure, which changes faster, where the throat is "
+        "least",
         parameters=(Quantity("area_m2", "m^2", 0.0, 2e-4),),
         look_alikes=("erosive_burning", "throat_deposition", "heat_loss"),
         experiment=(

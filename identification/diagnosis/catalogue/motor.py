@@ -1,5 +1,5 @@
-"""Effects of the motor and its electronics: torque other than Km I, and voltage other than R I + Ke
-omega (eq. 1).
+"""Catalogue entries of effects of the motor and its electronics: torque other than Km I, and
+voltage other than R I + Ke omega (eq. 1).
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ MOTOR: tuple[Entry, ...] = (
         name="inverter_dead_time",
         group="motor",
         equation="R I + L dI/dt = U - U_d sgn(I) - Ke dphi/dt",
-        assumption="the implied assumption that the winding sees the voltage that is logged (eq. "
+        assumption="the implied assumption that the voltage at the winding is the logged one (eq. "
         "1)",
         shows_in="voltage",
         coordinate="direction: steps with the sign of the current, at any speed, in proportion to "
@@ -114,8 +114,8 @@ MOTOR: tuple[Entry, ...] = (
             "time is a sharp "
             "step that scales with the supply, a brush drop is rounded and does not."
         ),
-        sentence="the winding gets {voltage_V:V} less than is logged, a sharp step with the sign "
-        "of the current",
+        sentence="the voltage at the winding is {voltage_V:V} less than the logged one, a sharp "
+        "step with the sign of the current",
     ),
     Entry(
         name="brush_drop",
@@ -178,12 +178,11 @@ MOTOR: tuple[Entry, ...] = (
         parameters=(Quantity("resistance_ohm", "ohm", 0.0, 3.0),),
         look_alikes=("winding_heating", "inverter_dead_time", "brush_drop"),
         experiment=(
-            "The same high current at standstill, where the supply gives little, and at speed, "
-            "where it gives "
-            "much; or the supply's voltage logged."
+            "The same high current at standstill, where the supply delivers little power, and "
+            "at speed, where it delivers much; or the supply's voltage logged."
         ),
-        sentence="the supply sags by {resistance_ohm:ohm} times the current it gives, and the "
-        "winding gets less",
+        sentence="the supply voltage falls by {resistance_ohm:ohm} times the supply current, and "
+        "the voltage at the winding with it",
     ),
 )
 """Effects of the motor and its electronics."""

@@ -1,4 +1,4 @@
-"""Effects of the sensors: sampling instants, zeros and mounting."""
+"""Catalogue entries of effects of the sensors: sampling instants, zeros and mounting."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SENSING: tuple[Entry, ...] = (
         equation="theta_logged(t) = theta(t - T), phi_logged(t) = phi(t)",
         assumption="the implied assumption that both angles are sampled at the same instant",
         shows_in="transmission",
-        coordinate="speed: motor and joint part in proportion to it, nothing at rest",
+        coordinate="speed: the angles of motor and joint differ in proportion to it, equal at rest",
         parameters=(Quantity("time_s", "s", 0.0, 0.1),),
         look_alikes=("backlash", "compliance", "time_skew"),
         experiment=(
@@ -47,13 +47,13 @@ SENSING: tuple[Entry, ...] = (
             "angle, a twist is "
             "proportional to torque, a delay to speed."
         ),
-        sentence="the joint's encoder tells where the joint was {time_s:ms} ago",
+        sentence="the joint's encoder reports the angle of the joint {time_s:ms} ago",
     ),
     Entry(
         name="current_offset",
         group="sensing",
         equation="I_logged = I + I_0",
-        assumption="the implied assumption that the current's zero is true",
+        assumption="the implied assumption that the current's zero is right",
         shows_in="torque",
         coordinate="direction: one constant torque in motion and at rest, at any speed, angle and "
         "load",
@@ -71,7 +71,7 @@ SENSING: tuple[Entry, ...] = (
         group="sensing",
         equation="I_logged = I + r (t + t_0), t since the recording's start, t_0 since the zero "
         "was taken before it",
-        assumption="the implied assumption that the current's zero stays where it is",
+        assumption="the implied assumption that the current's zero does not change",
         shows_in="torque",
         coordinate="time: one torque that grows from a recording's start, the same both ways and "
         "at rest",
@@ -90,7 +90,7 @@ SENSING: tuple[Entry, ...] = (
         name="encoder_eccentricity",
         group="sensing",
         equation="theta_logged = theta + A sin(theta + p)",
-        assumption="the implied assumption that the joint's encoder sits true on its shaft",
+        assumption="the implied assumption that the joint's encoder is centred on its shaft",
         shows_in="transmission",
         coordinate="angle: once per joint turn, the same both ways and at any speed and load",
         parameters=(
@@ -115,13 +115,12 @@ SENSING: tuple[Entry, ...] = (
         equation="theta_logged = theta + a for t > t_0, in one recording and those after it",
         assumption="the implied assumption that the joint's encoder is fixed to its shaft",
         shows_in="transmission",
-        coordinate="time: one step between motor and joint, and no way back",
+        coordinate="time: one step of the angle between motor and joint, which remains",
         parameters=(Quantity("angle_rad", "rad", -1.0, 1.0), Quantity("at_s", "s", 0.0, 1e5)),
         look_alikes=("backlash", "coupling_hysteresis"),
         experiment=(
-            "The start position approached again from the same side after the recording: a slip "
-            "leaves it off, a "
-            "gap brings it back."
+            "The start position approached again from the same side after the recording: after "
+            "a slip the reading differs, after the crossing of a gap it is the same."
         ),
         sentence=(
             "the joint's encoder slipped on its shaft by {angle_rad:deg}, {at_s:s} into "

@@ -1,5 +1,5 @@
-"""Effects between motor and joint: theta other than phi / i, and joint torque other than i times
-the motor's.
+"""Catalogue entries of effects between motor and joint: theta other than phi / i, and joint torque
+other than i times the motor's.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ TRANSMISSION: tuple[Entry, ...] = (
         equation="phi / i - theta = M / k",
         assumption="assumption A4: no deformation",
         shows_in="transmission",
-        coordinate="load: motor and joint part in proportion to the torque between them",
+        coordinate="load: the angles of motor and joint differ in proportion to the torque "
+        "between them",
         parameters=(Quantity("stiffness_Nm_rad", "N m/rad", 50.0, 1e6),),
         look_alikes=("backlash", "coupling_hysteresis", "transport_delay"),
         experiment=(
@@ -65,9 +66,8 @@ TRANSMISSION: tuple[Entry, ...] = (
             "latter only."
         ),
         sentence=(
-            "the gear's ratio swings: motor and joint part by {amplitude_rad:deg}, {per_turn:} "
-            "times per joint "
-            "turn (phase {phase_rad:deg})"
+            "the gear's ratio varies: the angles of motor and joint differ by up to "
+            "{amplitude_rad:deg}, {per_turn:} times per joint turn (phase {phase_rad:deg})"
         ),
     ),
     Entry(
@@ -75,7 +75,7 @@ TRANSMISSION: tuple[Entry, ...] = (
         group="transmission",
         equation="M_joint = eta i Km I where the motor drives (M omega > 0), i Km I / eta where "
         "it is driven",
-        assumption="the implied assumption that the gear passes torque without loss in either "
+        assumption="the implied assumption that the gear transmits torque without loss in either "
         "direction of power",
         shows_in="torque",
         coordinate="direction: follows the sign of the power through the gear, in proportion to "
@@ -84,20 +84,19 @@ TRANSMISSION: tuple[Entry, ...] = (
         look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
         experiment=(
             "A load that pulls both ways, in one recording at least: a declared weight fixed to "
-            "the joint, level and "
-            "heavier than its friction. The loss follows the direction of power, an asymmetry "
-            "that of motion. Where "
-            "friction is all the load power flows one way only, and the constants take the loss up."
+            "the joint, level and heavier than its friction. The loss follows the direction of "
+            "power, an asymmetry that of motion. If friction is the only load, power flows in "
+            "one direction only, and the nominal parameters explain the loss."
         ),
-        sentence="the gear passes {efficiency:%} of the torque when it drives, and as much less "
-        "when it is driven back",
+        sentence="the gear transmits {efficiency:%} of the torque, both when it drives and when it "
+        "is driven back",
     ),
     Entry(
         name="coupling_hysteresis",
         group="transmission",
         equation="phi / i - theta = x sat(P / M_h), P the play of half width M_h that the torque "
         "M drags along",
-        assumption="assumption A4: no deformation; and what deforms springs back without loss",
+        assumption="assumption A4: no deformation; and a deformed part springs back without loss",
         shows_in="transmission",
         coordinate="travel since reversal: loops of the deflection over torque, alike at any speed",
         parameters=(

@@ -1,4 +1,4 @@
-"""The nominal model at given values of its parameters, without a fit."""
+"""Evaluates the nominal model at given values of its parameters, without a fit."""
 
 from __future__ import annotations
 

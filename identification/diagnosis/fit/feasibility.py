@@ -1,4 +1,4 @@
-"""Feasibility of a fit: comparison of the predicted and the attained residual.
+"""Tests whether a fit is feasible: compares its predicted with its attained residual.
 
 A fit is judged by the residual that its linear step predicts. Nominal parameters have limits, and
 static friction may not be below Coulomb friction: a residual that is predicted beyond these limits

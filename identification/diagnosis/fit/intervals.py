@@ -1,5 +1,5 @@
-"""Uncertainty of a joint fit: intervals of effects from blocks of time, and identifiability of
-nominal parameters.
+"""Computes the uncertainty of a joint fit: intervals of effects from blocks of time, and
+identifiability of nominal parameters.
 """
 
 from __future__ import annotations

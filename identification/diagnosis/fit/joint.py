@@ -1,4 +1,4 @@
-"""Joint Gauss-Newton fit of nominal parameters and effects."""
+"""Fits nominal parameters and effects jointly by Gauss-Newton steps."""
 
 from __future__ import annotations
 

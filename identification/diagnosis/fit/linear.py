@@ -1,5 +1,5 @@
-"""The linear least-squares problem within a joint fit: coefficients, and steps of nominal and
-nonlinear parameters.
+"""Solves the linear least-squares problem within a joint fit for coefficients and for steps of
+nominal and nonlinear parameters.
 """
 
 from __future__ import annotations

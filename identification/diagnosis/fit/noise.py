@@ -1,4 +1,4 @@
-"""Re-estimation of the noise after an effect is identified, since fast unexplained effects were
+"""Estimates the noise again after an effect is identified, since fast unexplained effects were
 counted as noise.
 
 A torque with seven periods per motor turn, or a hundred per turn of the joint, differs from row to

@@ -1,5 +1,5 @@
-"""All equations stacked and whitened, with the nominal tangent projected out, and candidates scored
-against the remaining mismatch.
+"""Stacks and whitens all equations, projects the nominal tangent out, and scores candidates against
+the remaining mismatch.
 
 Scores are sums over blocks of time, which accounts for correlation within blocks (wild cluster
 bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
@@ -42,7 +42,7 @@ class Candidate:
         shape: Nonlinear parameters of the effect.
         coefficients: Least-squares coefficients, in the term's units, shape (k,).
         gain: Sum of whitened squares that the effect explains.
-        penalty: Expected gain by chance (Takeuchi), in the same unit.
+        penalty: Sum of whitened squares that it explains by chance, expected value (Takeuchi).
         statistic: Squared score over its variance by blocks after the fit; about chi-square with k
             degrees of freedom if nothing is missing.
         blocks: Score by block, shape (b, k).
@@ -64,7 +64,7 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Gain beyond that expected by chance."""
+        """Sum of whitened squares that the effect explains beyond those expected by chance."""
         return self.gain - 2.0 * self.penalty
 
     @property

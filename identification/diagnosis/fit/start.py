@@ -1,5 +1,5 @@
-"""Start of a diagnosis: fit of the nominal model to all equations, from the default estimator's
-values and from assumed falls of friction.
+"""Starts a diagnosis: fits the nominal model to all equations, from the default estimator's values
+and from assumed falls of friction.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Refinement of a fit within the limits of its nominal parameters, and the residual of these
+"""Refines a fit within the limits of its nominal parameters, and computes the residual of these
 parameters.
 
 The search compares effects by fits without limits. A machine has no negative friction and no

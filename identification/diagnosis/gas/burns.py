@@ -1,5 +1,5 @@
-"""Preprocessing of gas-generator recordings for the diagnosis: averaged pressure, and throat area
-from valve angle.
+"""Preprocesses gas-generator recordings for the diagnosis: averages the pressure, and computes the
+throat area from the valve angle.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Nominal constants of the gas generator with their tolerances.
+"""Lists the nominal constants of the gas generator with their tolerances.
 
 All constants are fitted together with the effects, each with a prior of its tolerance; else a
 throat two hundredths of a millimetre wider than drawn would be taken for missing physics.
@@ -55,7 +55,7 @@ CONSTANTS: Mapping[str, Constant] = {
 }
 """Name to tolerance, in the order in which they are fitted."""
 PROPELLANT = ("a", "n", "C_r")
-"""Constants that neither drawing nor calibration gives."""
+"""Constants that neither a drawing nor a calibration states."""
 VOLUME = Constant("m^3", 0.3, relative=True)
 """Free volume at the first row of each recording, not occupied by igniter and grain."""
 PRESSURE = Constant("Pa", 0.01, relative=True)

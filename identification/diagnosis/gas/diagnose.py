@@ -1,4 +1,4 @@
-"""Diagnosis of the gas generator: noise, test for a mismatch, location, effects and validation.
+"""Diagnoses the gas generator: noise, test for a mismatch, location, effects and validation.
 
 Validation recordings are scored once, at the end.
 """

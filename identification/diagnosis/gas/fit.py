@@ -1,4 +1,4 @@
-"""Joint fit, by forward simulation, of constants, start of each recording and effects."""
+"""Fits constants, start of each recording and effects jointly, by forward simulation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from identification.signals import BoolArray
 _STEP = 0.01
 """Step of numerical derivatives, in the units of the fit."""
 _STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
-"""Stages of the fit: factor on the prior of valve and sensors, relative gain of the cost below
+"""Stages of the fit: factor on the prior of valve and sensors, relative drop of the cost below
 which a stage ends, and greatest number of steps. Valve and sensors are almost fixed until the rest
 has converged; from a distant start they would drift away.
 """

@@ -1,5 +1,5 @@
-"""Rows of the pressure equation with the nominal tangent projected out, for the tests common to all
-equations.
+"""Makes the rows of the pressure equation, with the nominal tangent projected out, for the tests
+common to all equations.
 """
 
 from __future__ import annotations
@@ -117,8 +117,8 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Return (gain, size, shape) of an effect at all trial parameters by linear least squares,
-    greatest gain first.
+    """Fit an effect's size by linear least squares at each of its trial parameters; return (drop of
+    the sum of squares, size, trial parameters) of each, the largest drop first.
     """
     found = []
     for shape in term.shapes:

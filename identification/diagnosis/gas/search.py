@@ -1,5 +1,5 @@
-"""Forward selection of gas-generator effects by tests, with rivals, then removal of those no longer
-needed.
+"""Selects effects of the gas generator one by one by tests, compares each with its rivals, and
+removes effects that are no longer needed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Blocks of time, common to all equations, within which the mismatch may be correlated."""
+"""Divides time into blocks, common to all equations, within which the mismatch may be
+correlated.
+"""
 
 from __future__ import annotations
 

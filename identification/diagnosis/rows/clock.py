@@ -1,4 +1,4 @@
-"""Start of each recording in running time, from declared starts or time stamps."""
+"""Finds the start of each recording in running time, from declared starts or time stamps."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Generic families of regressors, which detect and locate a mismatch that is in no effect of the
-catalogue.
+"""Makes generic families of regressors, which detect and locate a mismatch that is in no effect of
+the catalogue.
 """
 
 from __future__ import annotations

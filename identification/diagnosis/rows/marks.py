@@ -1,5 +1,5 @@
-"""Marks of rest, reversal, breakaway and unsteady motion in a recording, with times and travel
-since then.
+"""Marks rest, reversal, breakaway and unsteady motion in a recording, and computes time and travel
+since the last mark.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""The nominal model at the full rate: torque, friction level and tangent, for regressors and joint
-refits.
+"""Computes the nominal model at the full rate, for regressors and joint refits: torque, friction
+level and tangent.
 
 It uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
 """
@@ -136,7 +136,9 @@ class Nominal:
         return _helping(view, self.undeclared)
 
     def helped(self, view: View) -> bool:
-        """Whether any load torque turns with the joint."""
+        """Whether a load that turns with the joint, declared or identified, acts in this
+        recording.
+        """
         return any(self.undeclared) or view.burdened
 
     def drive(self, view: View) -> Array:

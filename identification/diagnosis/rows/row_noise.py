@@ -1,4 +1,4 @@
-"""Noise of rows, from their differences."""
+"""Estimates the noise of rows from their differences."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Preprocessed recording for the diagnosis: full-rate signals on an even grid, and the filter to
+"""Preprocesses a recording for the diagnosis: full-rate signals on an even grid, and the filter to
 the stated bandwidth.
 
 Every regressor is formed from these signals at the full rate and then passes the same filter as the
@@ -160,7 +160,9 @@ class View:
 
 
 class _Origin(NamedTuple):
-    """Start of a recording in running time, s, and what is added to its joint angle, rad."""
+    """Start of a recording in running time, s, and the offset that is added to its joint angle,
+    rad.
+    """
 
     start: float
     shift: float
@@ -202,7 +204,8 @@ def views(
 def _shifts_of_zero(
     recordings: Sequence[Recording], starts: Sequence[float], valve_side: bool
 ) -> list[float]:
-    """Return what is added to the joint angle of each recording, rad, so that all have one zero.
+    """Return the offset that is added to the joint angle of each recording, rad, so that all have
+    one zero.
 
     The joint angle is the motor's, with the zero of the joint encoder in that recording
     (:func:`joint_angle`). If the motor's origin was kept, the zero of the first recording holds for

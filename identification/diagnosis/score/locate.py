@@ -1,4 +1,4 @@
-"""Location of the mismatch: its mean over each coordinate, with simultaneous bands."""
+"""Locates the mismatch: computes its mean over each coordinate, with simultaneous bands."""
 
 from __future__ import annotations
 

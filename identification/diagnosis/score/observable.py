@@ -1,5 +1,5 @@
-"""Observability of effects: which effects recordings can show, at which least size, and which they
-cannot distinguish.
+"""Computes which effects recordings can show, at which least size, and which they cannot
+distinguish.
 
 It is computed from excitation, channels and noise: from the regressors of the effects, with the
 nominal model's tangent projected out. The mismatch is not used.
@@ -128,8 +128,8 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
 def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
     """Return the parameters of an effect at the smallest size that the recordings can show.
 
-    The gain must be significant at ``level``, and at least the share of the noise below which an
-    effect is negligible.
+    The squares that the effect explains must be significant at ``level``, and at least the share of
+    the noise below which an effect is negligible.
     """
     linear: list[Mapping[str, float]] = []
     shaped: list[tuple[float, Mapping[str, float]]] = []

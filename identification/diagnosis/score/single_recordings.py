@@ -1,4 +1,6 @@
-"""Findings in intervals of single recordings, which maps over all recordings do not show."""
+"""Finds implausible rests and concentrated mismatch in single recordings, which maps over all
+recordings do not show.
+"""
 
 from __future__ import annotations
 

@@ -2,9 +2,9 @@
 regression, on the nominal model's mismatch.
 
 Both use the same data as the search: the same equations, whitened rows with the nominal tangent
-projected out, and the same regressors at the same trial shapes, with the physical signs of their
-coefficients. They lack the search's block-wise tests, joint refits with continuous shapes, test of
-adequacy, and rivals.
+projected out, and the same regressors at the same trial parameters, with the physical signs of
+their coefficients. They lack the search's block-wise tests, joint refits of the nonlinear
+parameters, test of adequacy, and rivals.
 
 Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
 461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
@@ -32,7 +32,9 @@ MOST_STEPS = 40
 """Greatest number of groups that greedy selection takes."""
 FOLDS = 4
 RIDGE = 1e-3
-"""Ridge, relative to the unit norm of the regressors, which keeps neighbouring shapes solvable."""
+"""Ridge, relative to the unit norm of the regressors, which keeps the equations of neighbouring
+trial parameters solvable.
+"""
 LEAST_THRESHOLD = 3.0
 """Norm of a contribution, over the noise of one row, at which the path begins; smaller ones occur
 by chance.
@@ -45,8 +47,8 @@ MOST_ROUNDS = 10
 
 @dataclass(frozen=True)
 class Group:
-    """One effect at one trial shape: its columns, and the indices of coefficients that must be
-    positive.
+    """One effect at one set of trial parameters: its columns, and the indices of coefficients that
+    must be positive.
     """
 
     name: str

@@ -1,6 +1,4 @@
-"""Comparison of fits: preference of the data between two fits, number of parameters, and
-plausibility.
-"""
+"""Compares fits by the preference of the data, the number of parameters, and plausibility."""
 
 from __future__ import annotations
 
@@ -22,11 +20,11 @@ from identification.model.units import LINEAR, PHASES, parameter_title
 from identification.recording import Array
 
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
-"""Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
-suit.
+"""Greatest torque and speed, and the travel, on the practical bench, for which the catalogue's
+ranges are stated.
 """
 USUAL_CURRENT_A, USUAL_VOLTAGE_V = 13.0, 40.0
-"""Greatest current and voltage there."""
+"""Greatest current and voltage on the practical bench."""
 
 
 @dataclass(frozen=True)

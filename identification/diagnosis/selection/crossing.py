@@ -1,5 +1,5 @@
-"""Discrimination of backlash from coupling hysteresis by the torque transmitted while one side
-moves and the other rests.
+"""Distinguishes backlash from coupling hysteresis by the torque transmitted while one side moves
+and the other rests.
 
 If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
 equal within the encoders' resolution. In a gap the drive supplies only the rotor's torque, T = J_r

@@ -191,7 +191,7 @@ def _with_rivals_judged(
         return joint, replace(taken, rivals=tuple(rivals))
     worse, rival, tried = min(better, key=lambda b: b[0])
     steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
-    # Stouffer's sum of what the fitted recordings and those set aside say.
+    # Stouffer's sum of the preferences of the fitted recordings and of those set aside.
     former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
     others = (r for r in rivals if r.name != rival.name)
     return tried, Round(rival.name, (former, *others))
@@ -241,7 +241,7 @@ def _step(
     action: str, name: str, gain: float, worth: float, case: _Case, alone: bool = False
 ) -> Step:
     if alone:
-        note = "is in one recording alone, so that no other can test it"
+        note = "occurs in one recording only, so that no other recording can test it"
         return Step(action, name, None, gain, note)
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):
@@ -310,8 +310,8 @@ def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequenc
 
 
 def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
-    """Whether a residual is beyond the noise in some equations; otherwise no effect can reduce
-    it.
+    """Whether the mean square of a residual over the named equations together exceeds the noise;
+    otherwise no effect can reduce it.
     """
     rows = np.concatenate([left[stack.part(name)] for name in names])
     return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
@@ -335,7 +335,7 @@ def _reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> flo
 
 def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
     """Return by how many standard errors, over blocks of time, the first residual is smaller than
-    the second in some equations.
+    the second in the named equations together.
 
     The rms of each block is compared; with squares a few blocks would decide.
     """

@@ -1,5 +1,5 @@
-"""Effects that these recordings cannot distinguish from an identified one, whatever the preference
-of the fit.
+"""Finds effects that these recordings cannot distinguish from an identified one, whatever the
+preference of the fit.
 
 If the regressors of another effect contain all but a hundredth of the identified effect's
 contribution, the fits differ by that hundredth only, and regressors are less exact than that for

@@ -1,4 +1,4 @@
-"""Selection of the next effects to fit if the mismatch of one equation dominates another's.
+"""Selects the next effects to fit if the mismatch of one equation dominates that of another.
 
 Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
 approximate regressor in one equation then has far larger squares than every missing effect in the

@@ -1,5 +1,5 @@
-"""Removal and replacement of selected effects: the gain of each given the others, and comparison
-with rivals.
+"""Removes and replaces selected effects, by the squares that each explains beside the others and by
+comparison with rivals.
 """
 
 from __future__ import annotations

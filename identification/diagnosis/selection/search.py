@@ -1,5 +1,5 @@
-"""Forward selection of effects by tests, comparison with rivals, and removal of effects no longer
-needed.
+"""Selects effects one by one by tests, compares each with its rivals, and removes effects that are
+no longer needed.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class _Test:
     """Result of a test whether anything is missing.
 
     Attributes:
-        trials: Effects of the catalogue at trial shapes.
+        trials: Effects of the catalogue at trial parameters.
         unnamed: Generic families.
         p_value: p-value of the test.
         loudest: Name of the most significant candidate.

@@ -1,4 +1,6 @@
-"""Effects of lever, weight and valve that eq. 10 to 13 and 17 omit, and of sampling times."""
+"""Computes the regressors of effects of lever, weight and valve that eq. 10 to 13 and 17 omit, and
+of sampling times.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Friction beyond eq. 9 and 13."""
+"""Computes the regressors of friction effects that eq. 9 and 13 omit."""
 
 from __future__ import annotations
 
@@ -139,8 +139,9 @@ def _initial_friction(view: View, nominal: Nominal) -> float:
     """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
-    direction, which no recording shows. This one number of the measured torque decays with the
-    first slip, so it explains nothing else.
+    direction, which no recording shows. The friction at the start is therefore taken from the
+    measured torque. Its contribution decays with the first slip, so that this one value cannot
+    account for any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]
@@ -180,7 +181,9 @@ def _coulomb_drift(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _left_of_the_start(view: View, shape: Shape) -> Array:
-    """Return what is left of a state at the start of the running time, shape (m,)."""
+    """Return the remaining share of a state that was 1 at the start of the running time, shape
+    (m,).
+    """
     return np.asarray(np.exp(-view.run_time / shape[0]))
 
 

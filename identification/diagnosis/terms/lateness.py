@@ -65,7 +65,7 @@ def delayed_view(view: View, late_s: float) -> View:
     the angle.
 
     The view is not delayed if the torque comes from a computed voltage. The last result is cached,
-    since most trial shapes use the same delay.
+    since most trial parameters use the same delay.
     """
     known = view.behind.get(late_s)
     if known is None:

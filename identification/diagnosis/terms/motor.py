@@ -1,4 +1,5 @@
-"""Effects of motor and supply on the drive's torque or voltage that eq. 1 omits.
+"""Computes the regressors of effects of motor and supply on the drive's torque or voltage that eq.
+1 omits.
 
 Regressors that depend on the torque use the nominal model's torque. The measured torque is on the
 other side of the equation and would explain everything.

@@ -24,9 +24,9 @@ EXACT, CLOSE, ROUGH = 1e-5, 1e-4, 1e-3
 """Shape error of a regressor: squares that its error leaves to other effects, over the squares that
 it explains.
 
-The classes are from 16 draws of each effect. In the first, other effects gained at most 1 to 13
-millionths of the strongest draw's squares, or nothing above 1 % of the noise; in the second up to
-15, or more in one draw only; in the third more.
+The classes are from 16 draws of each effect. In the first, other effects then explained at most 1
+to 13 millionths of the strongest draw's squares, or nothing above 1 % of the noise; in the second
+up to 15, or more in one draw only; in the third more.
 """
 
 

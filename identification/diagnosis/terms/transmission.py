@@ -1,5 +1,5 @@
-"""Effects between motor and valve: violations of assumption 5 that two encoders show, and power
-loss of the gear.
+"""Computes the regressors of effects between motor and valve: violations of assumption 5 that two
+encoders show, and power loss of the gear.
 """
 
 from __future__ import annotations

@@ -1,4 +1,6 @@
-"""Voltage that is lost with the sign of the current: inverter dead time, brush drop."""
+"""Computes the regressors of voltage drops with the sign of the current: inverter dead time, brush
+drop.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Compiled sine and cosine of large phases; most trial shapes of the catalogue are waves over an
+"""Compiled sine and cosine of large phases; most regressors of the catalogue are waves over an
 angle or time.
 """
 

@@ -1,5 +1,5 @@
-"""Test whether identified effects nearly cancel each other, so that their small sum is a pattern of
-its own.
+"""Tests whether identified effects nearly cancel each other, so that their small sum is a pattern
+of its own.
 
 A linear spring and a weight of opposite sign together make the torque of a hardening spring: each
 would be many times greater than their sum, and neither is there.

@@ -1,4 +1,4 @@
-"""Test whether the remaining torque mismatch is hysteretic, in which case the identified effect is
+"""Tests whether the remaining torque mismatch is hysteretic, in which case the identified effect is
 wrong.
 
 A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,

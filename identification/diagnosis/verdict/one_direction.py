@@ -1,4 +1,4 @@
-"""Test whether an identified effect acts in one direction of motion only; no effect of the
+"""Tests whether an identified effect acts in one direction of motion only; no effect of the
 catalogue has a size that depends on direction.
 
 Asymmetric friction, too, has the same size in both directions; the difference is in the friction,

@@ -1,4 +1,4 @@
-"""The sentence that states a verdict, and warnings on the recordings."""
+"""Writes the sentence that states a verdict, and warnings on the recordings."""
 
 from __future__ import annotations
 

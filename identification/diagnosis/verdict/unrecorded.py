@@ -1,5 +1,5 @@
-"""Effects that recordings cannot show because a common origin of their angles, or a common clock,
-was not recorded.
+"""Finds effects that recordings cannot show because a common origin of their angles, or a common
+clock, was not recorded.
 """
 
 from __future__ import annotations

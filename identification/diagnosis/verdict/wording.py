@@ -1,4 +1,4 @@
-"""Findings as plain sentences, with values and intervals in common engineering units.
+"""Writes findings as plain sentences, with values and intervals in common engineering units.
 
 A sentence of the catalogue has parameters in braces. A colon is followed by the unit to print
 (``{gap_rad:deg}``; with ``abs`` before it, the magnitude is printed), or by two words of which the

@@ -1,5 +1,5 @@
-"""Common bandwidth of recordings that are fitted together: the least that each of them allows, and
-enough for their motion.
+"""Chooses the common bandwidth of recordings that are fitted together: the least of their default
+bandwidths, or a greater one if the motion needs it.
 """
 
 from __future__ import annotations

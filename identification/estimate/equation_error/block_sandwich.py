@@ -1,4 +1,6 @@
-"""Covariance of equation-error estimates whose residuals are correlated in time (M10)."""
+"""Computes the covariance of equation-error estimates whose residuals are correlated in time
+(M10).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Torque noise floor of a fit: the part of the residual that does not repeat with the command.
+"""Computes the torque noise floor of a fit: the part of the residual that does not repeat with the
+command.
 
 Unmodelled physics causes the same error whenever a motion is repeated; noise does not repeat. The
 residuals e1 and e2 of two passes with equal inputs give e1 - e2, which has twice the variance of

@@ -1,4 +1,6 @@
-"""Linear regression of measured torque on the model's terms, unloaded (M7) and loaded (M8)."""
+"""Formulates the linear regression of the measured torque on the model's terms, unloaded (M7) and
+loaded (M8).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Estimating equations: prediction errors are uncorrelated with the instruments (M27, M29).
+"""Solves the estimating equations: prediction errors are uncorrelated with the instruments (M27,
+M29).
 
 Least squares and maximum likelihood of the prediction errors give a biased inertia. The cause is
 the drive: its current loop carries noise of the current sensor to the true torque, and its velocity

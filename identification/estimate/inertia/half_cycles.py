@@ -1,7 +1,9 @@
-"""Sensitivities over single motion segments, from recordings and from simulated replicates.
+"""Pairs each motion segment of a recording with its counterparts in the simulated replicates, and
+averages their sensitivities.
 
-Breakaway times differ slightly between noise realisations. The curves of sensitivities are
-therefore aligned by the time since breakaway.
+The averages serve as instrumental variables (M28) and for the Cramér-Rao bound. Breakaway times
+differ slightly between noise realisations; the curves are therefore shifted to a common breakaway
+time before they are averaged.
 """
 
 from __future__ import annotations

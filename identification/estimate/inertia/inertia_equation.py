@@ -1,4 +1,4 @@
-"""The estimating equation of the inertia alone, with all other unknowns eliminated (M30-M32).
+"""Makes the estimating equation of the inertia alone, with all other unknowns eliminated (M30-M32).
 
 The instrument of the inertia is made orthogonal to the instruments of all other unknowns, so that
 errors of these unknowns have an effect of second order only.

@@ -1,4 +1,4 @@
-"""Instruments of motion segments: sensitivities without the segment's own noise (M28).
+"""Computes the instruments of motion segments: sensitivities without the segment's own noise (M28).
 
 A segment's own sensitivities contain the noise of its measured torque, and so do its prediction
 errors, because the drive follows that noise within its bandwidth. The mean over matching half

@@ -46,7 +46,7 @@ def try_refinements(
         if not isinstance(other, str):
             also = refusal(other, before, error(other.values), limits)
             return (
-                (refined, f"{fault}; nor is it noise of the torque: {also}")
+                (refined, f"{fault}; correlated torque noise does not explain it either: {also}")
                 if also
                 else (other, "")
             )

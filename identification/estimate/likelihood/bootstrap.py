@@ -1,4 +1,4 @@
-"""Bootstrap over motion segments: spread of the estimates from segments drawn with replacement.
+"""Computes the spread of the estimates by a bootstrap: motion segments are drawn with replacement.
 
 The bootstrap assumes only that the errors of different segments are independent, so that it checks
 intervals that depend on a noise model (Efron and Tibshirani, An Introduction to the Bootstrap,

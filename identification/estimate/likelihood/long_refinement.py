@@ -1,4 +1,4 @@
-"""Maximum likelihood of long recordings in bounded memory, by passes over their pieces (M44).
+"""Maximises the likelihood of long recordings in bounded memory, by passes over their pieces (M44).
 
 The objective is a sum over motion segments, which have only the parameters in common. For each
 piece the breakaway times are optimised with fixed parameters, and the piece is reduced to its

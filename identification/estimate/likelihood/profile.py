@@ -1,4 +1,5 @@
-"""Profile likelihood of each parameter: deviance over its value, with the others optimised.
+"""Computes the profile likelihood of each parameter: deviance over its value, with the others
+optimised.
 
 At each value of the one parameter, all other parameters and all breakaway times are optimised. The
 estimate does not maximise a likelihood, because the inertia solves an estimating equation (M31).
@@ -36,7 +37,7 @@ REACH = (0.8, 1.6, 2.4, 3.2)
 LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
-"""Gain of half the deviance below which no further step is taken."""
+"""Drop of half the deviance by a step, below which no further step is taken."""
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4

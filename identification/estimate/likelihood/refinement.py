@@ -1,4 +1,6 @@
-"""The final estimate: by prediction errors if the acceptance tests pass, else by equation error."""
+"""Makes the final estimate: by prediction errors if the acceptance tests pass, else by equation
+error.
+"""
 
 from __future__ import annotations
 

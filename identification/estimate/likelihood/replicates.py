@@ -1,4 +1,5 @@
-"""Bias of maximum likelihood, from simulations of the experiment at the estimate (M33-M36).
+"""Computes the bias of maximum likelihood from simulations of the experiment at the estimate
+(M33-M36).
 
 Just after a breakaway friction falls steeply with speed. The filter is linearised about its
 prediction and overestimates how much noise accelerates the start of the motion. In addition, the

@@ -45,7 +45,7 @@ _START_CLIP = 10.0
 _SEEKS = 3
 """Greatest number of alternations between a fit and a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
-"""Gain of the negative log likelihood below which a fit ends."""
+"""Drop of the negative log likelihood by a step, below which a fit ends."""
 _LEAST_RESOLVED = 0.05
 _BESIDE = (
     ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
@@ -56,7 +56,7 @@ the parameter and factor on the parameter.
 """
 _ROUNDS = 2
 """Greatest number of rounds of searches from far or near neighbours, each round from the best end
-so far; the second round follows only after a gain.
+so far; the second round follows only if the first finds a better end.
 """
 _APART = 0.1
 """Relative difference of the Stribeck speed, or of the rise, above which two ends are in different

@@ -1,4 +1,5 @@
-"""The unloaded, loaded and joint fit of the prediction errors, started from the equation error.
+"""Makes the unloaded, loaded and joint fit of the prediction errors, started from the equation
+error.
 
 The unknowns are the parameters and the breakaway time of each segment. The torque that is measured
 at the breakaway time ties this time to the static limit (M22). Least squares with fixed inertia

@@ -19,7 +19,7 @@ empty if the inertia is fixed.
 """
 _AGAIN = 2
 """Greatest number of further solutions that start from the best end if no start leads to a
-solution; the first without a gain is the last.
+solution; the first one without an improvement is the last.
 """
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Start values of the inertia, relative to the inertia of the equation error, which noise biases

@@ -6,9 +6,9 @@ parameters fixed and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum
 0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
 
 This module defines three points that the paper does not state. Friction opposes motion, so eq. 13
-and 15 contain sgn(omega). Samples at rest are omitted, because friction then balances the drive and
-gives an inequality, not an equation. The search box follows from the size of the recorded signals
-(:func:`search_box`). The method gives no intervals.
+and 15 contain sgn(omega). Samples at rest are omitted, because friction and drive then obey an
+inequality and no equation. The search box follows from the size of the recorded signals
+(:func:`search_box`). The method computes no intervals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,5 @@
-"""One stage of the paper's equation error (eq. 15, 16) as a bounded problem for any optimiser.
+"""Formulates one stage of the paper's equation error (eq. 15, 16) as a bounded problem for any
+optimiser.
 
 All optimisers use the same samples, the same cost sqrt(sum e(k)^2), the same box and the
 coordinates of the paper: x = [Mc, Ms, omega_sf, sigma_2, J] without load, x = [mu_c, mu_s,

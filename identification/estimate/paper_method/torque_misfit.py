@@ -1,4 +1,4 @@
-"""The norm of the torque error of eq. 15/16 for a whole population of candidates at once.
+"""Computes the norm of the torque error of eq. 15/16 for a whole population of candidates at once.
 
 At a given Stribeck speed the model is linear in all other parameters. The squared norm over all
 samples is therefore a combination of constant moments of the data and five sums over

@@ -62,7 +62,7 @@ def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[C
     and the one from the fits to drawn recordings.
 
     Args:
-        pieces: What was fitted.
+        pieces: The fitted pieces of recordings.
         found: The fit.
         points: Coordinates of the drawn fits, shape (r, p).
     """

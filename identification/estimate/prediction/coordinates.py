@@ -1,4 +1,5 @@
-"""Search coordinates of the fit to the predicted angle: friction, motor constants, delay (M50).
+"""Defines the search coordinates of the fit to the predicted angle: friction, motor constants,
+delay (M50).
 
 The coordinates contain rises instead of static levels, and the logarithms of the Stribeck speed and
 of the ratios of motor constants. The lateness is the time by which a logged command acts late. All
@@ -51,7 +52,7 @@ class Scales:
 
 @dataclass(frozen=True)
 class Axis:
-    """One coordinate: its bounds, and its step for finite differences."""
+    """Bounds of one coordinate, and its step for finite differences."""
 
     low: float
     high: float

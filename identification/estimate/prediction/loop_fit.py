@@ -21,7 +21,8 @@ Beyond this error the cost is linear, so that a recording that no friction model
 limited influence.
 """
 TOLERANCE, MOST_STEPS = 1e-3, 40
-"""Gain of a step, as a share of the cost, below which a search ends, and greatest number of steps.
+"""Drop of the cost by a step, as a share of the cost, below which a search ends, and greatest
+number of steps.
 """
 COARSE_TOLERANCE, COARSE_STEPS = 0.02, 12
 """The same two limits for the search from each of several starts; only the best end is searched
@@ -56,7 +57,7 @@ class LoopFit:
 
     @property
     def point(self) -> Point:
-        """The parameters."""
+        """The parameters at the end of the search."""
         return self.coordinates.point(self.x)
 
 

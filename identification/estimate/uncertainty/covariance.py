@@ -1,4 +1,4 @@
-"""Covariance of the likelihood estimate and its Cramer-Rao bound (M38-M41)."""
+"""Computes the covariance of the likelihood estimate and its Cramer-Rao bound (M38-M41)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""Cramer-Rao bound of an experiment: the least variance of any unbiased estimate (M37, M38).
+"""Computes the Cramer-Rao bound of an experiment: the least variance of any unbiased estimate (M37,
+M38).
 
 The bound holds for a measured current that is a given input, because the drive loop is unknown, for
 a quantised encoder, and for unknown breakaway times. The Fisher information is computed from the
@@ -7,8 +8,8 @@ samples (Ljung, System Identification, 2nd ed., 7.4), breakaway times eliminated
 
 The sensitivities of a segment contain the current noise, whose square would count as excitation.
 With replicates, products of sensitivities from two different noise realisations are used. Without
-replicates, the mean over matching half cycles is used. The share of the noise falls with the number
-of half cycles, but the mean loses differences between half cycles, so that this bound is up to a
+replicates, the mean over matching half cycles is used. More half cycles reduce the noise in the
+mean, but the mean loses the differences between half cycles; this bound is therefore up to a
 quarter too high.
 """
 

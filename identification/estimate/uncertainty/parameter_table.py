@@ -1,4 +1,6 @@
-"""Parameter table and fit errors: values, intervals, reasons for withheld values (M43)."""
+"""Makes the parameter table with values, intervals and reasons for withheld values (M43), and
+computes the fit errors.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""YAML text of a record with a comment on every key: meaning, unit and default."""
+"""Writes a record as YAML text with a comment on every key: meaning, unit and default."""
 
 from __future__ import annotations
 

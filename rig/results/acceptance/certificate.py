@@ -1,5 +1,5 @@
-"""Content of the certificate of a run as text; the certificate is then written as HTML and as
-PDF.
+"""Collects the content of the certificate of a run as text; the certificate is then written as HTML
+and as PDF.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ class Certificate:
     Attributes:
         title: Heading.
         accepted: Whether the run is accepted.
-        facts: Name and value of what was run, where, when and by whom.
-        checks: Limits, what was found, and the verdict.
+        facts: Name and value of each fact on run, bench, time and operator.
+        checks: Limits, found values and verdicts.
         constants: Identified constants; None where none were needed.
         masses: Stages with their masses.
         devices: Identities of the devices.
         calibrations: Calibrations and due dates; None where the bench file names none.
         digests: Files and their SHA-256.
-        figure: What says the result.
+        figure: Figure that shows the result.
         made: Program and time.
     """
 
@@ -71,7 +71,7 @@ def make_certificate(
     Args:
         folder: The run folder.
         bench: Name of the bench.
-        evidence: What the run shows.
+        evidence: Values of the run that the limits apply to.
         checks: Its limits, judged.
         digests: File of the run folder to its SHA-256.
         made: Program and time.

@@ -50,7 +50,7 @@ class Evidence:
         fit_rms: Torque error of the identification; None without one.
         diagnosis: Verdict of the diagnosis; empty where it was not needed.
         weights: Stage to verdict and message of its last weight check.
-        problems: Messages on what could not be had.
+        problems: Messages on values that could not be obtained.
     """
 
     record: RunRecord

@@ -24,9 +24,9 @@ class Check:
 
     Attributes:
         limit: The limit as written.
-        passed: Whether it was kept; what is not known fails.
-        words: What was found, with the remedy where nothing was.
-        value: What was found, in ``unit``; None where that is no number or not known.
+        passed: Whether the limit is met; an unknown value fails.
+        words: Message on the found value, with the remedy if there is none.
+        value: Found value, in ``unit``; None if it is unknown or not a number.
         low: Lower end of its 90 % interval; None without one.
         high: Upper end of it.
         unit: Unit of these values.

@@ -26,7 +26,7 @@ class Compared:
 
     Attributes:
         run: Its folder, as given.
-        entry: What is known of it.
+        entry: Its entry in the catalogue of runs.
         details: Its constants.
     """
 
@@ -41,8 +41,8 @@ class Difference:
 
     Attributes:
         name: Name of the constant.
-        first: Of the first run.
-        other: Of the other run; None where it has none.
+        first: Value in the first run.
+        other: Value in the other run; None if that run has none.
         change: Difference; None where either is not known.
         joint: Half width of the 90 % interval of the difference, both estimates being
             independent; None where either has no interval.
@@ -67,7 +67,7 @@ def require_comparable(runs: Sequence[Compared]) -> None:
     motion.
 
     Raises:
-        InputError: One has none, or they are of different motions.
+        InputError: A run has no identified parameters, or the kinds of motion differ.
     """
     bare = [str(each.run) for each in runs if not each.details.constants]
     if bare:

@@ -23,7 +23,7 @@ def listing_document(root: Path, entries: Sequence[Entry], hidden: int = 0) -> D
     Args:
         root: The searched folder.
         entries: The runs to show, the earliest first.
-        hidden: How many were left out by the choice.
+        hidden: Number of runs that the selection leaves out.
     """
     header, rows = _HEADER, [_row(root, entry) for entry in entries]
     cells = Table(header, tuple(rows), ())

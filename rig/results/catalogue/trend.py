@@ -1,5 +1,5 @@
-"""Trend of each identified parameter over the runs of a bench, with a test for change at a stated
-false-alarm rate.
+"""Tests each identified parameter of a bench for a change over the runs, at a stated false-alarm
+rate.
 """
 
 from __future__ import annotations
@@ -31,9 +31,10 @@ class Course:
         name: Name of the constant.
         runs: Index of the run of each value, in the history.
         constants: The values with their intervals.
-        change: What fits best; None with too few runs.
-        p_value: Of the change, for all constants of the history together; None without a test.
-        with_devices: Devices that changed just where the step is.
+        change: The step or drift that fits best; None with too few runs.
+        p_value: p-value of the change, for all constants of the history together; None without a
+            test.
+        with_devices: Devices that were replaced at the step.
     """
 
     name: str
@@ -60,7 +61,7 @@ class History:
         runs: Folders, in the order of time.
         begun: When each run began.
         courses: Every constant over these runs.
-        left_out: Messages on runs that do not count.
+        left_out: Messages on the runs that are left out.
     """
 
     bench: str
@@ -81,7 +82,7 @@ def histories(
     Args:
         root: The searched folder.
         entries: The runs, the earliest first.
-        seed: Of the simulated distribution of the test.
+        seed: Seed of the simulated distribution of the test.
         only: The one constant to follow, and only the histories that have it; None for all. It is
             judged as it is among all of them.
     """
@@ -133,7 +134,7 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
 
     Args:
         history: Details of the runs in the order of time.
-        seed: Of the simulated distribution of the test.
+        seed: Seed of the simulated distribution of the test.
         only: The one constant to yield; the rate is still of all of them. None for all.
     """
     found = {name: _determined(name, history) for each in history for name in each.constants}

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from identification.design.pinning import Pinned
+from identification.design.intervals import Intervals
 from rig.common.tables import number, percent
 from rig.config.sequence import StageSection
 from rig.results.design.experiment import Experiment
-from rig.results.design.proposal import pinned_words
+from rig.results.design.proposal import intervals_words
 from rig.results.document import Document, Note, Section, Table
 
 
@@ -22,7 +22,7 @@ def plan_document(experiment: Experiment) -> Document:
 
 
 def _summary(experiment: Experiment) -> Iterator[Section]:
-    now, then = experiment.proposal.present, experiment.proposal.pinned
+    now, then = experiment.proposal.present, experiment.proposal.proposed
     sequence, proposed = experiment.sequence.name, experiment.proposed.name
     head = (
         "90 % interval over the value, half width, from simulated replicates of the nominal model:"
@@ -30,8 +30,8 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
     yield Section("", (Note(head),))
     yield Section("", (_widths(experiment),))
     lines = (
-        f"{sequence}: {pinned_words(now)}",
-        f"{proposed}: {pinned_words(then)}",
+        f"{sequence}: {intervals_words(now)}",
+        f"{proposed}: {intervals_words(then)}",
         _advice(experiment),
     )
     yield Section("", tuple(map(Note, lines)))
@@ -46,7 +46,7 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
 
 
 def _widths(experiment: Experiment) -> Table:
-    now, then = experiment.proposal.present, experiment.proposal.pinned
+    now, then = experiment.proposal.present, experiment.proposal.proposed
     names = (experiment.sequence.name, experiment.proposed.name)
     rows = tuple(
         (
@@ -74,7 +74,7 @@ def _advice(experiment: Experiment) -> str:
     sequence.
     """
     aim = f"aimed at {experiment.proposal.weakest}, which is determined least accurately now"
-    if experiment.proposal.pinned == experiment.proposal.present:
+    if experiment.proposal.proposed == experiment.proposal.present:
         return (
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
             "identified, so the sequence is proposed as it is; another --seed tries others"
@@ -92,12 +92,12 @@ def _drive(experiment: Experiment) -> str:
     return f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
 
 
-def _width(found: Pinned, name: str) -> str:
+def _width(found: Intervals, name: str) -> str:
     width = found.half_widths[name]
     return percent(100.0 * width) if math.isfinite(width) else "not determined"
 
 
-def _gain(now: Pinned, then: Pinned, name: str) -> str:
+def _gain(now: Intervals, then: Intervals, name: str) -> str:
     ratio = now.half_widths[name] / then.half_widths[name]
     return f"{ratio:.2g}" if math.isfinite(ratio) else "-"
 

@@ -70,11 +70,11 @@ def plan_experiment(
     same duration.
 
     Args:
-        sequence: The experiment in mind.
+        sequence: The experiment to assess.
         bench: Its limits, sensors and stated constants; the simulated machine's section is not
-        used.
-        nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's
-        nominal values.
+            used.
+        nominal_file: Result of ``rig identify --json`` on this bench; None for the default nominal
+            values.
         current_noise_A: Noise of the logged current, A rms; None for the value in the nominal file,
             or a thousandth of the current limit.
         seed: Seed of the search.
@@ -116,7 +116,7 @@ def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
     """Check that an experiment can be planned from every stage.
 
     Raises:
-        InputError: One has a ramp or a hot firing.
+        InputError: A stage has a ramp or is a hot firing.
     """
     sequence.require(
         (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from identification.design.pinning import NAMES
+from identification.design.intervals import NAMES
 from identification.model.nominal import NOMINAL
 from identification.recording import Recording
 from rig.common.errors import InputError
@@ -70,7 +70,7 @@ def nominal_values(path: Path | None) -> NominalValues:
     open_names = [n for n in NAMES if n not in found]
     words = f"the identification {path}"
     if open_names:
-        words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
+        words += f"; {', '.join(open_names)}, which it does not determine, at their default values"
     weakest = max(widths, key=lambda n: widths[n]) if widths else None
     return NominalValues({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
 

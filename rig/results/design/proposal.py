@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from identification.design.pinning import Pinned
+from identification.design.intervals import Intervals
 from rig.common.tables import percent
 from rig.config.sequence import Sequence
 from rig.results.design.experiment import Experiment
@@ -19,11 +19,11 @@ PROPOSAL_FILE = "proposal.yaml"
 
 def proposal_text(experiment: Experiment, bench: str) -> str:
     """Return the sequence file of a proposal; a comment states its purpose."""
-    pinned = pinned_words(experiment.proposal.pinned)
+    determined = intervals_words(experiment.proposal.proposed)
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
         f"{bench}, seed {experiment.seed}.\n"
-        f"# Nominal: {experiment.nominal_source}.\n# {pinned}.\n"
+        f"# Nominal: {experiment.nominal_source}.\n# {determined}.\n"
     )
     return head + yaml.safe_dump(
         plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
@@ -36,7 +36,7 @@ def plain_sequence(sequence: Sequence) -> dict[str, Any]:
     return {"sequence": sequence.sequence, **given}
 
 
-def pinned_words(found: Pinned) -> str:
+def intervals_words(found: Intervals) -> str:
     """Return a message on the number of determined parameters and on the least accurate one."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:

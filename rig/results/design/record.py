@@ -1,10 +1,10 @@
-"""JSON record of a planned experiment, in the form of the contract."""
+"""Converts a planned experiment to the JSON record of ``rig identify --plan --json``."""
 
 from __future__ import annotations
 
 from typing import Any
 
-from identification.design.pinning import Pinned
+from identification.design.intervals import Intervals
 from rig.common.provenance import utc_now, versions
 from rig.common.result_files import finite
 from rig.config.sequence import Sequence
@@ -29,17 +29,17 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
         "nominal": {"source": experiment.nominal_source, "values": dict(experiment.nominal.values)},
         "current_noise_A": experiment.current_noise_A,
         "aimed_at": experiment.proposal.weakest,
-        "present": _pinned_record(experiment.sequence, experiment.proposal.present),
-        "proposed": _pinned_record(experiment.proposed, experiment.proposal.pinned),
+        "present": _intervals_record(experiment.sequence, experiment.proposal.present),
+        "proposed": _intervals_record(experiment.proposed, experiment.proposal.proposed),
         "fisher_half_widths": {
-            n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()
+            n: finite(w) for n, w in experiment.proposal.predicted.half_widths.items()
         },
         "judged": experiment.proposal.judged,
         "rehearsed": experiment.proposal.identified,
     }
 
 
-def _pinned_record(sequence: Sequence, found: Pinned) -> dict[str, Any]:
+def _intervals_record(sequence: Sequence, found: Intervals) -> dict[str, Any]:
     return {
         "sequence": plain_sequence(sequence),
         "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},

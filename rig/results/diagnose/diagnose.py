@@ -78,8 +78,8 @@ def diagnose_source(
         progress: Called with the current step and the completed share.
         refine: Whether nominal parameters are those of ``rig identify`` if nothing is missing, and
             refitted by prediction errors, with the effects subtracted, if something is; above
-            :data:`REFINED_SAMPLES` samples no refit is made. A gas generator's are always
-            refitted.
+            :data:`REFINED_SAMPLES` samples no refit is made. The parameters of a gas generator are
+            always refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
         a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas

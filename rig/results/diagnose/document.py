@@ -60,7 +60,7 @@ def diagnose_document(
         name: Name of the source.
         outcome: The result.
         exports: The files next to the page.
-        facts: What the page states first, such as bench, date and operator.
+        facts: Facts at the top of the page, such as bench, date and operator.
     """
     found = outcome.diagnosis
     return Document(
@@ -115,16 +115,18 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
     )
     if found.effects:
         effects = (_effect(effect, found) for effect in found.effects)
-        yield Section("What was left out", (_effect_table(outcome), *effects))
+        yield Section("Identified effects", (_effect_table(outcome), *effects))
     yield Section("Error before and after", (fit_table(found),))
-    yield Section("Where", (*_if_any(where_table(found)), *_curve(found), *_maps(found)))
+    yield Section(
+        "Location of the mismatch", (*_if_any(where_table(found)), *_curve(found), *_maps(found))
+    )
     if rivals := _if_any(rival_table(found)):
         yield Section("Rivals", (*rivals, *_rivals(found)))
     if shifts := _if_any(shift_table(found)):
         note = Note("Nominal parameters fitted without and with the correction.", "aside")
-        yield Section("What it had bent", (note, *shifts))
+        yield Section("Change of the nominal parameters", (note, *shifts))
     if steps := _if_any(step_table(found)):
-        yield Section("How the search went", steps)
+        yield Section("Steps of the search", steps)
     yield Section("Recordings", tuple(_recordings(found)))
     if exports.files:
         files = tuple((file.name, file.use) for file in exports.files)

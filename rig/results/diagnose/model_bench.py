@@ -2,9 +2,6 @@
 
 Effects and parameters have the same names in results and in the simulated machine; only this module
 maps the names.
-
-Effects and parameters have the same names in results and in the simulated machine; only this module
-maps them.
 """
 
 from __future__ import annotations
@@ -90,7 +87,7 @@ def model_bench(
     if missing or absent or constants.motion != "rotary":
         why = ", ".join([*missing, *absent]) or "rotary motion"
         raise InputError(
-            f"a simulated bench needs {why}, which the result or its recordings do not give"
+            f"a simulated bench needs {why}, which the result and its recordings do not contain"
         )
     bench = json.loads(json.dumps(base))
     mock = bench.setdefault("mock", {})

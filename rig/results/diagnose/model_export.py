@@ -23,15 +23,16 @@ _TABLES: Mapping[str, Mapping[str, Callable[..., Any]]] = {
     "VOLTAGE": motor.VOLTAGE,
 }
 _HEAD = '''\
-"""Corrected model of {name}: what the motion asks of the drive, and what its sensors show.
+"""Corrected model of {name}: torque that the motion requires of the drive, and
+readings of its sensors.
 
-Needs numpy alone.
+Needs only numpy.
 
     s = signals(M, time, angle, velocity, acceleration, contact_force=3000.0, current=current)
-    torque(s)        N m at the joint that the motion asks for
-    drive(s)         N m at the joint that the logged current gives; torque(s) but for noise
+    torque(s)        torque that the motion requires, N m at the joint
+    drive(s)         torque of the logged current, N m at the joint; torque(s) plus noise
     twist(s)         motor_angle / i - angle, rad
-    voltage(s)       V that the logged current asks for
+    voltage(s)       voltage that the logged current requires, V
 
 Effects: {effects}.
 """
@@ -50,12 +51,12 @@ CURVE: Any = {curve}
 '''
 _TAIL = '''\
 def torque(s: Any) -> Array:
-    """Return the torque that the motion asks of the drive, N m at the joint, shape (n,)."""
+    """Return the torque that the motion requires of the drive, N m at the joint, shape (n,)."""
     return _sum(nominal_torque(s, M), TORQUE, s) + _curve("torque", s)
 
 
 def drive(s: Any) -> Array:
-    """Return the torque that the logged current gives, N m at the joint, shape (n,)."""
+    """Return the torque of the logged current, N m at the joint, shape (n,)."""
     return _sum(s["drive"], DRIVE, s)
 
 
@@ -65,7 +66,7 @@ def twist(s: Any) -> Array:
 
 
 def voltage(s: Any) -> Array:
-    """Return the voltage that the logged current asks for, V, shape (n,)."""
+    """Return the voltage that the logged current requires, V, shape (n,)."""
     return _sum(nominal_voltage(s, M), VOLTAGE, s) + _curve("voltage", s)
 
 

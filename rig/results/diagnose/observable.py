@@ -37,7 +37,7 @@ class Seen:
 
     Attributes:
         dataset: The recordings.
-        effects: What they can show of each effect.
+        effects: Observability of each effect in the recordings.
         provenance: Seed, inputs, time.
     """
 

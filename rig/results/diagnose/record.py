@@ -1,4 +1,4 @@
-"""JSON record of a diagnosis, in the form of the contract."""
+"""Converts a diagnosis to the JSON record of ``rig diagnose --json``."""
 
 from __future__ import annotations
 

@@ -61,7 +61,7 @@ def identify_document(
         name: Name of the source.
         outcome: The result; figures of single recordings show the first method.
         truth: True values of a simulated bench, only for display.
-        facts: What the page states first, such as bench, date and operator.
+        facts: Facts at the top of the page, such as bench, date and operator.
     """
     results = outcome.results
     return Document(

@@ -53,9 +53,8 @@ COMPARED_SEEDS = 5
 """Number of seeds from which each stochastic search is run."""
 _FED = (
     "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
-    "and breakaways are "
-    "lost; static friction and Stribeck speeds may be off by tens of percent, outside their "
-    "intervals; identify a run without feed-forward"
+    "and breakaways are lost; static friction and Stribeck speeds may be wrong by tens of "
+    "percent, outside their intervals; identify a run without feed-forward"
 )
 
 

@@ -1,4 +1,4 @@
-"""Parameter tables for terminal and report."""
+"""Makes the parameter tables for terminal and report."""
 
 from __future__ import annotations
 

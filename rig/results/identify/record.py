@@ -1,4 +1,4 @@
-"""JSON record of an identification, in the form of the contract."""
+"""Converts an identification to the JSON record of ``rig identify --json``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Table of the friction models fitted to the simulated angle, with explanatory lines."""
+"""Makes the table of the friction models fitted to the simulated angle, with explanatory lines."""
 
 from __future__ import annotations
 

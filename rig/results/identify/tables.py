@@ -1,5 +1,5 @@
-"""Tables of an identification with explanatory lines: fits, stages, recordings, other estimators,
-the ladder of friction models, transfer to other recordings.
+"""Makes the tables of an identification with explanatory lines: fits, stages, recordings, other
+estimators, the ladder of friction models, transfer to other recordings.
 """
 
 from __future__ import annotations

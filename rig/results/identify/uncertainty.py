@@ -1,5 +1,5 @@
-"""Uncertainty of an identification: trade-offs, active bounds, starts and profiles, as text,
-tables and pictures.
+"""Shows the uncertainty of an identification as text, tables and pictures: trade-offs, active
+bounds, starts and profiles.
 """
 
 from __future__ import annotations
@@ -165,7 +165,9 @@ def constants_table(result: Identification) -> Table:
                 ", ".join(f"{name} {100.0 * shares[name]:+.3g} %" for name in most) or "nothing",
             )
         )
-    return Table(("constant", "value", "uncertainty", "one of it moves most"), tuple(rows), (1, 2))
+    return Table(
+        ("constant", "value", "uncertainty", "changed most by one uncertainty"), tuple(rows), (1, 2)
+    )
 
 
 def bootstrap_table(result: Identification) -> Table:

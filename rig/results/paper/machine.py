@@ -1,5 +1,5 @@
-"""Data of the packaged benches for the figures: the true machine, and an identification from a
-run.
+"""Provides data of the packaged benches for the figures: the true machine, and an identification
+from a run.
 """
 
 from __future__ import annotations

@@ -57,7 +57,8 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
         (
             f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
             _words(
-                "With the torque offset computed from parameters that a log of this bench gave",
+                "With the torque offset computed from parameters identified from a log of "
+                "this bench",
                 track(fed[0]),
             ),
         ),
@@ -70,8 +71,8 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
         "fig_9",
         "Fig. 9: a position loop that should turn uniformly",
         "The speed, or angle, of the regulator under a command of uniform motion: stick-slip "
-        "instead. It is why the "
-        "paper holds the conventional identification (eq. 14) for impossible here.",
+        "instead. For this reason the paper regards the conventional identification (eq. 14) as "
+        "impossible here.",
         tuple(
             _words(f"{name}, {how}", track(recording))
             for name, pair in zip(names, pairs, strict=True)

@@ -1,4 +1,4 @@
-"""JSON record of the reproduced tables and figures, in the form of the contract."""
+"""Converts the reproduced tables and figures to the JSON record of ``rig paper --json``."""
 
 from __future__ import annotations
 

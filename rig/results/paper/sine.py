@@ -44,9 +44,8 @@ def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
     return Exhibit(
         "compensation",
         "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
-        "Friction is said to raise control error and power consumption, and the model to be a "
-        "starting point for "
-        "compensation; none is shown.",
+        "The paper states that friction raises control error and power consumption, and that "
+        "the model is a starting point for compensation; it shows no compensation.",
         (
             f"{SEQUENCE} on {BENCH}, stiff gains, identified from a log of its own: command less "
             f"joint encoder, and "

@@ -150,7 +150,7 @@ def _over_seeds(found: Reproduction) -> Exhibit:
     return Exhibit(
         "errors",
         "Tables 1 and 2 over the seeds",
-        "One identification of each case; nothing is said of others.",
+        "One identification of each case; the paper reports no others.",
         ("Every seed of both methods, and the printed error as a bar.",),
         (
             Picture.of("errors", "Errors over the seeds", spread(errors, printed, list(PRINTED))),

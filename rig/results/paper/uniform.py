@@ -96,8 +96,8 @@ def exhibit(study: UniformStudy) -> Exhibit:
         "eq_14",
         "Eq. 14: the conventional method, friction from uniform motion",
         "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the "
-        "friction. Called almost "
-        "impossible here, as stick-slip defeats uniform motion; no figures are given.",
+        "friction. The paper calls this almost impossible here, because stick-slip prevents "
+        "uniform motion; it gives no figures.",
         tuple(_words(gains, study.points[gains]) for gains in study.points)
         + _verdict(fits, study.truth),
         (
@@ -119,9 +119,8 @@ def _words(gains: str, points: Sequence[UniformPoint]) -> str:
         return f"{sum(p.uniform for p in chosen)} of {len(chosen)}"
 
     return (
-        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} stretches without "
-        f"weight, "
-        f"in {count(True)} under 3000 N."
+        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} intervals without "
+        f"weight, in {count(True)} under 3000 N."
     )
 
 

@@ -36,13 +36,12 @@ def exhibit() -> Exhibit:
         "fig_3",
         "Fig. 3: impacted and effective throat area",
         "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; "
-        "the greatest throat is "
-        "the sum of both areas; the valve turns from 0 to 30 deg. The curve is said to follow, "
-        "and is not printed.",
+        "the greatest throat is the sum of both areas; the valve turns from 0 to 30 deg. The "
+        "paper announces the curve, but does not print it.",
         (
             f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate is "
-            f"clear at "
-            f"{clear:.2f} deg, where the paper says 30; A_s + A_t = {total:.5g} m^2 throughout.",
+            f"clear at {clear:.2f} deg, the paper states 30; A_s + A_t = {total:.5g} m^2 "
+            "throughout.",
         ),
         (
             Picture.of(

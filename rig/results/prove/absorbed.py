@@ -49,7 +49,7 @@ def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
 
 
 def floors_of(campaign: Path) -> dict[str, float]:
-    """Return the nominal model's residual on a campaign of a rig without effects; empty if the
+    """Return the nominal model's residual on the campaign of a trial without effects; empty if the
     model cannot be fitted.
 
     Raises:

@@ -116,7 +116,7 @@ def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
     Args:
         kind: Its kind.
         names: Effects to inject.
-        seed: Entropy; the same gives the same trial.
+        seed: Entropy of the draws; equal entropy results in equal trials.
     """
     rng = np.random.default_rng(list(seed))
     machine = _nominal(rng)

@@ -93,7 +93,7 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
     Args:
         kind: Its kind.
         names: Effects to inject.
-        seed: Entropy; the same gives the same trial.
+        seed: Entropy of the draws; equal entropy results in equal trials.
     """
     rng = np.random.default_rng(list(seed))
     base = Machine()

@@ -1,4 +1,4 @@
-"""Blind trials: drawn and sealed, then simulated and written.
+"""Draws and seals blind trials, then simulates and writes them.
 
     python -m rig.results.prove.generate OUT --rigs 12 --seed 1
 

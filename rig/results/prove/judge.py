@@ -29,7 +29,7 @@ class Judgement(NamedTuple):
     Attributes:
         diagnosis: The record of ``rig diagnose --json``.
         baselines: Method to the effects that it selects, the most important first.
-        oracle: From the true names to the record of
+        oracle: Function from the true names to the record of
         :class:`identification.diagnosis.oracle.HeldOut`, or None.
         seconds: Time spent on the diagnosis, s.
         baseline_seconds: Time spent on the baselines, s.
@@ -82,7 +82,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
 
     Returns:
         The record of :class:`identification.diagnosis.oracle.HeldOut`; None where the nominal model
-        cannot be fitted, or where there is nothing to hold it against.
+        cannot be fitted, or if the campaign has no unused recordings.
 
     Raises:
         InputError: The source cannot be read.

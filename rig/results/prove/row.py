@@ -1,4 +1,4 @@
-"""Row of one trial in the proof: its injected effects and its diagnosis."""
+"""Makes the row of one trial in the proof from its injected effects and its diagnosis."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ gross error.
 """
 MOST_NAMED = 3
 """Greatest number of a baseline method's effects that count where two effects are injected; a
-diagnosis gives at most as many.
+diagnosis identifies at most as many.
 """
 WORTH = 0.05
-"""Least held-out gain of the oracle over the noise at which gains are compared."""
+"""Least reduction of the oracle's error on unused recordings, over the noise, from which diagnosis
+and oracle are compared.
+"""
 FAINT = 1e-12
 VERSION = 6
 """Version of the rows and recordings; a proof that began with another version is not continued."""
@@ -153,10 +155,10 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return held-out errors, and the achieved share of the possible gain, which ends at the noise
-    floor.
+    """Return the errors on unused recordings, and the reduction of this error over the largest
+    possible one, from the error before the diagnosis to the noise floor.
 
-    A model fitted to the same data falls below the floor only by chance.
+    On unused recordings the error of a model does not fall below the noise floor, except by chance.
     """
     before, after, floor = (
         fit["validate_baseline_rms"],
@@ -175,10 +177,10 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the ratio of the held-out gains of diagnosis and oracle, in the equation where the
-    oracle gains most.
+    """Return the reduction of the error on unused recordings by the diagnosis over that by the
+    oracle, in the equation in which the oracle reduces it most.
 
-    Null where the true structure itself gains nothing there, or where the diagnosis has no such
+    Null if the true structure does not reduce the error there, or if the diagnosis has no such
     equation.
     """
     mine = [

@@ -74,7 +74,7 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the seals of a proof that was begun before: number of a rig to digest.
+    """Return the seals of a proof that was begun before: number of a trial to digest.
 
     Raises:
         InputError: The file is not this program's, or belongs to a proof with other settings.
@@ -114,7 +114,9 @@ def work(
     one = partial(prove_rig, proof=proof, judge=judge, keep=keep)
     for finished in each(one, todo, jobs):
         done += 1
-        progress(f"rig {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals))
+        progress(
+            f"trial {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals)
+        )
     return [read_json(proof.row_file(s.number)) for s in proof.seals]
 
 

@@ -27,7 +27,7 @@ def unseal(path: Path, digest: str) -> Truth:
     """Read a truth, and check it against the digest that was shown.
 
     Raises:
-        InputError: It is missing, no longer what was sealed, or no truth.
+        InputError: The file is missing, was changed after it was sealed, or is not a truth.
     """
     try:
         content = read_bytes(path)

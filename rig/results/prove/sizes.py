@@ -106,8 +106,6 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
 }
 """Effect of the catalogue -> parameter -> the function that draws it. ``wrong_weight.mass_kg`` is
 the relative error of the label.
-
-``wrong_weight.mass_kg`` is the relative error of the label.
 """
 
 OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {

@@ -38,9 +38,9 @@ class Truth(Schema):
         axes: The rig's place in the world, axis to value: rates, encoders, excitation, loads.
             Results are listed by them.
         strength: Channel to the rms change by the effects, over the channel's noise.
-        floor: Equation to what the nominal model leaves of the same rig without its effects;
+        floor: Equation to the residual of the nominal model on the same rig without its effects;
             measured from the `.reference` campaign instead, where there is one.
-        maker: Anything else that whoever made the rig wants to keep.
+        maker: Further content of any form, which the author of the rig adds.
         rig: Its number or name, for the reader; the file's name counts.
         salt: Random text, so that the digest cannot be guessed.
     """
@@ -126,7 +126,7 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
         if name not in truth.effects:
             yield (("outside", k), "not among effects; list it there too, with {} if need be")
         elif name in ENTRIES:
-            yield (("outside", k), "is an effect of the catalogue; take it off this list")
+            yield (("outside", k), "is an effect of the catalogue; remove it from this list")
     for k, name in enumerate(truth.not_scored):
         effect, _, key = name.partition(".")
         listed = effect in truth.effects or (not key and effect in {*truth.parameters, *ENTRIES})

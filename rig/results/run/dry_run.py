@@ -79,7 +79,7 @@ class DryRun:
         plan: The plan.
         model: Friction and inertia used to predict the peaks.
         peaks: Predicted peaks in the order of the run.
-        watcher: What would stop the drive if this program did not.
+        watcher: Watchdog or guardian that stops the drive if this program does not.
         duration: Expected duration.
     """
 

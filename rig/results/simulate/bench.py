@@ -1,4 +1,4 @@
-"""The simulated model as a bench file."""
+"""Writes the simulated model as a bench file."""
 
 from __future__ import annotations
 

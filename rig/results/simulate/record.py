@@ -1,4 +1,4 @@
-"""JSON record of a simulation, in the form of the contract."""
+"""Converts a simulation to the JSON record of ``rig simulate --json``."""
 
 from __future__ import annotations
 

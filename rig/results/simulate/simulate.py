@@ -67,7 +67,7 @@ class Simulation:
         dataset: The recordings.
         models: Models in the requested order.
         predictions: Equation errors of every model, with its effects and without.
-        prepared: Their measured side at the bandwidth, in the same order.
+        prepared: The recordings at the bandwidth of the torque errors, in their order.
         cases: Every model with every share of friction, in closed loop, without effects; empty if a
             recording's controller is unknown.
         responses: Responses of the first model with full friction, in the order of the recordings.

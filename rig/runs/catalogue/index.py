@@ -1,4 +1,4 @@
-"""Index of run folders in SQLite, which can be deleted at any time.
+"""Keeps an index of run folders in SQLite, which can be deleted at any time.
 
 Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
 made, and a checksum. A row is used only if its signature is that of the present files and its

@@ -1,5 +1,5 @@
-"""Description of an export: stage, mass, loads and constants of each recording, which the exported
-numbers do not contain.
+"""Writes the description of an export: stage, mass, loads and constants of each recording, which
+the exported numbers do not contain.
 
 The description is one JSON text per file: inside MATLAB, Parquet and MCAP files, beside a CSV file.
 With the description, a campaign can read an export back without further statements.

@@ -1,4 +1,4 @@
-"""A run or campaign as one MCAP file, which ROS 2, Foxglove and PlotJuggler read without
+"""Exports a run or campaign as one MCAP file, which ROS 2, Foxglove and PlotJuggler read without
 extensions.
 
 Topics: ``/recording/NAME`` with one message per sample, which contains the canonical channels; and,

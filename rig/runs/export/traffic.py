@@ -2,9 +2,6 @@
 
 Identifiers, data, direction and order are exact; times are rounded to microseconds, the resolution
 of both formats.
-
-Identifiers, data, direction and order are exact; times are rounded to microseconds, which is what
-both formats hold.
 """
 
 from __future__ import annotations

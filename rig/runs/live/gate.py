@@ -3,9 +3,6 @@ answers.
 
 The protocol has no password, and a browser lets every web page open a WebSocket to this computer.
 The address therefore contains a token, and a request without the token is refused.
-
-The protocol itself has no password, and a browser lets every web page open a WebSocket to this
-computer. So the address carries a token, and a request without it is refused.
 """
 
 from __future__ import annotations

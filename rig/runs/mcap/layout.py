@@ -4,10 +4,6 @@ frames of a cycle.
 The module writes out the sample schema as a FileDescriptorSet, so that PlotJuggler and Foxglove can
 open a recording, and neither writer nor reader needs a protobuf library. Every field is a double at
 a fixed place, zeros included, so that consecutive messages form an array.
-
-The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open
-a recording while neither side needs a protobuf library: every field is a double at a fixed place,
-zeros included, so that a run of messages is an array.
 """
 
 from __future__ import annotations

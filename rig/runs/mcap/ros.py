@@ -3,10 +3,6 @@
 Foxglove and PlotJuggler decode the messages by the message definition of each channel. The encoding
 is CDR, little endian (OMG DDSI-RTPS 2.5, 10.2): four bytes that identify the encoding, then the
 fields, each at a multiple of its size.
-
-Foxglove and PlotJuggler decode them by the message definition that travels with each channel. The
-encoding is CDR, little endian (OMG DDSI-RTPS 2.5, 10.2): four bytes that say so, then the fields,
-each at a multiple of its size.
 """
 
 from __future__ import annotations

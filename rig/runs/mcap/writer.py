@@ -1,4 +1,4 @@
-"""Writer of MCAP files with a fast path for messages.
+"""Writes MCAP files, with a fast path for messages.
 
 The writer of the ``mcap`` library needs 2.6 microseconds per message, and a control cycle writes
 two messages. Here one ``struct.pack`` writes a message, and the record types of the library write

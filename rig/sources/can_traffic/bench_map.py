@@ -75,7 +75,7 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
     eds = eds_path(document, "servo")
     link = CanopenLink(SimulatedClock(), _never_opened)
     node = link.add_node(servo.node, eds)
-    told = objects.cyclic(node, scales)
+    sent = objects.cyclic(node, scales)
     angle = (scales.motor_rad_per_count, scales.offset_rad * scales.gear_ratio)
     meaning: dict[ObjectAddress, _Scale] = {
         cia402.STATUSWORD: ("statusword", 1.0, 0.0),
@@ -84,18 +84,18 @@ def _drive(document: Document[Bench], servo: ServoSection) -> Iterator[BusMessag
         TARGET_POSITION: ("command", scales.joint_rad_per_count, scales.offset_rad),
     }
     optional: tuple[tuple[ObjectAddress | None, str, float], ...] = (
-        (told.current, "current", scales.sign * told.current_unit_A),
-        (told.speed, "velocity", scales.sign * scales.joint_speed_unit_rad_s),
-        (told.time, "device_time", 1e-6),
-        (told.voltage, "voltage", scales.sign * scales.voltage_unit_V),
-        (told.supply, "supply_voltage", scales.supply_unit_V),
-        (told.temperature, "temperature", scales.temperature_unit_C),
-        (told.torque, "torque_6077h", 1.0),
+        (sent.current, "current", scales.sign * sent.current_unit_A),
+        (sent.speed, "velocity", scales.sign * scales.joint_speed_unit_rad_s),
+        (sent.time, "device_time", 1e-6),
+        (sent.voltage, "voltage", scales.sign * scales.voltage_unit_V),
+        (sent.supply, "supply_voltage", scales.supply_unit_V),
+        (sent.temperature, "temperature", scales.temperature_unit_C),
+        (sent.torque, "torque_6077h", 1.0),
     )
     meaning |= {at: (name, unit, 0.0) for at, name, unit in optional if at is not None}
     for direction, layouts in (
         (RECEIVE, objects.outputs(motion)),
-        (TRANSMIT, objects.inputs(told, node)),
+        (TRANSMIT, objects.inputs(sent, node)),
     ):
         for layout in layouts:
             yield _pdo(direction, layout.number, servo.node, eds, layout.objects, meaning)

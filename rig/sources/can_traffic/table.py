@@ -1,4 +1,4 @@
-"""Recorded CAN traffic as a table: one column per signal, one time base per message."""
+"""Converts recorded CAN traffic to a table: one column per signal, one time base per message."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reader of delimited text files (CSV and similar), plain or gzipped.
+"""Reads delimited text files (CSV and similar), plain or gzipped.
 
 Files in which every row has as many cells as the header are read with numpy's compiled reader,
 which is fast. Other files are read row by row, and may have empty cells, quotes, row names, dates

@@ -1,4 +1,4 @@
-"""Reader of HDF5 files, including MATLAB v7.3 files, with the optional library h5py."""
+"""Reads HDF5 files, including MATLAB v7.3 files, with the optional library h5py."""
 
 from __future__ import annotations
 

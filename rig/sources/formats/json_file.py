@@ -1,4 +1,4 @@
-"""Reader of JSON files that contain records (a list of objects) or columns (an object of lists)."""
+"""Reads JSON files that contain records (a list of objects) or columns (an object of lists)."""
 
 from __future__ import annotations
 

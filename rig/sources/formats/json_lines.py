@@ -1,4 +1,4 @@
-"""Reader of logs with one JSON object per line."""
+"""Reads logs with one JSON object per line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reader of MCAP logs with JSON, CDR (ROS 2) and protobuf messages, which robot and vehicle loggers
+"""Reads MCAP logs with JSON, CDR (ROS 2) and protobuf messages, which robot and vehicle loggers
 write.
 """
 

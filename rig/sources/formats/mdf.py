@@ -1,4 +1,4 @@
-"""Reader of ASAM MDF files (MF4, and MDF versions 2 and 3) with the optional library asammdf."""
+"""Reads ASAM MDF files (MF4, and MDF versions 2 and 3) with the optional library asammdf."""
 
 from __future__ import annotations
 

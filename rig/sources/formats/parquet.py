@@ -1,4 +1,4 @@
-"""Reader of Parquet files, with the optional library pyarrow."""
+"""Reads Parquet files, with the optional library pyarrow."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reader of TDMS files of LabVIEW and DIAdem with the optional library npTDMS."""
+"""Reads TDMS files of LabVIEW and DIAdem with the optional library npTDMS."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Folder of sealed rigs: ``NAME/campaign.yaml`` with its recordings, and the truth in
-``sealed/NAME.yaml`` or ``sealed/NAME.json``.
+"""Reads and writes a folder of sealed rigs: ``NAME/campaign.yaml`` with its recordings, and the
+truth in ``sealed/NAME.yaml`` or ``sealed/NAME.json``.
 
 The optional ``sealed/NAME.reference/campaign.yaml`` is the same rig without its effects. The
 optional ``SHA256SUMS`` lists the digest of every file in the format of ``sha256sum``.
@@ -116,7 +116,8 @@ def check_sums(home: Path) -> None:
     """Compare the files of the folder with its list of digests; without a list nothing is checked.
 
     Raises:
-        InputError: A file is missing, or is no longer what was listed; names all of them.
+        InputError: A file is missing, or differs from its listed digest; the message names all such
+            files.
     """
     path = home / SUMS_FILE
     if not is_file(path):

@@ -35,8 +35,8 @@ def seal_own(
 
     Args:
         home: Folder of the sealed rigs.
-        rigs: How many.
-        seed: Of the draws.
+        rigs: Number of trials.
+        seed: Seed of the draws.
         jobs: Processes.
         progress: Called with the label of a step and the share that is done.
 

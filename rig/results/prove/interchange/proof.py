@@ -138,11 +138,11 @@ def score_all(
     Args:
         proof: The proof, every rig of it diagnosed.
         oracle: Fits the true structure.
-        floors: Measures what the nominal model leaves of a rig without effects.
+        floors: Computes the residual of the nominal model on a rig without effects.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
-        InputError: A rig is not diagnosed yet; a truth was changed, or is none.
+        InputError: A rig is not diagnosed yet; a truth was changed or is not valid.
         OSError: A file cannot be written.
     """
     missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]

@@ -1,5 +1,5 @@
-"""The drive around MuJoCo's motor: encoder, position loop, velocity loop and current loop in one
-step.
+"""Computes one step of the drive around MuJoCo's motor: encoder, position loop, velocity loop and
+current loop.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def asked(p: Array, s: Array, command: float, speed: float, angle: float, curren
         s: States.
         command: Angle sent, rad.
         speed: Speed of the command, rad/s.
-        angle: What the encoder sees before it counts, rad at the joint.
+        angle: Angle at the encoder before quantisation, rad at the joint.
         current: Measured current, A.
     """
     seen = round(angle / p[COUNT]) * p[COUNT]

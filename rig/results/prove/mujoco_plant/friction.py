@@ -1,5 +1,5 @@
-"""Values that are set before each step of MuJoCo: the level of dry friction, and the torques of
-effects that MuJoCo does not have.
+"""Computes the values that are set before each step of MuJoCo: the level of dry friction, and the
+torques of effects that MuJoCo does not have.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def further(
         since: Time since the recording's start, s.
         phi: Angle of the motor's shaft, rad.
         w: Speed of the joint, rad/s.
-        current: In the winding, A.
+        current: Current in the winding, A.
         dt: Time step, s.
     """
     plain = f[PER_A] * current

@@ -1,4 +1,4 @@
-"""The machine as a MuJoCo model: bodies, joints, tendons and ``dcmotor``; one model for each
+"""Writes the machine as a MuJoCo model: bodies, joints, tendons and ``dcmotor``; one model for each
 recording.
 
 MuJoCo itself simulates dry friction of the joint (``frictionloss``, which a constraint solves),

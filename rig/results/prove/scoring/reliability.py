@@ -1,5 +1,5 @@
-"""Reliability of the names that diagnoses give: by confidence, by axes of the world, and a list of
-the wrong names.
+"""Computes how often the effects that diagnoses identify are right, by confidence and by axes of
+the world, and lists the wrong ones.
 """
 
 from __future__ import annotations

@@ -39,10 +39,10 @@ def worlds_assignment(
     """Return kind and effects of each world, in random order.
 
     Args:
-        rigs: How many.
-        seed: Of the draws.
+        rigs: Number of worlds.
+        seed: Seed of the draws.
         effects: Effects of the catalogue that the plant can have; drawn in turn.
-        outside: Those outside it.
+        outside: Effects outside the catalogue that the plant can have.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs, SHARES)
@@ -71,8 +71,8 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
     Args:
         kind: Kind of trial.
         names: Effects to inject.
-        seed: Entropy; the same gives the same world. Axes, machine, motions and sizes have streams
-            of their own.
+        seed: Entropy of the draws; equal entropy results in equal worlds. Axes, machine, motions
+            and sizes have streams of their own.
     """
     needs: set[str] = set().union(*(NEEDS.get(name, frozenset()) for name in names))
     chain, parts, motions, sizes = (

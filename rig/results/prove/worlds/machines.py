@@ -29,7 +29,7 @@ class Body(NamedTuple):
         peak_N_m: Greatest torque at the joint.
         travel: Greatest commanded angle, rad.
         speed: Greatest commanded speed, rad/s.
-        constants: Of the nominal model.
+        constants: Constants of the nominal model.
         motor: Motor and gear.
         moment_arm_m: L1.
         lever_ratio: L3/L4.

@@ -69,8 +69,8 @@ def seal_worlds(
     Args:
         home: Folder of the sealed rigs.
         plant: The plant; with more than one job it must be importable.
-        rigs: How many.
-        seed: Of the draws.
+        rigs: Number of worlds.
+        seed: Seed of the draws.
         jobs: Processes.
         progress: Called with the label of a step and the share that is done.
 
@@ -118,8 +118,9 @@ def strength_of(
 ) -> dict[str, float]:
     """Return the rms change by the effects in each channel, relative to the channel's noise.
 
-    Noise is the sensor's and that of its digits. Current and voltage are compared only where both
-    machines move: what holds a joint at rest depends on how it came to rest.
+    The noise is that of the sensor and of its quantisation. Current and voltage are compared only
+    where both machines move: the torque that holds a joint at rest depends on the motion before the
+    rest.
     """
     sensing = world.sensing
     averaged = np.sqrt(world.drive.rate_Hz / world.log.rate_Hz)

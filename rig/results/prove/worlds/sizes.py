@@ -24,11 +24,11 @@ class Scale:
         sigma_2: Viscous friction, N m s/rad.
         J: Inertia, kg m^2.
         travel: Greatest commanded angle, rad.
-        farthest: The same with its sign: the side on which a stop would be met.
+        farthest: Greatest commanded angle with its sign, rad: the side of an end stop.
         speed: Greatest commanded speed, rad/s.
         current: Current of the greatest friction, A.
-        resistance: Of the winding, ohm.
-        supply: Of the power stage, V.
+        resistance: Resistance of the winding, ohm.
+        supply: Supply voltage of the power stage, V.
         heaviest: Heaviest weight on the lever, kg.
         loaded: Numbers of the loaded recordings to fit, from 1, and the labels of their weights.
         recordings: Number of recordings to fit.

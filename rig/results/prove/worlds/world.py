@@ -1,4 +1,5 @@
-"""One drawn world: a machine, the drive, encoders and logger around it, and its recordings.
+"""Describes one drawn world: a machine, the drive, encoders and logger around it, and its
+recordings.
 
 Angles and torques are at the joint unless a name says otherwise.
 """
@@ -40,11 +41,11 @@ class Motor:
     """Motor, gear and power stage.
 
     Attributes:
-        resistance_ohm: Of the winding.
-        inductance_H: Of the winding.
+        resistance_ohm: Resistance of the winding.
+        inductance_H: Inductance of the winding.
         constant: Torque constant in N m/A and back-EMF constant in V s/rad, which are one in SI.
         gear_ratio: Motor turns per joint turn.
-        supply_V: Of the power stage; the voltage is limited to it.
+        supply_V: Supply voltage of the power stage, which limits the motor voltage.
         limit_A: Current limit of the drive.
         rotor_share: Share of the inertia J that is the rotor's.
         friction_share: Share of Mc, Ms and sigma_2 that rubs on the motor's side of the gear.
@@ -72,7 +73,7 @@ class Drive:
     Attributes:
         kind: ``cascade``: position P, velocity PI, current PI; ``pd``: position P and velocity D
             straight to the current.
-        rate_Hz: Of all loops.
+        rate_Hz: Rate of all loops.
         position_Hz: Bandwidth of the position loop.
         velocity_Hz: Bandwidth of the velocity loop, or of the damping of ``pd``.
         current_Hz: Bandwidth of the current loop.
@@ -97,9 +98,9 @@ class Sensing:
         flicker: Noise before the count is taken, rms, counts.
         lines_error: Interpolation error of the joint encoder within one of 4096 lines, share of
             the line.
-        current_noise_A: Of one sample, rms.
+        current_noise_A: Noise of one sample, rms.
         current_quantum_A: Step of the current's digits.
-        voltage_noise_V: Of a measured voltage, rms.
+        voltage_noise_V: Noise of a measured voltage, rms.
     """
 
     motor_bits: int | None
@@ -116,7 +117,7 @@ class Log:
     """Sampling and channels of the logger.
 
     Attributes:
-        rate_Hz: Of its rows.
+        rate_Hz: Rate of its rows.
         current: ``sampled``, ``averaged`` over the period that ends at the stamp, or ``filtered``
             by a first-order low-pass and then sampled.
         filter_Hz: Corner of that filter.
@@ -245,9 +246,9 @@ class Signals:
     """Signals of a plant in one recording, at the rate of its loops, from the first row of the log.
 
     Attributes:
-        current: In the winding, A, shape (n,).
-        voltage: Asked of the power stage, V.
-        terminal: At the motor, V.
+        current: Current in the winding, A, shape (n,).
+        voltage: Voltage that the drive commands, V.
+        terminal: Voltage at the motor, V.
         supply: Voltage of the supply, V.
         motor_angle: True angle of the motor's shaft, rad.
         angle: True angle of the joint, rad.

@@ -1,4 +1,4 @@
-"""Plotted channels of every sample: recorded values, and values derived in the same way as in the
+"""Computes the plotted channels of every sample: recorded values, and values derived as in the
 safety check.
 """
 
@@ -45,9 +45,10 @@ NAMES = (
 
 ``motor`` is the joint angle by the motor's encoder, ``error`` command less joint angle,
 ``disagreement`` motor less joint encoder, ``torque`` Km i I, ``force`` the contact force that
-follows from the pressure. ``age`` is the time since the last fresh sample, ``answer`` that from a
-cycle's start until its answer had been collected, ``late`` how late a cycle started where that was
-more than a period; the clocks are a device's time less the host's, since the start of the stage.
+follows from the pressure. ``age`` is the time since the last fresh sample, ``answer`` the time from
+a cycle's start until its answer had been collected, ``late`` how late a cycle started where that
+was more than a period; the clocks are a device's time less the host's, since the start of the
+stage.
 """
 STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""

@@ -118,7 +118,7 @@ class Chart:
     """One drawing.
 
     Attributes:
-        title: What it shows.
+        title: Title of the drawing.
         unit: Unit of every value.
         curves: Curves, at most three.
         bounds: Plotted limits.

@@ -23,8 +23,8 @@ class Bins(NamedTuple):
         stop: Time of each bin's last sample, s, shape (n,).
         low: Least value of each channel, shape (n, channels); NaN without a value.
         high: Greatest value of each channel, shape (n, channels).
-        broken: Whether something is missing before the bin, so that no line may join it to the one
-            before.
+        broken: Whether samples are missing before the bin, so that no line joins it to the bin
+            before it.
     """
 
     start: Array
@@ -86,8 +86,8 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
 class Envelope:
     """Reduces samples in order to a limited number of bins of about the same width.
 
-    Bins begin at multiples of the width, counted in samples. A recording with more holes than bins
-    keeps a bin for each run between them.
+    Bins begin at multiples of the width, counted in samples. A recording with more gaps than bins
+    keeps one bin for the samples between two gaps.
 
     Args:
         most: Half of the largest number of bins.

@@ -1,4 +1,4 @@
-"""Limits over time, computed again from the files attached to a recording."""
+"""Computes the limits over time from the files attached to a recording."""
 
 from __future__ import annotations
 

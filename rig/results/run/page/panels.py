@@ -1,6 +1,4 @@
-"""Panels of the charts of a run: which channels a chart shows, in which units, with which
-limits.
-"""
+"""Defines the charts of a run's page: channels, units and limits of each."""
 
 from __future__ import annotations
 

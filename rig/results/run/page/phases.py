@@ -1,6 +1,5 @@
-"""Stages and phases of a run over the time of one recording, and the time of the end of the run.
-
-Pure functions.
+"""Finds the stages and phases of a run over the time of one recording, and the time of the end of
+the run.
 
 Pure functions.
 """

@@ -1,4 +1,4 @@
-"""Chart sections of a run's page: the last seconds of an unfinished run, and every whole
+"""Makes the chart sections of a run's page: the last seconds of an unfinished run, and every whole
 recording.
 """
 

@@ -1,4 +1,4 @@
-"""Predicted intervals of a planned experiment, from its Fisher information on the nominal model.
+"""Predicts the intervals of a planned experiment from its Fisher information on the nominal model.
 
 The nominal response is recorded with the bench's noise and sensors, and the information is computed
 from the residuals that the default method minimises. So it accounts for the encoder's quantisation,
@@ -75,7 +75,7 @@ NOTHING = Information(*np.zeros((3, len(NAMES), len(NAMES))))
 
 
 @dataclass(frozen=True)
-class Pinned:
+class Intervals:
     """Relative half widths of the 90 % intervals after an experiment; infinite for a parameter that
     is not identifiable.
     """
@@ -237,7 +237,7 @@ def effective(informations: Sequence[Information], target: str, loaded: bool) ->
     return [i.effective(weights) for i in informations]
 
 
-def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
+def intervals_of(informations: Sequence[Information], loaded: bool) -> Intervals:
     """Return the intervals from all stages together: of all nine parameters if any is ``loaded``,
     else of five.
     """
@@ -253,4 +253,4 @@ def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
     for k, place in enumerate(seen):
         if not np.any(np.abs(vectors[k, ~clear]) > 1e-6):
             widths[names[place]] = quantile * math.sqrt(bread[k, k])
-    return Pinned(widths)
+    return Intervals(widths)
