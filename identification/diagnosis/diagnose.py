@@ -1,5 +1,4 @@
-"""Diagnoses recordings: noise floor, test for a mismatch, its location, the effects, the corrected
-model and its validation.
+"""Diagnoses recordings: noise floor, mismatch, location, effects, corrected model, validation.
 
 Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which
 effects are accepted, and they are scored.
