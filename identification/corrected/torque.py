@@ -79,8 +79,8 @@ def asymmetric_coulomb(s: Any, m: Any, torque_Nm: float) -> Array:
 
 
 def asymmetric_viscous(s: Any, m: Any, coefficient_Nms_rad: float) -> Array:
-    """Direction-dependent viscous friction: sigma_2 is greater by d in one direction and smaller by
-    d in the other.
+    """Direction-dependent viscous friction: sigma_2 plus the coefficient for positive speed, and
+    less the coefficient for negative speed.
     """
     return np.asarray(coefficient_Nms_rad * np.abs(s["velocity"]))
 

@@ -1,4 +1,4 @@
-"""Accepts a run in the command line: for ``rig runs accept``, and at the end of a run."""
+"""Judges a run against its acceptance limits: for ``rig runs accept``, and at the end of a run."""
 
 from __future__ import annotations
 

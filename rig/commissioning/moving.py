@@ -174,7 +174,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
     allowed = 2.0 * math.degrees(speed) * max(took_s, 0.05) + DRIFT_DEG
     if way > allowed:
         raise WrongError(
-            f"the joint moved by {way:.3g} deg after the stop, limit {allowed:.3g} deg"
+            f"after the stop was commanded the joint moved by {way:.3g} deg, limit {allowed:.3g} "
+            "deg; check 605Ah and 6085h"
         )
     step.words = "the drive stops and is off"
 

@@ -130,7 +130,7 @@ def _say_offer(setup: Setup) -> None:
 
 
 def limits(setup: Setup, step: StepRecord) -> None:
-    """Write the low limits into the drive, and read them back.
+    """Write the reduced limits of the commissioning into the drive, and read them back.
 
     Raises:
         WrongError: The drive rejects a limit.

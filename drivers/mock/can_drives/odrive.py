@@ -1,7 +1,7 @@
 """Simulated drive with the frames of ODrive's CAN Simple protocol (``odrive.dbc``), node 3.
 
 The drive sends its values in answer to remote frames, and the heartbeat without a request. The
-messages Estop, Reboot and Clear_Errors are orders without data.
+messages Estop (no data), Reboot and Clear_Errors (one byte, ignored) act by their arrival.
 """
 
 from __future__ import annotations

@@ -1,5 +1,9 @@
-"""Makes the rows of the pressure equation, with the nominal tangent projected out, for the tests
-common to all equations.
+"""Builds the pressure equation of the gas diagnosis: the pressure mismatch and the regressors of
+every gas effect, with the nominal tangent projected out.
+
+The result has the types that the torque diagnosis uses (``Stack``, ``Candidate``), so that its
+significance tests apply unchanged. There is one row for each sample (mismatch over noise), and one
+for each parameter with a prior (its deviation over its tolerance).
 """
 
 from __future__ import annotations
@@ -68,9 +72,9 @@ def stack_of(
     held = fitted.held > 0.0
     residual = np.concatenate((fitted.residual, fitted.pull[held]))
     tangent = np.concatenate((fitted.tangent, np.diag(fitted.held)[held]))
-    beliefs = int(np.sum(held))
-    owner = np.concatenate([*(np.full(len(b.time), b.index) for b in burns), np.full(beliefs, -1)])
-    time = np.concatenate([*(b.time for b in burns), np.zeros(beliefs)])
+    priors = int(np.sum(held))
+    owner = np.concatenate([*(np.full(len(b.time), b.index) for b in burns), np.full(priors, -1)])
+    time = np.concatenate([*(b.time for b in burns), np.zeros(priors)])
     equation = Equation(
         PRESSURE, UNIT, (), (), sigma * residual, sigma * tangent, (), owner, time, sigma
     )

@@ -1,8 +1,9 @@
-"""Tests whether an identified effect acts in one direction of motion only; no effect of the
-catalogue has a size that depends on direction.
+"""Tests whether an identified effect explains the remaining torque mismatch only with a different
+coefficient in each direction of motion.
 
-Asymmetric friction, too, has the same size in both directions; the difference is in the friction,
-which the nominal parameters describe.
+Every effect of the catalogue has one coefficient for both directions; for asymmetric friction it is
+half the difference of the directions. An effect that needs two coefficients is not the true cause,
+and the verdict is *outside the catalogue*.
 """
 
 from __future__ import annotations

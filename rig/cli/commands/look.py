@@ -56,8 +56,8 @@ def command(
     campaign: Path | None,
     json_file: Path | None,
 ) -> None:
-    """Show the content of FILE: its columns with units, ranges, steps, wraps and a small picture,
-    and its rate and gaps.
+    """Show what FILE contains: for each column the unit, the range, the quantisation step,
+    wrap-arounds and a small plot; and the sample rate and gaps.
 
     FILE is a log of any format that campaign files can name, a run folder or a campaign file. The
     command guesses the channel of a column from the name and the unit of the column; check these

@@ -28,7 +28,7 @@ EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
 def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
-    """Return the number of rows in which ``key`` is true."""
+    """Return the number of rows in which ``key`` is true, with its share and interval."""
     return rate(sum(bool(row[key]) for row in rows), len(rows))
 
 
