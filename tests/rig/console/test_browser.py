@@ -286,7 +286,7 @@ def test_runs_are_compared_and_a_constant_is_followed(
         # The space bar would be STOP while a run goes on.
         page.get_by_label(f"Compare {run}").press("Enter")
     page.locator("#compare").press("Enter")
-    require_made(page, "Comparison of", "moved by more than their uncertainty: Mc")
+    require_made(page, "Comparison of", "changed by more than their uncertainty: Mc")
     page.select_option("#constant", "Mc")
     page.locator("#trend").press("Enter")
     require_made(page, "Trend of Mc", "STEP at run 5")
@@ -361,8 +361,9 @@ def test_the_charts_hold_the_extremes_of_the_recording(
     opened: Callable[..., Page], where: Place
 ) -> None:
     page = opened()
-    page.select_option("#window", "0")
     child = where.run(where.sequence("drawn", SHORT_S), "--yes", "--realtime")
+    # The charts are shown as soon as there is a run.
+    page.select_option("#window", "0")
     expect(page.locator("#ending")).to_contain_text("all 2 stages done")
     child.wait(WAIT_S)
     found = page.evaluate("window.rigConsole.extremes()")
