@@ -25,7 +25,7 @@ from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.significance import trial_candidates
 from identification.diagnosis.selection.baselines import greedy_bic, library
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.prepare import torque_unit

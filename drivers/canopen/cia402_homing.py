@@ -51,6 +51,11 @@ class Homing(Motion):
         self.takes_offset = usual.takes_offset
         self.started = False
 
+    def reset(self) -> None:
+        """Forget the start as well: switching on must never begin a homing by itself."""
+        super().reset()
+        self.started = False
+
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
         """Objects that travel with the controlword."""

@@ -38,10 +38,10 @@ from identification.diagnosis.selection.held_out import (
     DROPPED,
     dropped_effects,
     validated_effects,
-    validation_rms,
 )
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Options, Progress, Search, search
+from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint

@@ -18,7 +18,7 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.significance import trial_candidates
-from identification.diagnosis.selection.held_out import validation_rms
+from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.transmission import on_the_joint

@@ -110,7 +110,10 @@ class Made:
         async with self._busy:
             with tempfile.TemporaryDirectory(prefix="loadrig-console-") as out:
                 await self._run(arguments[0], "--out", out, *arguments[1:])
-                content = await asyncio.to_thread((Path(out) / PAGE_FILE).read_bytes)
+                try:
+                    content = await asyncio.to_thread((Path(out) / PAGE_FILE).read_bytes)
+                except OSError as error:
+                    raise Refusal(f"no page was made: {error.strerror}; try again") from error
         key = secrets.token_urlsafe(16)
         self._pages[key] = content
         for old in list(self._pages)[:-KEPT]:

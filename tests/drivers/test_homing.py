@@ -93,6 +93,18 @@ def test_power_alone_does_not_start_it() -> None:
     assert not host.bench.drive.objects.integer(0x6040) & 1 << 4
 
 
+def test_switching_on_again_does_not_start_it() -> None:
+    """The end of a homing may have failed, so that its mode is still selected."""
+    host = make_host()
+    host.servo.write_limits(LIMITS)
+    prepared(host).servo.begin_homing(order(37))
+    host.servo.start_homing()
+    motion = host.servo._motion
+    assert motion.started
+    motion.reset()
+    assert not motion.started
+
+
 def test_a_blocked_joint_is_a_homing_error() -> None:
     host = make_host()
     host.bench.drive.homing.jammed = True

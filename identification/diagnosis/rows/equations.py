@@ -181,7 +181,8 @@ def _accuracy(equation: Equation) -> float:
     if equation.name == "transmission":
         return ARC_SECOND_RAD
     read = [v.torque if equation.name == "torque" else v.voltage for v in equation.views]
-    return RULES.accuracy * max(float(np.nanmax(np.abs(r))) for r in read if r is not None)
+    finite = [r[np.isfinite(r)] for r in read if r is not None]
+    return RULES.accuracy * max((float(np.max(np.abs(r))) for r in finite if len(r)), default=0.0)
 
 
 def held_voltage(equation: Equation) -> float:

@@ -86,8 +86,8 @@ class SelectionRules:
             is tested for hysteresis. Basis: simulated trials: right effects explained at least 95.9
             %, springs in place of hysteresis 76 to 89 %.
         cancelled: Power of the sum of two contributions over the sum of their powers, below which
-            the two cancel each other. Basis: independent contributions have 1 on average; below,
-            each is at least three times its share of the sum.
+            the two cancel each other. Basis: independent contributions have 1 on average; below
+            it, equal ones are more than twice their sum.
         greatest_confidence: Greatest confidence in any effect. Basis: chosen;
             on machines made by others such names are right less often (docs/diagnosis.md).
         incomplete_confidence: Greatest confidence in an effect if the test finds that more is

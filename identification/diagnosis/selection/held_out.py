@@ -17,95 +17,36 @@ import numpy as np
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.linear import Added
-from identification.diagnosis.fit.stack import Stack, stack_of
+from identification.diagnosis.fit.stack import Stack
 from identification.diagnosis.fit.within_limits import (
     cross_validation_residual,
     parameter_derivatives,
     within_limits,
 )
 from identification.diagnosis.result import Step
-from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Contender, Round, implausible
+from identification.diagnosis.selection.comparison import (
+    Contender,
+    Round,
+    implausible,
+    preference,
+)
 from identification.diagnosis.selection.crossing import PAIR
 from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
+from identification.diagnosis.selection.unseen import (
+    decisive_reduction,
+    judged_rows,
+    reduction,
+    validation_residual,
+)
 from identification.recording import Array
 
 DROPPED = "drop"
 """Action of a step that drops an effect because it does not reduce the error on unused
 recordings.
 """
-
-
-def validation_residual(
-    joint: Joint, aside: Sequence[View], unit: str
-) -> tuple[Stack, Array] | None:
-    """Return the rows of recordings set aside and the residual of a fit there, over the noise of
-    the fitted recordings; None if hardly a sample is in steady motion.
-
-    No parameter of the torque's model is fitted to these rows. In other equations their own
-    constants are fitted, such as the zero of an encoder, which are not reported; and so are unknown
-    states at the start of a recording.
-    """
-    rows = equations(aside, joint.nominal, unit)
-    sigma = {e.name: e.sigma for e in joint.equations}
-    rows = tuple(replace(e, sigma=sigma[e.name]) for e in rows if e.name in sigma)
-    if not rows:
-        return None
-    stack = stack_of(rows, joint.nominal)
-    left = np.concatenate([e.residual / e.sigma for e in rows])
-    for effect in joint.effects:
-        # An effect in a single recording, as a mislabelled weight, does not apply to another one.
-        columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
-        if columns:
-            left -= stack.whitened(columns) @ np.array(effect.coefficients)
-    left = _with_own_constants(stack, left[:, None])[:, 0]
-    return stack, _without_start_states(stack, joint, left)
-
-
-def _with_own_constants(stack: Stack, rows: Array) -> Array:
-    """Return whitened rows, shape (n, k), without what the constants of equations other than the
-    torque's can explain.
-    """
-    out = rows.copy()
-    for equation, basis in zip(stack.equations, stack.basis, strict=True):
-        if equation.name != "torque":
-            part = stack.part(equation.name)
-            out[part] -= basis @ (basis.T @ out[part])
-    return out
-
-
-def _without_start_states(stack: Stack, joint: Joint, left: Array) -> Array:
-    """Return rows without what unknown states of the effects at the start of each recording, such
-    as the winding's temperature, can explain.
-    """
-    owner = np.concatenate([e.owner for e in stack.equations])
-    for effect in joint.effects:
-        if not effect.term.start:
-            continue
-        begun = replace(effect.term, name=f"start of {effect.term.name}", columns=effect.term.start)
-        columns = stack.columns(begun, effect.shape)
-        if not columns:
-            continue
-        whole = stack.whitened(columns)
-        own = np.concatenate([whole * (owner == k)[:, None] for k in np.unique(owner)], axis=1)
-        own = _with_own_constants(stack, own[:, np.any(own, axis=0)])
-        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
-    return left
-
-
-def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
-    """Return each equation's rms over recordings set aside (:func:`validation_residual`)."""
-    found = validation_residual(joint, aside, unit) if aside else None
-    if found is None:
-        return {}
-    stack, left = found
-    return {
-        e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)] ** 2)))
-        for e in stack.equations
-    }
 
 
 def validated_effects(
@@ -178,7 +119,7 @@ def _with_rivals_judged(
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen
-            worse = _decisive_reduction(stack, [left, there[1]], names)
+            worse = decisive_reduction(stack, [left, _in_noise_of(joint, tried, there)], names)
             if worse >= RULES.rejected:
                 rival = replace(rival, preference=max(rival.preference, worse))
             elif worse <= -RULES.rejected:
@@ -193,8 +134,21 @@ def _with_rivals_judged(
     steps.append(_step("swap", rival.name, joint.cost - tried.cost, -worse, case))
     # Stouffer's sum of the preferences of the fitted recordings and of those set aside.
     former = Contender(taken.name, joint, (-rival.preference - worse) / math.sqrt(2.0), "")
-    others = (r for r in rivals if r.name != rival.name)
+    others = (
+        replace(r, preference=preference(tried, r.joint)) for r in rivals if r.name != rival.name
+    )
     return tried, Round(rival.name, (former, *others))
+
+
+def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array, list[str]]) -> Array:
+    """Return the residual of another fit over the noise of ``joint``, which may be lower
+    (:func:`with_lower_noise`).
+    """
+    sigma = {e.name: e.sigma for e in joint.equations}
+    stack, out = seen[0], seen[1].copy()
+    for equation in other.equations:
+        out[stack.part(equation.name)] *= equation.sigma / sigma[equation.name]
+    return out
 
 
 def _others(joint: Joint, name: str) -> set[str]:
@@ -245,7 +199,7 @@ def _step(
         return Step(action, name, None, gain, note)
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):
-        return Step(action, name, None, gain, f"explains nearly all of the error on {judges}")
+        return Step(action, name, None, gain, f"explains most of the error on {judges}")
     change = "less" if worth >= 0.0 else "larger"
     note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
     return Step(action, name, None, gain, note)
@@ -277,23 +231,25 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
     equations by which it is judged.
     """
     names = judging_equations(joint, effect.term)
+    # An unknown start gives a fit freedom on these recordings; both fits get the same.
     unseen = [
         found
-        for j in (joint, without)
-        if case.aside and (found := validation_residual(j, case.aside, case.unit)) is not None
+        for j, starts in ((joint, ()), (without, (effect,)))
+        if case.aside
+        and (found := validation_residual(j, case.aside, case.unit, starts)) is not None
     ]
     if len(unseen) == 2:
         stack, left = unseen[1][0], [rows for _, rows in unseen]
-        reduction = _reduction(stack, left, names)
-        if reduction >= RULES.rejected or (
+        less = reduction(stack, left, names)
+        if less >= RULES.rejected or (
             _can_show(stack, left, effect, names)
-            and (_beyond_noise(stack, left[1], names) or reduction < -RULES.rejected)
+            and (_beyond_noise(stack, left[1], names) or less < -RULES.rejected)
         ):
-            return reduction
+            return less
     # No recording is set aside, or those that are cannot judge the effect.
     parts = folds(joint)
     left = [cross_validation_residual(j, parts) for j in (joint, without)]
-    return _reduction(joint.stack, left, names)
+    return reduction(joint.stack, left, names)
 
 
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
@@ -303,7 +259,7 @@ def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequenc
     to these recordings alone can absorb it.
     """
     columns = stack.columns(effect.term, effect.shape).values()
-    change = np.concatenate([(left[0] - left[1])[stack.part(name)] for name in names])
+    change = judged_rows(stack, left[0] - left[1], names)
     return any(np.any(c) for c in columns) and (
         not len(change) or float(np.mean(change**2)) >= RULES.least_share
     )
@@ -313,51 +269,8 @@ def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
     """Whether the mean square of a residual over the named equations together exceeds the noise;
     otherwise no effect can reduce it.
     """
-    rows = np.concatenate([left[stack.part(name)] for name in names])
+    rows = judged_rows(stack, left, names)
     return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)
-
-
-def _reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return :func:`_studentised_reduction`, infinite if the first residual lacks nearly all of the
-    second's squares beyond the noise.
-
-    An effect in a few blocks, as an end stop, may explain nearly everything, although these are
-    too few for a standard error.
-    """
-    rows = np.concatenate([np.stack(left, axis=1)[stack.part(name)] for name in names])
-    within = RULES.excess * len(rows)
-    first, second = (max(float(squares), within) for squares in np.sum(rows**2, axis=0))
-    explained = (second - first) / (second - within) if second > within else 0.0
-    if explained >= RULES.adequate:
-        return math.inf
-    return _studentised_reduction(stack, left, names)
-
-
-def _studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return by how many standard errors, over blocks of time, the first residual is smaller than
-    the second in the named equations together.
-
-    The rms of each block is compared; with squares a few blocks would decide.
-    """
-    shown = np.zeros(len(left[0]), dtype=bool)
-    for name in names:
-        shown[stack.part(name)] = True
-    squares = stack.sums(np.stack(left, axis=1) ** 2 * shown[:, None])
-    lessened = np.diff(np.sqrt(squares), axis=1)[:, 0]
-    scatter = float(np.std(lessened, ddof=1)) if len(lessened) > 1 else 0.0
-    spread = scatter * math.sqrt(len(lessened))
-    worth = float(np.sum(lessened)) / spread if spread > 0.0 else math.inf
-    first, second = np.sum(squares, axis=0)
-    return worth if first < second else min(worth, 0.0)
-
-
-def _decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return :func:`_studentised_reduction`; 0 if the two mean squares differ by less than the
-    noise's is known to.
-    """
-    rows = np.concatenate([np.stack(left, axis=1)[stack.part(name)] for name in names])
-    low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))
-    return 0.0 if high <= RULES.tested_from * low else _studentised_reduction(stack, left, names)
 
 
 def folds(joint: Joint) -> Array:

@@ -327,9 +327,14 @@ def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> J
 
 
 def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
-    """Return a candidate's trial parameters in each of its forms, the usual form first."""
+    """Return a candidate's trial parameters in each of its forms: its own form first unless it is
+    the last, else in the order of the term, the usual form first.
+    """
     shapes = [candidate.shape]
     for index, values in case.terms[candidate.name].forms.items():
+        own = candidate.shape[index]
+        if own != values[-1]:
+            values = (own, *(v for v in values if v != own))
         shapes = [(*s[:index], value, *s[index + 1 :]) for value in values for s in shapes]
     return shapes
 

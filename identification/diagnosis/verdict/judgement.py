@@ -137,8 +137,8 @@ def insufficient_effects(
     if cancelling:
         one, other = (title(n) for n in cancelling)
         return (
-            f"{one} and {other.lower()} would explain the mismatch only if each is many times "
-            "their sum, which nearly cancels",
+            f"{one} and {other.lower()} would explain the mismatch only if each is at "
+            "least about twice their sum: they nearly cancel",
         )
     if infeasible(found.final):
         return ()

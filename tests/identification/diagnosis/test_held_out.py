@@ -16,19 +16,22 @@ from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.held_out import (
     DROPPED,
     _Case,
-    _reduction,
-    _studentised_reduction,
     _with_rivals_judged,
     dropped_effects,
     folds,
     validated_effects,
-    validation_rms,
 )
 from identification.diagnosis.selection.search import Search
+from identification.diagnosis.selection.unseen import (
+    decisive_reduction,
+    reduction,
+    studentised_reduction,
+    validation_rms,
+)
 from identification.diagnosis.terms import TERMS
 from identification.recording import Recording
 
-from .benches import campaign, nominal_fit
+from .benches import campaign, honest, nominal_fit
 
 TERM = {t.name: t for t in TERMS}
 SIDE = {"asymmetric_coulomb": {"torque_Nm": 0.5}}
@@ -121,8 +124,8 @@ def test_a_single_block_has_no_scatter_to_be_compared_with() -> None:
         blocks=1,
     )
     before = np.ones(len(stack.residual))
-    assert _studentised_reduction(whole, [0.5 * before, before], ["torque"]) == np.inf
-    assert _studentised_reduction(whole, [before, 0.5 * before], ["torque"]) == 0.0
+    assert studentised_reduction(whole, [0.5 * before, before], ["torque"]) == np.inf
+    assert studentised_reduction(whole, [before, 0.5 * before], ["torque"]) == 0.0
 
 
 def test_recordings_set_aside_reject_a_rival_that_fits_as_well() -> None:
@@ -158,6 +161,56 @@ def test_an_effect_in_few_blocks_pays_by_what_it_explains() -> None:
     stack = nominal().stack
     left = np.ones(len(stack.residual))
     without = left + 30.0 * (stack.block == stack.block[0])
-    assert _studentised_reduction(stack, [left, without], ["torque"]) < RULES.rejected
-    assert _reduction(stack, [left, without], ["torque"]) == np.inf
-    assert _reduction(stack, [without, left], ["torque"]) <= 0.0
+    assert studentised_reduction(stack, [left, without], ["torque"]) < RULES.rejected
+    assert reduction(stack, [left, without], ["torque"]) == np.inf
+    assert reduction(stack, [without, left], ["torque"]) <= 0.0
+
+
+def test_fits_of_different_noise_are_compared_in_one() -> None:
+    """A fast effect lowers the noise of its own fit; its rival's fit was whitened before."""
+    right, wrong = search(RIGHT).final, search(WRONG).final
+    quiet = replace(
+        right, equations=tuple(replace(e, sigma=0.2 * e.sigma) for e in right.equations)
+    )
+    rival = Contender(WRONG.term.name, wrong, 0.0, "")
+    steps: list[Step] = []
+    case = _Case(here(), aside(), "N m", nominal())
+    joint, taken = _with_rivals_judged(case, quiet, Round(RIGHT.term.name, (rival,)), steps)
+    assert taken.name == joint.effects[-1].term.name == RIGHT.term.name
+    assert not steps
+
+
+def test_a_single_block_decides_between_no_effects() -> None:
+    stack = replace(nominal().stack, blocks=1)
+    before = np.ones(len(stack.residual))
+    assert decisive_reduction(stack, [before, 2.0 * before], ["torque"]) == 0.0
+
+
+def test_friction_of_one_recording_is_no_drift() -> None:
+    """An unknown start is a free constant there, which the fit without the drift has as well."""
+    recordings = [
+        r
+        if r.role == "fit"
+        else replace(
+            r,
+            channels={
+                **r.channels,
+                "current": r.channels["current"]
+                + 0.3 * np.sign(np.gradient(r.channels["command"])) / r.bench.ampere_torque,
+            },
+        )
+        for r in honest()
+    ]
+    fitted = [r for r in recordings if r.role == "fit"]
+    joint = nominal_fit(honest())
+    unseen = views(recordings, 25.0, False, recordings)[len(fitted) :]
+    drift = fit(
+        joint.equations[0].views,
+        "N m",
+        joint.nominal,
+        (Added(TERM["coulomb_drift"], (1e6,), (0.0,)),),
+        joint,
+    )
+    found = Search(joint, drift, (Round("coulomb_drift", ()),), 1e-3, 1.0, "", ())
+    kept = validated_effects(found, joint.equations[0].views, unseen, "N m").final.effects
+    assert not kept

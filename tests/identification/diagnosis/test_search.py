@@ -21,8 +21,8 @@ from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.significance import DRAWS, flipped_statistics, sign_flip_p_value
 from identification.diagnosis.selection.comparison import implausible
-from identification.diagnosis.selection.held_out import validation_rms
 from identification.diagnosis.selection.removal import needed_share
+from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Bench, Dataset, Model, Recording

@@ -1,0 +1,136 @@
+"""Computes the residuals of recordings set aside, and by how much one fit reduces another's."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.diagnosis.fit.joint import Joint
+from identification.diagnosis.fit.linear import Added
+from identification.diagnosis.fit.stack import Stack, stack_of
+from identification.diagnosis.rows.equations import equations
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.rules import RULES
+from identification.recording import Array
+
+
+def validation_residual(
+    joint: Joint, aside: Sequence[View], unit: str, starts: Sequence[Added] = ()
+) -> tuple[Stack, Array] | None:
+    """Return the rows of recordings set aside and the residual of a fit there, over the noise of
+    the fitted recordings; None if hardly a sample is in steady motion.
+
+    No parameter of the torque's model is fitted to these rows. In other equations their own
+    constants are fitted, such as the zero of an encoder, which are not reported; and so are unknown
+    states at the start of a recording, of the fit's effects and of those in ``starts``.
+    """
+    rows = equations(aside, joint.nominal, unit)
+    sigma = {e.name: e.sigma for e in joint.equations}
+    rows = tuple(replace(e, sigma=sigma[e.name]) for e in rows if e.name in sigma)
+    if not rows:
+        return None
+    stack = stack_of(rows, joint.nominal)
+    left = np.concatenate([e.residual / e.sigma for e in rows])
+    for effect in joint.effects:
+        # An effect in a single recording, as a mislabelled weight, does not apply to another one.
+        columns = stack.columns(effect.term, effect.shape) if effect.term.place is None else {}
+        if columns:
+            left -= stack.whitened(columns) @ np.array(effect.coefficients)
+    left = _with_own_constants(stack, left[:, None])[:, 0]
+    return stack, _without_start_states(stack, (*joint.effects, *starts), left)
+
+
+def _with_own_constants(stack: Stack, rows: Array) -> Array:
+    """Return whitened rows, shape (n, k), without what the constants of equations other than the
+    torque's can explain.
+    """
+    out = rows.copy()
+    for equation, basis in zip(stack.equations, stack.basis, strict=True):
+        if equation.name != "torque":
+            part = stack.part(equation.name)
+            out[part] -= basis @ (basis.T @ out[part])
+    return out
+
+
+def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -> Array:
+    """Return rows without what unknown states of the effects at the start of each recording, such
+    as the winding's temperature, can explain.
+    """
+    owner = np.concatenate([e.owner for e in stack.equations])
+    for effect in effects:
+        if not effect.term.start:
+            continue
+        begun = replace(effect.term, name=f"start of {effect.term.name}", columns=effect.term.start)
+        columns = stack.columns(begun, effect.shape)
+        if not columns:
+            continue
+        whole = stack.whitened(columns)
+        own = np.concatenate([whole * (owner == k)[:, None] for k in np.unique(owner)], axis=1)
+        own = _with_own_constants(stack, own[:, np.any(own, axis=0)])
+        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+    return left
+
+
+def validation_rms(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
+    """Return each equation's rms over recordings set aside (:func:`validation_residual`)."""
+    found = validation_residual(joint, aside, unit) if aside else None
+    if found is None:
+        return {}
+    stack, left = found
+    return {
+        e.name: e.sigma * float(np.sqrt(np.mean(left[stack.part(e.name)] ** 2)))
+        for e in stack.equations
+    }
+
+
+def judged_rows(stack: Stack, rows: Array, names: Sequence[str]) -> Array:
+    """Return those rows of the whole stack that belong to the named equations."""
+    return np.concatenate([rows[:0], *(rows[stack.part(name)] for name in names)])
+
+
+def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`studentised_reduction`, infinite if the first residual lacks most of the
+    second's squares beyond the noise.
+
+    An effect in a few blocks, as an end stop, may explain nearly everything, although these are
+    too few for a standard error.
+    """
+    rows = judged_rows(stack, np.stack(left, axis=1), names)
+    within = RULES.excess * len(rows)
+    first, second = (max(float(squares), within) for squares in np.sum(rows**2, axis=0))
+    explained = (second - first) / (second - within) if second > within else 0.0
+    if explained >= RULES.adequate:
+        return math.inf
+    return studentised_reduction(stack, left, names)
+
+
+def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return by how many standard errors, over blocks of time, the first residual is smaller than
+    the second in the named equations together.
+
+    The rms of each block is compared; with squares a few blocks would decide.
+    """
+    shown = np.zeros(len(left[0]), dtype=bool)
+    for name in names:
+        shown[stack.part(name)] = True
+    squares = stack.sums(np.stack(left, axis=1) ** 2 * shown[:, None])
+    lessened = np.diff(np.sqrt(squares), axis=1)[:, 0]
+    scatter = float(np.std(lessened, ddof=1)) if len(lessened) > 1 else 0.0
+    spread = scatter * math.sqrt(len(lessened))
+    worth = float(np.sum(lessened)) / spread if spread > 0.0 else math.inf
+    first, second = np.sum(squares, axis=0)
+    return worth if first < second else min(worth, 0.0)
+
+
+def decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
+    """Return :func:`studentised_reduction`; 0 in a single block, or if the two mean squares differ
+    by less than the noise's is known to.
+    """
+    rows = judged_rows(stack, np.stack(left, axis=1), names)
+    low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))
+    if stack.blocks < 2 or high <= RULES.tested_from * low:
+        return 0.0
+    return studentised_reduction(stack, left, names)
