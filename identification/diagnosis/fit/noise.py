@@ -8,14 +8,19 @@ detected.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.rows.equations import Equation, least_noise
+from identification.diagnosis.rows.equations import (
+    Equation,
+    held_voltage,
+    least_noise,
+    own_noise,
+)
 from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View
-from identification.recording import Array
 
 FAST_EFFECTS = ("cogging", "torque_ripple", "gear_mesh_ripple")
 """Effects that may vary by their full amplitude from row to row."""
@@ -44,38 +49,43 @@ def with_lower_noise(
     """
     if joint.effects[-1].term.name not in FAST_EFFECTS:
         return baseline, joint
-    found = tuple(
-        _noise_estimate(e, joint.residual[joint.stack.part(e.name)] * e.sigma)
-        for e in joint.equations
-    )
-    shares = {e.name: now / e.sigma for e, now in zip(joint.equations, found, strict=True)}
-    if min(shares.values()) >= LOWER_NOISE_RATIO:
+    before = _with_lower(baseline, [_with_noise_of(e, joint) for e in joint.equations])
+    if before is baseline:
         return baseline, joint
-    before = _with_scaled_noise(baseline, shares)
     return before, fit(views, unit, joint.nominal, joint.effects, before)
 
 
-def _noise_estimate(equation: Equation, left: Array) -> float:
-    """Return the noise of an equation estimated from its remaining mismatch, at most the present
+def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
+    """Return an equation with the noise estimated from what a fit leaves, at most the present
     estimate.
     """
     if equation.name == "breakaway":
-        return equation.sigma
-    found = noise(
-        without_tones(left, equation.owner, equation.time),
-        equation.owner,
-        equation.views[0].low_pass,
+        return equation
+    rest = without_tones(
+        joint.residual[joint.stack.part(equation.name)], equation.owner, equation.time
     )
-    return min(equation.sigma, max(found, least_noise(equation)))
+    scatter = equation.sigma * noise(rest, equation.owner, equation.views[0].low_pass)
+    sigma = max(math.hypot(scatter, held_voltage(equation)), least_noise(equation))
+    if sigma >= equation.sigma:
+        return equation
+    return replace(equation, sigma=sigma, own=own_noise(equation, rest * equation.sigma / sigma))
 
 
-def _with_scaled_noise(baseline: Joint, shares: dict[str, float]) -> Joint:
-    """Return the fit of the nominal model with the noise of each equation multiplied by its share;
-    the equations have no common parameters.
+def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
+    """Return the fit of the nominal model with the noise of these equations, if it is lower by
+    `LOWER_NOISE_RATIO` in one of them; the equations have no common parameters.
     """
+    shares = {
+        e.name: e.sigma / old.sigma for e, old in zip(equations, baseline.equations, strict=True)
+    }
+    if min(shares.values()) >= LOWER_NOISE_RATIO:
+        return baseline
     residual = baseline.residual.copy()
     for name, share in shares.items():
         residual[baseline.stack.part(name)] /= share
-    equations = tuple(replace(e, sigma=e.sigma * shares[e.name]) for e in baseline.equations)
-    stack = replace(baseline.stack, equations=equations, residual=residual)
-    return replace(baseline, equations=equations, residual=residual, stack=stack)
+    kept = tuple(
+        replace(old, sigma=e.sigma, own=e.own)
+        for e, old in zip(equations, baseline.equations, strict=True)
+    )
+    stack = replace(baseline.stack, equations=kept, residual=residual)
+    return replace(baseline, equations=kept, residual=residual, stack=stack)

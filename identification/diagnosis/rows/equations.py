@@ -36,7 +36,9 @@ SURE_NM = 0.1
 """Approximate torque noise of one sample."""
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
-"""Greatest ratio of an error to a noise, whose square can still be computed with."""
+"""Greatest ratio of an error to a noise, whose square can still be computed with; recordings at
+rest have no noise at all.
+"""
 ARC_SECOND_RAD = math.radians(1.0 / 3600.0)
 """Error of the most accurate encoders for one turn."""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
@@ -57,9 +59,11 @@ class Equation:
         owner: Index of each row's recording, shape (n,).
         time: Time stamp of each row, s, shape (n,).
         sigma: Noise of one row.
-        own: Mean square of each recording's own noise and of its sensors' error over the square of
-            ``sigma``, at least 1, by the recording's index. The noise of a recording may depend on
-            its motion, as where a controller amplifies the rounding of an encoder.
+        own: Mean square of each recording's own noise over the square of ``sigma``, at least 1, by
+            the recording's index. The noise of a recording may depend on its motion, as where a
+            controller amplifies the rounding of an encoder.
+        accuracy: Error that the best sensors may cause, in ``unit``; noise does not contain it, as
+            it repeats with the motion.
     """
 
     name: str
@@ -73,6 +77,15 @@ class Equation:
     time: Array
     sigma: float
     own: Mapping[int, float] = field(default_factory=dict)
+    accuracy: float = 0.0
+
+    def allowed(self) -> Array:
+        """Return the mean square of each row's own noise and sensors' error over the square of
+        ``sigma``, shape (n,).
+        """
+        sensors = min(self.accuracy / self.sigma, GREATEST_RATIO) ** 2
+        noises = np.array([self.own.get(index, 1.0) for index in self.owner.tolist()])
+        return noises + sensors
 
     def rows(self, per_view: Callable[[View], Array]) -> Array:
         """Return full-rate series, shape (m,) or (k, m) per view, as rows, shape (n, k)."""
@@ -149,7 +162,7 @@ def _build(
         name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, 1.0
     )
     if before is not None:
-        return replace(found, sigma=before.sigma, own=before.own)
+        return replace(found, sigma=before.sigma, own=before.own, accuracy=before.accuracy)
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
     if name == "breakaway":
@@ -158,26 +171,21 @@ def _build(
     rest = without_tones(rest, owner, when)
     scatter = noise(rest, owner, views[0].low_pass)
     sigma = max(math.hypot(scatter, held_voltage(found)), least_noise(found))
-    return replace(found, sigma=sigma, own=_own_noise(found, rest / sigma, sigma))
+    own = own_noise(found, rest / sigma)
+    return replace(found, sigma=sigma, own=own, accuracy=_accuracy(found))
 
 
-def _own_noise(equation: Equation, rest: Array, sigma: float) -> dict[int, float]:
-    """Return the mean square of each recording's own noise in whitened rows, at least 1, with the
-    error that the sensors may have.
-    """
+def own_noise(equation: Equation, rest: Array) -> dict[int, float]:
+    """Return the mean square of each recording's own noise in whitened rows, at least 1."""
     low_pass, owner = equation.views[0].low_pass, equation.owner
-    # Recordings at rest have no noise at all.
-    sensors = min(_accuracy(equation) / sigma, GREATEST_RATIO) ** 2
     return {
-        index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2) + sensors
+        index: max(1.0, noise(rest[owner == index], owner[owner == index], low_pass) ** 2)
         for index in np.unique(owner).tolist()
     }
 
 
 def _accuracy(equation: Equation) -> float:
-    """Return the error of an equation that the best sensors may cause, in its unit; noise does not
-    contain it, as it repeats with the motion.
-    """
+    """Return the error of an equation that the best sensors may cause, in its unit."""
     if equation.name == "transmission":
         return ARC_SECOND_RAD
     read = [v.torque if equation.name == "torque" else v.voltage for v in equation.views]

@@ -143,8 +143,8 @@ def over_own_noise(joint: Joint, equation: Equation) -> Array:
     """Return the residual of a fit in an equation, over the own noise of each row's recording,
     shape (n,).
     """
-    powers = np.array([equation.own.get(index, 1.0) for index in equation.owner.tolist()])
-    return np.asarray(joint.residual[joint.stack.part(equation.name)] / np.sqrt(powers))
+    rows = joint.residual[joint.stack.part(equation.name)]
+    return np.asarray(rows / np.sqrt(equation.allowed()))
 
 
 def greatest_mean_square(joint: Joint, equation: Equation) -> float:
@@ -161,7 +161,7 @@ def level(equation: Equation) -> float:
     """Return the mean square of an equation's noise over all rows, each with its recording's own
     noise, over the square of the equation's noise.
     """
-    return float(np.mean([equation.own.get(index, 1.0) for index in equation.owner.tolist()]))
+    return float(np.mean(equation.allowed()))
 
 
 def size_p_value(joint: Joint, only: str = "") -> float:

@@ -5,12 +5,14 @@ offset current.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.noise import with_lower_noise
+from identification.diagnosis.rows.equations import held_voltage
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.removal import needed_share
 from identification.diagnosis.terms.memory import dahl, first_order_lag
@@ -40,6 +42,18 @@ def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
         nominal_fit(honest()).equations[0].sigma, rel=0.2
     )
     assert power(named, "torque") < 1.2
+    own, before = named.equations[0].own, joint.equations[0].own
+    assert set(own) == set(before)
+    loudest = max(before, key=lambda index: before[index])
+    assert own[loudest] < 1.1 < 1.5 < before[loudest]
+
+
+def test_what_a_voltage_between_samples_may_differ_stays_noise() -> None:
+    cogs = {"torque_Nm": 2.3, "per_motor_turn": 7.0, "phase_rad": 1.0}
+    instants = [replace(r, averaged=frozenset()) for r in campaign({"cogging": cogs}, 31, 8.0)]
+    named = after(nominal_fit(instants), "cogging")
+    voltage = next(e for e in named.equations if e.name == "voltage")
+    assert voltage.sigma >= held_voltage(voltage) > 0.0
 
 
 def test_what_moves_slowly_leaves_the_noise_as_it_is() -> None:
