@@ -1,0 +1,85 @@
+"""Which searches follow a search that ends outside the catalogue, and which of them counts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from identification.diagnosis import diagnose
+from identification.diagnosis.result import Step, Verdict
+from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection.held_out import DROPPED
+
+OUTSIDE, NAMED = Verdict.OUTSIDE_CATALOGUE, Verdict.NAMED
+
+
+def term(name: str) -> Any:
+    return SimpleNamespace(name=name)
+
+
+EVERY = [term(name) for name in "abcd"]
+
+
+class Scripted:
+    """Searches with given verdicts and dropped effects; keeps the effects each was given."""
+
+    def __init__(self, script: Sequence[tuple[Verdict, str]], final: Verdict) -> None:
+        self.script, self.final, self.asked = list(script), final, []
+
+    def __call__(self, _task: object, terms: Sequence[Any], thorough: bool = False) -> Any:
+        names = "".join(t.name for t in terms)
+        self.asked.append((names, thorough))
+        verdict, dropped = (self.final, "") if thorough else self.script.pop(0)
+        steps = [Step(DROPPED, name, 1.0, 0.0, "") for name in dropped]
+        found = SimpleNamespace(steps=steps, tag=(names, thorough))
+        return SimpleNamespace(found=found, verdict=verdict)
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch) -> Any:
+    def searched(
+        script: Sequence[tuple[Verdict, str]], final: Verdict = OUTSIDE, nearly_all: bool = True
+    ) -> tuple[Any, list[tuple[str, bool]]]:
+        scripted = Scripted(script, final)
+        monkeypatch.setattr(diagnose, "_outcome", scripted)
+        monkeypatch.setattr(diagnose, "explains_nearly_all", lambda _found: nearly_all)
+        return diagnose._searches(None, EVERY).found.tag, scripted.asked  # type: ignore[arg-type]
+
+    return searched
+
+
+@pytest.mark.parametrize("verdict", [NAMED, Verdict.AMBIGUOUS, Verdict.NOTHING_MISSING])
+def test_another_verdict_ends_the_searches(run: Any, verdict: Verdict) -> None:
+    assert run([(verdict, "a")]) == (("abcd", False), [("abcd", False)])
+
+
+def test_dropped_effects_take_no_part_in_the_next_search(run: Any) -> None:
+    counted, asked = run([(OUTSIDE, "b"), (NAMED, "")])
+    assert asked == [("abcd", False), ("acd", False)]
+    assert counted == ("acd", False)
+
+
+def test_the_number_of_further_searches_is_limited(run: Any) -> None:
+    drops = [(OUTSIDE, name) for name in "abcd"]
+    counted, asked = run(drops[: 1 + RULES.further_searches])
+    plain = [names for names, thorough in asked if not thorough]
+    assert plain == ["abcd", "bcd", "cd"][: 1 + RULES.further_searches]
+    assert counted == ("abcd", False)
+
+
+def test_without_a_dropped_effect_effects_without_a_score_are_fitted(run: Any) -> None:
+    counted, asked = run([(OUTSIDE, "")], final=NAMED)
+    assert asked == [("abcd", False), ("abcd", True)]
+    assert counted == ("abcd", True)
+
+
+def test_effects_without_a_score_must_explain_nearly_all(run: Any) -> None:
+    assert run([(OUTSIDE, "")], final=NAMED, nearly_all=False)[0] == ("abcd", False)
+
+
+def test_a_search_that_ends_with_nothing_missing_does_not_count_after_one_outside(run: Any) -> None:
+    assert run([(OUTSIDE, "b"), (Verdict.NOTHING_MISSING, "")])[0] == ("abcd", False)
+    assert run([(OUTSIDE, "")], final=Verdict.NOTHING_MISSING)[0] == ("abcd", False)
