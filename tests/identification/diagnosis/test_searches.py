@@ -27,7 +27,8 @@ class Scripted:
     """Searches with given verdicts and dropped effects; keeps the effects each was given."""
 
     def __init__(self, script: Sequence[tuple[Verdict, str]], final: Verdict) -> None:
-        self.script, self.final, self.asked = list(script), final, []
+        self.script, self.final = list(script), final
+        self.asked: list[tuple[str, bool]] = []
 
     def __call__(self, _task: object, terms: Sequence[Any], thorough: bool = False) -> Any:
         names = "".join(t.name for t in terms)
