@@ -48,12 +48,11 @@ from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.verdict.judgement import (
     effects_of,
     explains_nearly_all,
-    insufficient_effects,
     named_or_ambiguous,
-    unexplained_equations,
     verdict_of,
 )
 from identification.diagnosis.verdict.statement import statement, warnings_of
+from identification.diagnosis.verdict.unexplained import unexplained
 from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
@@ -273,8 +272,7 @@ def _findings(
         *dropped_effects(found),
         *rests_under_torque(every, torque_unit(every[0].recording)),
         *crowds,
-        *insufficient_effects(found, verdict, rng),
-        *unexplained_equations(found, verdict),
+        *unexplained(found, verdict, rng),
     )
 
 

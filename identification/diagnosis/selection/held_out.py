@@ -37,6 +37,7 @@ from identification.diagnosis.selection.removal import judging_equations
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.selection.unseen import (
     decisive_reduction,
+    explained_share,
     judged_rows,
     reduction,
     validation_residual,
@@ -95,7 +96,29 @@ def validated_effects(
     for kept in rounds.values():
         joint, now = _with_rivals_judged(case, joint, kept, steps)
         judged.append(now)
-    return replace(found, baseline=baseline, final=joint, rounds=tuple(judged), steps=tuple(steps))
+    return replace(
+        found,
+        baseline=baseline,
+        final=joint,
+        rounds=tuple(judged),
+        steps=tuple(steps),
+        unseen_share=_unseen_share(case, joint),
+    )
+
+
+def _unseen_share(case: _Case, joint: Joint) -> float | None:
+    """Return the share of the mismatch beyond the noise on recordings set aside that all effects
+    explain, in the equations by which they are judged; None if there is no such mismatch.
+    """
+    names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
+    before, after = (
+        validation_residual(j, case.aside, case.unit, starts) if case.aside else None
+        for j, starts in ((case.baseline, joint.effects), (joint, ()))
+    )
+    if before is None or after is None:
+        return None
+    left = [_in_noise_of(case.baseline, joint, after), before[1]]
+    return explained_share(before[0], left, sorted(names & {e.name for e in before[0].equations}))
 
 
 def _with_rivals_judged(
@@ -119,7 +142,7 @@ def _with_rivals_judged(
             there = None
         if there is not None and _others(tried, rival.name) == _others(joint, taken.name):
             stack, left, names = seen
-            worse = decisive_reduction(stack, [left, _in_noise_of(joint, tried, there)], names)
+            worse = decisive_reduction(stack, [left, _in_noise_of(joint, tried, there[:2])], names)
             if worse >= RULES.rejected:
                 rival = replace(rival, preference=max(rival.preference, worse))
             elif worse <= -RULES.rejected:
@@ -140,8 +163,8 @@ def _with_rivals_judged(
     return tried, Round(rival.name, (former, *others))
 
 
-def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array, list[str]]) -> Array:
-    """Return the residual of another fit over the noise of ``joint``, which may be lower
+def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:
+    """Return the residual of another fit over the noise of ``joint``, which may differ
     (:func:`with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}

@@ -28,6 +28,18 @@ each.
 """
 
 
+def best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Return the best candidate of each effect that is not negligible, best first."""
+    best: dict[str, Candidate] = {}
+    for candidate in candidates:
+        if candidate.name not in best or candidate.score > best[candidate.name].score:
+            best[candidate.name] = candidate
+    return sorted(
+        (c for c in best.values() if c.score > 0.0 and c.share > RULES.least_share),
+        key=lambda c: -c.score,
+    )
+
+
 def finalist_groups(
     baseline: Joint,
     joint: Joint,

@@ -37,7 +37,7 @@ from identification.diagnosis.selection.comparison import (
     simplest,
 )
 from identification.diagnosis.selection.crossing import gap_or_loop
-from identification.diagnosis.selection.next_effects import finalist_groups, unscored
+from identification.diagnosis.selection.next_effects import best_of_each, finalist_groups, unscored
 from identification.diagnosis.selection.removal import (
     judging_equations,
     share_equation,
@@ -61,6 +61,8 @@ class Search:
         p_after: p-value of the test whether anything more is missing.
         loudest: Generic family or effect with the least p-value at the end.
         steps: Steps of the search.
+        unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
+            effects explain; None if these have no such mismatch.
     """
 
     baseline: Joint
@@ -70,6 +72,7 @@ class Search:
     p_after: float
     loudest: str
     steps: tuple[Step, ...]
+    unseen_share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -222,7 +225,7 @@ def _next_effect(
         steps: Steps so far; the new step is appended.
     """
     baseline, joint = fits
-    best = _best_of_each(test.trials)
+    best = best_of_each(test.trials)
     if case.options.thorough and not joint.effects:
         tried = [*best[: RULES.finalists], *unscored(joint, case.terms, best)]
         tell(tried)
@@ -378,17 +381,6 @@ def _missing(
         )
     ]
     return 2.0 * judged * sign_flip_p_value(own, joint.stack.blocks, rng) <= RULES.level
-
-
-def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
-    best: dict[str, Candidate] = {}
-    for candidate in candidates:
-        if candidate.name not in best or candidate.score > best[candidate.name].score:
-            best[candidate.name] = candidate
-    return sorted(
-        (c for c in best.values() if c.score > 0.0 and c.share > RULES.least_share),
-        key=lambda c: -c.score,
-    )
 
 
 def _why(rivals: Sequence[Contender]) -> str:

@@ -98,13 +98,20 @@ def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
     An effect in a few blocks, as an end stop, may explain nearly everything, although these are
     too few for a standard error.
     """
+    explained = explained_share(stack, left, names)
+    if explained is not None and explained >= RULES.adequate:
+        return math.inf
+    return studentised_reduction(stack, left, names)
+
+
+def explained_share(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float | None:
+    """Return the share of the second residual's squares beyond the noise that the first lacks, in
+    the named equations together; None if the second has none.
+    """
     rows = judged_rows(stack, np.stack(left, axis=1), names)
     within = RULES.excess * len(rows)
     first, second = (max(float(squares), within) for squares in np.sum(rows**2, axis=0))
-    explained = (second - first) / (second - within) if second > within else 0.0
-    if explained >= RULES.adequate:
-        return math.inf
-    return studentised_reduction(stack, left, names)
+    return (second - first) / (second - within) if second > within else None
 
 
 def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:

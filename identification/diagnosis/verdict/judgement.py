@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.diagnosis.catalogue import ENTRIES
-from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.within_limits import infeasible
@@ -50,7 +48,8 @@ class _Excess:
         return min(1.0, max(0.0, (self.before - max(self.after, 1.0)) / beyond))
 
 
-def _excess(found: Search) -> list[_Excess]:
+def excess_of(found: Search) -> list[_Excess]:
+    """Return the power of each equation's mismatch before and after correction."""
     stack = found.baseline.stack
     out = []
     for equation in found.baseline.equations:
@@ -75,7 +74,7 @@ def verdict_of(
     """
     searched = searched or found
     stack = found.baseline.stack
-    main = _main_equation(found)
+    main = main_equation(found)
     rows = stack.part(main.name)
     before, after = (main.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, main, before, after, rng)
@@ -84,7 +83,7 @@ def verdict_of(
         return Verdict.NOTHING_MISSING, None, drawn
     # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
     # breakaway equation judges no model.
-    judges = [e for e in _excess(found) if e.equation != "breakaway"]
+    judges = [e for e in excess_of(found) if e.equation != "breakaway"]
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, judges, least):
         return Verdict.NOTHING_MISSING, None, drawn
@@ -118,54 +117,7 @@ def explains_nearly_all(found: Search) -> bool:
     return _judged_equation(found).explained >= RULES.nearly_complete
 
 
-def insufficient_effects(
-    found: Search, verdict: Verdict, rng: np.random.Generator
-) -> tuple[str, ...]:
-    """Return texts on effects that explain only a part of a mismatch outside the catalogue, or only
-    one direction of motion.
-    """
-    if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
-        return ()
-    lopsided = direction_dependent(found.final)
-    if lopsided:
-        return tuple(
-            f"{title(n)} would explain the mismatch only with a different size in each "
-            "direction of motion"
-            for n in lopsided
-        )
-    cancelling = cancelling_effects(found.final)
-    if cancelling:
-        one, other = (title(n) for n in cancelling)
-        return (
-            f"{one} and {other.lower()} would explain the mismatch only if each is at "
-            "least about twice their sum: they nearly cancel",
-        )
-    if infeasible(found.final):
-        return ()
-    share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
-    words = "; and ".join(e.statement for e in effects_of(found, rng))
-    return (
-        f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "
-        f"least {100.0 * RULES.adequate:.0f} % are needed), if {words}",
-    )
-
-
-def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:
-    """Return texts on equations in which more than noise is left and no identified effect acts."""
-    if verdict not in (Verdict.NAMED, Verdict.AMBIGUOUS):
-        return ()
-    acting = _equations_of_effects(found)
-    equations = {e.name: e for e in found.final.equations}
-    return tuple(
-        f"the {e.equation} equation has a further mismatch that no effect explains: "
-        f"{math.sqrt(e.after) * equations[e.equation].sigma:.3g} {equations[e.equation].unit} rms; "
-        f"noise floor {equations[e.equation].sigma:.3g}"
-        for e in _excess(found)
-        if e.equation not in ("breakaway", *acting) and e.after > RULES.excess
-    )
-
-
-def _equations_of_effects(found: Search) -> set[str]:
+def equations_of_effects(found: Search) -> set[str]:
     """Return the equations in which the accepted effects act."""
     return {name for effect in found.final.effects for name in effect.term.columns}
 
@@ -176,8 +128,8 @@ def _judged_equation(found: Search) -> _Excess:
     An equation other than the torque's in which no accepted effect acts is not it: its mismatch
     has a cause of its own, which is reported beside the identified effects.
     """
-    judges = [e for e in _excess(found) if e.equation != "breakaway"]
-    acting = _equations_of_effects(found) | {"torque"}
+    judges = [e for e in excess_of(found) if e.equation != "breakaway"]
+    acting = equations_of_effects(found) | {"torque"}
     judges = [e for e in judges if e.equation in acting] or judges
     return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
 
@@ -213,7 +165,7 @@ def _hysteretic_remainder(found: Search) -> bool:
     """Whether the effects explain less of the torque mismatch than right effects do, and the
     remaining mismatch is hysteretic.
     """
-    torque = next(e for e in _excess(found) if e.equation == "torque")
+    torque = next(e for e in excess_of(found) if e.equation == "torque")
     return torque.explained < RULES.nearly_complete and is_hysteretic(found.final)
 
 
@@ -222,7 +174,7 @@ def _rows(found: Search, equation: str) -> int:
     return int(rows.stop - rows.start)
 
 
-def _main_equation(found: Search) -> Equation:
+def main_equation(found: Search) -> Equation:
     """Return the equation in which the final model reduces the mismatch most; the torque equation
     if there is no reduction.
     """
@@ -269,7 +221,7 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """
     sizes = estimates(found.final)
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
-    excess = {e.equation: e for e in _excess(found)}
+    excess = {e.equation: e for e in excess_of(found)}
     return tuple(
         _effect(found, places[r.name], sizes[places[r.name]], r, excess, rng)
         for r in found.rounds
@@ -313,7 +265,7 @@ def _effect(
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < RULES.excess else 0.0)
     alone = found.rounds[0].name == taken.name
     needed = excess[own.name].before if alone else _needing(found.final, k, rows)
-    confidence = confidence_of(taken, quality, found.p_after, needed, alone)
+    confidence = confidence_of(taken, quality, _more_is_missing(found), needed, alone)
     rivals = tuple(
         Rival(
             r.name,
@@ -340,6 +292,19 @@ def _effect(
     )
 
 
+def _more_is_missing(found: Search) -> bool:
+    """Whether the test finds that more is missing, or the effects explain too little on recordings
+    set aside.
+    """
+    return found.p_after <= RULES.level or little_unseen(found)
+
+
+def little_unseen(found: Search) -> bool:
+    """Whether the effects explain too little of the mismatch on recordings set aside."""
+    share = found.unseen_share
+    return share is not None and share < RULES.adequate_after_removal
+
+
 def _needing(final: Joint, k: int, rows: slice) -> float:
     """Return the mean-square mismatch over the noise's that the final model leaves in some rows
     without the contribution of effect ``k``.
@@ -351,7 +316,7 @@ def _needing(final: Joint, k: int, rows: slice) -> float:
 
 
 def confidence_of(
-    taken: Round, quality: float, p_after: float, before: float, alone: bool = True
+    taken: Round, quality: float, incomplete: bool, before: float, alone: bool = True
 ) -> float:
     """Return the confidence in an effect, from its rivals, the share it explains, and whether more
     is missing.
@@ -359,7 +324,7 @@ def confidence_of(
     Args:
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
-        p_after: p-value of the test whether anything more is missing.
+        incomplete: Whether more is missing than the effects explain.
         before: Mean-square mismatch of that equation over the noise's, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.
@@ -370,7 +335,7 @@ def confidence_of(
     ]
     most = (
         RULES.incomplete_confidence
-        if p_after <= RULES.level or (before < FAINT_RATIO and not alone)
+        if incomplete or (before < FAINT_RATIO and not alone)
         else RULES.faint_confidence
         if before < FAINT_RATIO
         else RULES.greatest_confidence

@@ -33,18 +33,18 @@ def test_confidence_falls_with_close_rivals_with_what_is_left_and_where_more_is_
         Round("a", ()),
         Round("a", (Contender("b", joint, 0.0, ""), Contender("c", joint, 9.0, ""))),
     )
-    assert confidence_of(alone, 1.0, 0.5, 100.0) == 0.99
-    assert confidence_of(rivalled, 1.0, 0.5, 100.0) == pytest.approx(0.5)
-    assert confidence_of(alone, 0.0, 0.5, 100.0) == pytest.approx(0.495)
-    assert confidence_of(alone, 1.0, 1e-4, 100.0) == 0.7
-    assert confidence_of(rivalled, 1.0, 1e-4, 100.0) == pytest.approx(0.5)
-    assert confidence_of(alone, 1.0, 0.5, 2.0) == 0.9
-    assert confidence_of(alone, 1.0, 0.5, 2.0, alone=False) == 0.7
-    assert confidence_of(alone, 1.0, 0.5, 100.0, alone=False) == 0.99
-    assert confidence_of(alone, 1.0, 0.5, 5.9) == 0.9, (
+    assert confidence_of(alone, 1.0, False, 100.0) == 0.99
+    assert confidence_of(rivalled, 1.0, False, 100.0) == pytest.approx(0.5)
+    assert confidence_of(alone, 0.0, False, 100.0) == pytest.approx(0.495)
+    assert confidence_of(alone, 1.0, True, 100.0) == 0.7
+    assert confidence_of(rivalled, 1.0, True, 100.0) == pytest.approx(0.5)
+    assert confidence_of(alone, 1.0, False, 2.0) == 0.9
+    assert confidence_of(alone, 1.0, False, 2.0, alone=False) == 0.7
+    assert confidence_of(alone, 1.0, False, 100.0, alone=False) == 0.99
+    assert confidence_of(alone, 1.0, False, 5.9) == 0.9, (
         "a tenth of it may be something else and pass for noise"
     )
-    assert confidence_of(alone, 1.0, 0.5, 6.1) == 0.99
+    assert confidence_of(alone, 1.0, False, 6.1) == 0.99
 
 
 def test_nothing_is_found_where_nothing_is_hidden() -> None:

@@ -73,6 +73,11 @@ def test_what_is_there_pays_and_what_is_not_does_not(set_aside: bool) -> None:
     found = validated_effects(search(RIGHT, WRONG), here(), unseen, "N m")
     assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
     assert [r.name for r in found.rounds] == ["asymmetric_coulomb"]
+    if set_aside:
+        assert found.unseen_share is not None
+        assert found.unseen_share > 0.95
+    else:
+        assert found.unseen_share is None
     assert [s.name for s in found.steps if s.action == DROPPED] == ["position_dependent_friction"]
     assert found.final.effects[0].coefficients[0] == pytest.approx(0.5, rel=0.1)
     (words,) = dropped_effects(found)

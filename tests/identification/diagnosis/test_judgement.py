@@ -10,10 +10,12 @@ import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Verdict
+from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.verdict.judgement import effects_of, verdict_of
+from identification.diagnosis.verdict.unexplained import unexplained_equations
 from identification.recording import Array
 
 from .benches import campaign, nominal_fit
@@ -29,7 +31,7 @@ noise.
 def found(size_N_m: float) -> Search:
     joint = nominal_fit(campaign({NAME: {"torque_Nm": size_N_m}}, 5, 6.0))
     # These tests set the mismatch in multiples of the noise alone.
-    bare = tuple(replace(e, own={}) for e in joint.equations)
+    bare = tuple(replace(e, own={}, accuracy=0.0) for e in joint.equations)
     joint = replace(joint, equations=bare, stack=replace(joint.stack, equations=bare))
     term = next(t for t in TERMS if t.name == NAME)
     final = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (), (0.0,)),), joint)
@@ -131,3 +133,16 @@ def test_an_effect_that_took_anothers_place_must_explain_the_mismatch_too() -> N
     rng = np.random.default_rng(0)
     assert verdict_of(swapped, rng, search)[0] is Verdict.OUTSIDE_CATALOGUE
     assert verdict_of(search, rng, search)[0] is Verdict.NAMED
+
+
+@pytest.mark.parametrize(
+    ("share", "confidence"), [(None, 0.99), (0.9, 0.99), (0.2, RULES.incomplete_confidence)]
+)
+def test_what_explains_little_of_recordings_set_aside_is_not_sure(
+    share: float | None, confidence: float
+) -> None:
+    search = replace(found(1.0), unseen_share=share)
+    (effect,) = effects_of(search, np.random.default_rng(0))
+    assert effect.confidence == pytest.approx(confidence, abs=0.01)
+    texts = unexplained_equations(search, Verdict.NAMED)
+    assert any("set aside only 20 %" in text for text in texts) is (share == 0.2)
