@@ -75,6 +75,27 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     return tuple(out)
 
 
+def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
+    """Return a size of effect ``k`` whose interval holds zero, by its name; None if there is none.
+
+    Sizes are the parameters that are proportional to the effect's coefficients, or to their
+    reciprocal, as a stiffness.
+    """
+    effect, sizes = joint.effects[k], estimates(joint)[k]
+    if effect.term.size is not None:
+        return None
+    context = Context(joint.equations[0].views, joint.nominal)
+    twice = effect.term.read(2.0 * np.array(effect.coefficients), effect.shape, context)
+    return next(
+        (
+            (name, size)
+            for name, size in sizes.items()
+            if twice[name] != size.value and size.low <= 0.0 <= size.high
+        ),
+        None,
+    )
+
+
 def _approximation_error(name: str, value: float) -> float:
     """Return the error of a parameter due to its approximate regressor."""
     return (

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.fit.within_limits import infeasible_as_fitted
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
@@ -102,7 +102,7 @@ def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
         unit: Unit of the torque.
         first: The fit; if it is feasible, no other is tried.
     """
-    if not infeasible(first):
+    if not infeasible_as_fitted(first):
         return first
     held = first.nominal.values.keys() - set(first.nominal.free)
     again = fit(
@@ -112,7 +112,7 @@ def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
         first.effects,
         first,
     )
-    return first if infeasible(again) else again
+    return first if infeasible_as_fitted(again) else again
 
 
 def _trial_stribeck_speeds(here: Sequence[View]) -> list[float]:

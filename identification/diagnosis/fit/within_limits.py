@@ -68,8 +68,20 @@ class _Point:
 
 
 def infeasible(joint: Joint) -> bool:
-    """Whether a fit is infeasible: with its parameters within their limits it leaves far more than
-    the unlimited fit predicts. Effects of an infeasible fit are not accepted.
+    """Whether a fit is infeasible: refined within the limits of its parameters it leaves far more
+    than the unlimited fit predicts. Effects of an infeasible fit are not accepted.
+    """
+    if not infeasible_as_fitted(joint):
+        return False
+    promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
+    equation = next(e for e in joint.equations if e.name == "torque")
+    limited = within_limits(equation.views, equation.unit, joint)
+    rows = limited.residual[limited.stack.part("torque")]
+    return is_infeasible(promised, float(np.mean(rows**2)))
+
+
+def infeasible_as_fitted(joint: Joint) -> bool:
+    """Whether a fit leaves far more with its parameters moved to their limits than it predicts.
 
     A fit whose last effect is not in the torque equation counts as feasible: such an effect changes
     no friction parameter.

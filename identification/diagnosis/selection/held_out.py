@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.catalogue.entry import title
+from identification.diagnosis.fit.intervals import undetermined_size
 from identification.diagnosis.fit.joint import Joint, fit
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.stack import Stack
@@ -45,8 +46,8 @@ from identification.diagnosis.selection.unseen import (
 from identification.recording import Array
 
 DROPPED = "drop"
-"""Action of a step that drops an effect because it does not reduce the error on unused
-recordings.
+"""Action of a step that drops an effect because it does not reduce the error on unused recordings,
+or because its size is not determined.
 """
 
 
@@ -57,7 +58,8 @@ def validated_effects(
     error on unused recordings significantly.
 
     The effect with the least reduction is dropped first, and the others are fitted again without
-    it. The first of its open rivals that reduces the error significantly takes its place.
+    it. The first of its open rivals that reduces the error significantly takes its place. Then
+    an effect beside another one is dropped if the interval of its size holds zero.
 
     Args:
         found: The search.
@@ -78,7 +80,11 @@ def validated_effects(
         ]
         worth, name, without = min(trials, key=lambda t: t[0], default=(math.inf, "", baseline))
         if worth >= RULES.rejected:
-            break
+            dropped = _without_undetermined(case, joint, rounds, steps)
+            if dropped is None:
+                break
+            joint = dropped
+            continue
         steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
         joint, taken = without, rounds.pop(name, None)
         for rival in taken.rivals if taken is not None else ():
@@ -104,6 +110,27 @@ def validated_effects(
         steps=tuple(steps),
         unseen_share=_unseen_share(case, joint),
     )
+
+
+def _without_undetermined(
+    case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
+) -> Joint | None:
+    """Return the fit without the first effect beside another one whose size's interval holds zero;
+    None if there is none. Its round is removed, and a step added.
+    """
+    for k, effect in enumerate(joint.effects):
+        name = effect.term.name
+        first = name == next(iter(rounds), name)
+        found = None if first else undetermined_size(joint, k)
+        if found is None:
+            continue
+        parameter, size = found
+        without = _fit_without(case, joint, effect)
+        note = f"the interval of {parameter}, {size.low:.3g} to {size.high:.3g}, holds zero"
+        steps.append(Step(DROPPED, name, None, without.cost - joint.cost, note))
+        rounds.pop(name, None)
+        return without
+    return None
 
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
@@ -191,13 +218,10 @@ def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, lis
 
 
 def dropped_effects(found: Search) -> tuple[str, ...]:
-    """Return a warning for each effect that was dropped because it does not reduce the error on
-    unused recordings significantly (:func:`validated_effects`).
-    """
+    """Return a warning for each effect that was dropped (:func:`validated_effects`)."""
     kept = {e.term.name for e in found.final.effects}
     return tuple(
-        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}; "
-        f"it must be less by at least {RULES.rejected:.2f} standard errors"
+        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}"
         for s in found.steps
         if s.action == DROPPED and s.name not in kept
     )
@@ -225,6 +249,8 @@ def _step(
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
     change = "less" if worth >= 0.0 else "larger"
     note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
+    if action == DROPPED:
+        note += f"; it must be less by at least {RULES.rejected:.2f} standard errors"
     return Step(action, name, None, gain, note)
 
 

@@ -95,7 +95,7 @@ def verdict_of(
         or direction_dependent(found.final)
         or cancelling_effects(found.final)
         or infeasible(searched.final)
-        or _hysteretic_remainder(searched)
+        or hysteretic_remainder(searched)
     ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     return named_or_ambiguous(found), where, drawn
@@ -161,7 +161,7 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
     )
 
 
-def _hysteretic_remainder(found: Search) -> bool:
+def hysteretic_remainder(found: Search) -> bool:
     """Whether the effects explain less of the torque mismatch than right effects do, and the
     remaining mismatch is hysteretic.
     """

@@ -16,6 +16,7 @@ from identification.diagnosis.verdict.judgement import (
     effects_of,
     equations_of_effects,
     excess_of,
+    hysteretic_remainder,
     little_unseen,
     main_equation,
 )
@@ -59,6 +60,14 @@ def _insufficient_effects(
         return ()
     share = next(e.explained for e in excess_of(found) if e.equation == main_equation(found).name)
     words = "; and ".join(e.statement for e in effects_of(found, rng))
+    if share >= RULES.adequate:
+        if not hysteretic_remainder(found):
+            return ()
+        return (
+            f"{100.0 * share:.0f} % of the mismatch beyond the noise would be explained, if "
+            f"{words}; but the remainder starts anew at each reversal, as right effects do not "
+            "leave it",
+        )
     return (
         f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "
         f"least {100.0 * RULES.adequate:.0f} % are needed), if {words}",

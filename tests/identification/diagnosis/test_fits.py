@@ -16,12 +16,12 @@ from identification.diagnosis.fit.feasibility import predicted_and_attained
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.fit.stack import Candidate, stack_of
 from identification.diagnosis.fit.start import feasible_or_first
+from identification.diagnosis.fit.within_limits import infeasible, infeasible_as_fitted
 from identification.diagnosis.rows.equations import equations
 from identification.diagnosis.rows.nominal import STATICS, Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.score.significance import size_p_value, trial_candidates
-from identification.diagnosis.selection.comparison import infeasible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Pendulum, Recording
@@ -40,6 +40,14 @@ def begun_with(joint: Joint, name: str) -> Joint:
     best: Candidate = max(trials, key=lambda c: c.score)
     added = Added(TERM[name], best.shape, tuple(float(c) for c in best.coefficients))
     return fit(here, "N m", joint.nominal, (added,), joint)
+
+
+def with_falling_friction(recording: Recording) -> Recording:
+    """Return a recording whose torque falls by 10 N m s/rad more with speed than measured."""
+    speed = np.gradient(recording.channels["angle"], CYCLE_S)
+    less = 10.0 * speed / (BENCH.torque_constant * BENCH.gear_ratio)
+    current = recording.channels["current"] - less
+    return replace(recording, channels={**recording.channels, "current": current})
 
 
 def power(joint: Joint, equation: str) -> float:
@@ -128,11 +136,20 @@ def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
     flat = replace(joint.nominal, values=values)
     rows = equations(joint.equations[0].views, flat, "N m", joint.equations)
     beyond = replace(joint, nominal=flat, equations=rows, stack=stack_of(rows, flat, joint.stack))
-    assert infeasible(beyond)
-    assert infeasible(replace(beyond, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
-    assert not infeasible(replace(beyond, effects=(Added(TERM["compliance"], (), (0.0,)),))), (
-        "encoders alone see it"
-    )
+    assert infeasible_as_fitted(beyond)
+    beside = replace(beyond, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),))
+    assert infeasible_as_fitted(beside)
+    assert not infeasible(beside), "constants within their limits leave as little"
+    assert not infeasible_as_fitted(
+        replace(beyond, effects=(Added(TERM["compliance"], (), (0.0,)),))
+    ), "encoders alone see it"
+
+
+def test_a_fit_that_needs_impossible_constants_is_infeasible() -> None:
+    """Friction that falls with speed all the way up, as only a negative viscous one does."""
+    joint = nominal_fit([with_falling_friction(r) for r in honest()])
+    assert infeasible_as_fitted(joint)
+    assert infeasible(joint)
 
 
 def test_a_fall_that_ran_off_is_supposed_anew() -> None:
@@ -142,9 +159,9 @@ def test_a_fall_that_ran_off_is_supposed_anew() -> None:
     values = {**joint.nominal.values, "omega_sf": 0.02, "omega_sL": 0.02}
     values |= {"Ms": values["Mc"], "mu_s": values["mu_c"]}
     lost = fit(here, "N m", replace(joint.nominal, values=values), (), joint)
-    assert infeasible(lost)
+    assert infeasible_as_fitted(lost)
     found = feasible_or_first(here, "N m", lost)
-    assert not infeasible(found)
+    assert not infeasible_as_fitted(found)
     assert found.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
     assert feasible_or_first(here, "N m", joint) is joint
 

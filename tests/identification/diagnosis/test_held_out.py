@@ -12,6 +12,7 @@ from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View, views
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection import held_out
 from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.held_out import (
     DROPPED,
@@ -65,6 +66,22 @@ def search(*effects: Added) -> Search:
 
 RIGHT = Added(TERM["asymmetric_coulomb"], (), (0.0,))
 WRONG = Added(TERM["position_dependent_friction"], (0.2, 0.02), (0.0,))
+
+
+def test_an_effect_beside_another_is_dropped_if_the_interval_of_its_size_holds_zero(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Any effect passes the test on unused recordings.
+    monkeypatch.setattr(held_out, "_error_reduction", lambda *_: 9.0)
+    absent = Added(TERM["asymmetric_viscous"], (), (0.0,))
+    found = validated_effects(search(RIGHT, absent), here(), (), "N m")
+    assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
+    (step,) = (s for s in found.steps if s.action == DROPPED)
+    assert step.name == "asymmetric_viscous"
+    (warning,) = dropped_effects(found)
+    assert "holds zero" in warning
+    alone = validated_effects(search(absent), here(), (), "N m")
+    assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
