@@ -81,11 +81,11 @@ class SelectionRules:
             together. Basis: chosen on development trials; the proofs in docs/diagnosis.md were run
             with it.
         adequate_after_removal: The same share where some effects were dropped as they do not reduce
-            the error on unused recordings; and the share on recordings set aside below which more
-            is missing. Basis: chosen; more than half must be explained.
+            the error on unused recordings. Basis: chosen; more than half must be explained.
         nearly_complete: Share of the mismatch's power beyond the noise, below which the remainder
-            is tested for hysteresis. Basis: simulated trials: right effects explained at least 95.9
-            %, springs in place of hysteresis 76 to 89 %.
+            is tested for hysteresis, and on recordings set aside more is missing. Basis: simulated
+            trials: right effects explained at least 95.9 %, springs in place of hysteresis 76 to 89
+            %.
         cancelled: Power of the sum of two contributions over the sum of their powers, below which
             the two cancel each other. Basis: independent contributions have 1 on average; below
             it, equal ones are more than twice their sum.

@@ -300,9 +300,9 @@ def _more_is_missing(found: Search) -> bool:
 
 
 def little_unseen(found: Search) -> bool:
-    """Whether the effects explain too little of the mismatch on recordings set aside."""
+    """Whether the effects explain less on recordings set aside than right ones do."""
     share = found.unseen_share
-    return share is not None and share < RULES.adequate_after_removal
+    return share is not None and share < RULES.nearly_complete
 
 
 def _needing(final: Joint, k: int, rows: slice) -> float:
