@@ -360,6 +360,14 @@ def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> No
         method(Dataset((still,)), rng=np.random.default_rng(0))
 
 
+def test_motion_that_rests_in_every_window_of_the_filter_is_refused_with_its_reversals() -> None:
+    shaken = sine()
+    angle = np.clip(0.02 * np.sin(2.0 * np.pi * 20.0 * shaken.time), -0.01, 0.01)
+    channels = {"time": shaken.time, "angle": angle, "torque": shaken.channels["torque"]}
+    with pytest.raises(RecordingError, match=r"reverses \d+(\.\d)? times per second"):
+        identify(Dataset((replace(shaken, channels=channels),)), bandwidth_Hz=20.0)
+
+
 @pytest.mark.parametrize("method", [identify, identify_paper])
 def test_a_drive_without_torque_is_refused(method: Callable[..., Identification]) -> None:
     idle = sine()

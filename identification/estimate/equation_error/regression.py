@@ -43,6 +43,14 @@ def _moving(p: Prepared) -> BoolArray:
     return np.asarray(p.used & (p.velocity != 0.0))
 
 
+def _reversals_per_s(prepared: Sequence[Prepared]) -> float:
+    """Return the mean number of reversals per second of motion, over all recordings."""
+    moving = [p.raw_velocity[p.raw_velocity != 0.0] for p in prepared]
+    seconds = sum(len(v) * p.recording.period for v, p in zip(moving, prepared, strict=True))
+    count = sum(int(np.count_nonzero(np.diff(np.sign(v)))) for v in moving)
+    return count / seconds if seconds > 0.0 else 0.0
+
+
 def require_motion(prepared: Sequence[Prepared]) -> None:
     """Check that a stage has moving samples with nonzero torque.
 
@@ -53,10 +61,17 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     count = samples_in_motion(prepared)
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
+        bandwidth, reversals = prepared[0].bandwidth_Hz, _reversals_per_s(prepared)
+        remedy = (
+            f"the motion reverses {reversals:.3g} times per second, so that the joint rests within "
+            "nearly every window of the filter: add recordings with slower reversals, or choose a "
+            "greater bandwidth"
+            if reversals > bandwidth
+            else "move the joint further or longer, or choose another bandwidth"
+        )
         raise RecordingError(
-            f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} "
-            f"Hz; at least {LEAST_MOTION} are needed: move the joint further or longer, or choose "
-            "another bandwidth"
+            f"{names}: {count} samples in motion and resolved at {bandwidth:.3g} Hz; at least "
+            f"{LEAST_MOTION} are needed: {remedy}"
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
         raise RecordingError(
