@@ -23,6 +23,12 @@ from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms.term import Context, Term
 from identification.recording import Array
 
+ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {"presliding": ("compliance",)}
+"""Effects that the motor's encoder alone does not distinguish. After a reversal the torque rises
+with the motor's travel until the friction slips, whether a spring in the friction or a shaft
+between motor and joint is wound up.
+"""
+
 
 def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
     """Return a search in which the effects that these recordings cannot distinguish from an
@@ -42,6 +48,8 @@ def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
 
 def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Sequence[Term]) -> Round:
     alike = _indistinct_effects(final, place, terms)
+    if _without_joint_encoder(final):
+        alike += ONE_ENCODER_ALIASES.get(taken.name, ())
     tested = {r.name for r in taken.rivals}
     rivals = [
         replace(r, preference=min(r.preference, 0.0)) if r.name in alike else r
@@ -49,6 +57,12 @@ def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Seque
     ]
     rivals += [Contender(name, final, 0.0, "") for name in alike if name not in tested]
     return Round(taken.name, tuple(rivals))
+
+
+def _without_joint_encoder(joint: Joint) -> bool:
+    """Whether every recording has the angle of the motor's encoder alone."""
+    channels = [v.recording.channels for v in joint.equations[0].views]
+    return all("motor_angle" in c and "angle" not in c for c in channels)
 
 
 def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list[str]:
