@@ -56,7 +56,7 @@ least share of a step that is tried.
 """
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Joint:
     """A model fitted to all equations.
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -41,6 +42,8 @@ RIDGE = 1e-4
 """Weight, over that of the rows, of a ridge penalty on every parameter; of equivalent solutions the
 smallest is chosen.
 """
+_JUDGED: WeakKeyDictionary[Joint, bool] = WeakKeyDictionary()
+"""Whether a fit is infeasible, as long as it is in use: comparisons ask several times."""
 _COULOMB_OF = {static: coulomb for coulomb, static, _ in STRIBECK_TERMS}
 
 
@@ -71,13 +74,18 @@ def infeasible(joint: Joint) -> bool:
     """Whether a fit is infeasible: refined within the limits of its parameters it leaves far more
     than the unlimited fit predicts. Effects of an infeasible fit are not accepted.
     """
-    if not infeasible_as_fitted(joint):
-        return False
+    if joint not in _JUDGED:
+        _JUDGED[joint] = infeasible_as_fitted(joint) and not _attained_within_limits(joint)
+    return _JUDGED[joint]
+
+
+def _attained_within_limits(joint: Joint) -> bool:
+    """Whether a fit, refined within the limits of its parameters, leaves about what it predicts."""
     promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
     equation = next(e for e in joint.equations if e.name == "torque")
     limited = within_limits(equation.views, equation.unit, joint)
     rows = limited.residual[limited.stack.part("torque")]
-    return is_infeasible(promised, float(np.mean(rows**2)))
+    return not is_infeasible(promised, float(np.mean(rows**2)))
 
 
 def infeasible_as_fitted(joint: Joint) -> bool:
