@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.power.axes import base_world, worlds
-from benchmarks.power.sizes import PARAMETER, injected, labels_of
+from benchmarks.power.sizes import labels_of
 from identification.diagnosis.diagnose import observable_effects
 from identification.recording import RecordingError
 from rig.results.prove.mujoco_plant.plant import MujocoPlant
@@ -29,7 +29,6 @@ def measured(number: int, seed: int) -> dict[str, Any]:
         "seed": seed,
         "constants": asdict(base.constants),
         "motor": asdict(base.motor),
-        "injected": injected(base, list(PARAMETER)),
         "processor_s": time.process_time() - began,
         "cells": cells,
     }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +20,7 @@ from benchmarks.power.check import CHECK_FILE
 from benchmarks.power.picture import draw, number
 from benchmarks.power.sizes import FROM, GRID, PARAMETER, SOFT
 from benchmarks.power.table import Key, Machine, Spread, decisive, machines_of, natural, table
-from benchmarks.power.words import CHECKED, INTRODUCTION
+from benchmarks.power.words import CHECKED, INTRODUCTION, WORST
 from identification.diagnosis.catalogue import ENTRIES
 
 PICTURE = "power_map.png"
@@ -27,6 +28,15 @@ CLEAR = 2.0
 """Factor between the medians along an axis, from which it decides."""
 LADDER = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, math.inf)
 """Edges of the ratio of a size to the least visible one."""
+TEN = 10
+HEADS = {
+    "rate": "Rate of the log",
+    "bits": "Resolution of the joint's encoder",
+    "encoders": "Encoders",
+    "loads": "Loads",
+    "excitation": "Excitation",
+    "voltage": "Voltage channel",
+}
 Cells = dict[Key, Spread]
 
 
@@ -36,10 +46,13 @@ def page(machines: Sequence[Machine], check: Sequence[dict[str, Any]]) -> str:
     parts = [
         INTRODUCTION.format(machines=len(machines), picture=PICTURE),
         "## What decides, effect by effect\n",
-        *(f"- {sentence(machines, effect, cells[effect])}" for effect in PARAMETER),
+        *(_item(sentence(machines, effect, cells[effect])) for effect in PARAMETER),
+        "",
+        WORST,
+        _worst(cells),
         "\n## Base world\n",
         _base(machines, cells),
-        *(text for axis in AXES for text in (f"\n## {axis.capitalize()}\n", _axis(axis, cells))),
+        *(text for axis in AXES for text in (f"\n## {HEADS[axis]}\n", _axis(axis, cells))),
     ]
     if check:
         parts[1:1] = ["## Is what the map calls visible named?\n", checked(check)]
@@ -50,56 +63,59 @@ def sentence(machines: Sequence[Machine], effect: str, cells: Cells) -> str:
     """Return in words from which size an effect is shown, and which axis decides."""
     base = cells[("base", "base")].middle
     seen, _ = natural(machines, effect)
-    words = [f"`{effect}`: "]
+    hidden = {a: [v for v in vs if not _shown(cells[(a, v)])] for a, vs in AXES.items()}
+    shown = [_at(a, v) for a, vs in AXES.items() for v in vs if v not in hidden[a]]
+    words = f"`{effect}`: "
     if seen is None or not math.isfinite(base):
-        words.append("not shown in the base world")
-    else:
-        more = "down to" if effect in SOFT else "from"
-        value = f"{PARAMETER[effect]} {seen.middle:.2g} {_unit(effect)}".strip()
-        words.append(f"shown {more} {value}, {number(100.0 * base)} % of the injected size")
-    never = [f"{a} {v}" for a, vs in AXES.items() for v in vs if not _shown(cells[(a, v)])]
+        words += (
+            f"not shown in the base world; shown {' or '.join(shown)}" if shown else "not shown"
+        )
+        return words + "."
+    size = f"{seen.middle:.2g} {_unit(effect)}".strip()
+    words += f"shown {'up to' if effect in SOFT else 'from'} {PARAMETER[effect]} {size}"
+    words += f" ({number(100.0 * base)} % of the injected size)"
+    never = [_at(a, v) for a, vs in hidden.items() for v in vs]
+    if never:
+        words += f"; not shown {', '.join(never)}"
     axis, factor = decisive(cells)
-    if factor < CLEAR:
-        words.append("; no axis changes that by a factor of 2")
-    elif math.isfinite(factor) or base == math.inf:
-        values = [v for v in AXES[axis] if _shown(cells[(axis, v)])]
-        best = min(values, key=lambda v: cells[(axis, v)].middle, default="")
-        worst = max(values, key=lambda v: cells[(axis, v)].middle, default="")
-        if best:
-            words.append(_between(axis, cells, best, worst))
+    if factor >= CLEAR:
+        kept = sorted(
+            (v for v in AXES[axis] if v not in hidden[axis]), key=lambda v: cells[(axis, v)].middle
+        )
+        best, worst = kept[0], kept[-1]
+        times = f"{factor:.2g}" if factor < 99.5 else f"{factor:.0f}"
+        words += f"; {'else ' if never else ''}{WORDS[axis]} decides: {times} times as much is "
+        words += f"needed {_at(axis, worst)} as {_at(axis, best)}"
     else:
-        rest = {a: [cells[(a, v)].middle for v in vs] for a, vs in AXES.items()}
-        spans = {
-            a: max(kept) / min(kept)
-            for a, m in rest.items()
-            if len(kept := [x for x in m if math.isfinite(x)]) > 1
-        }
-        most = max(spans, key=lambda a: spans[a])
-        if spans[most] >= CLEAR:
-            values = [v for v in AXES[most] if _shown(cells[(most, v)])]
-            best = min(values, key=lambda v: cells[(most, v)].middle)
-            worst = max(values, key=lambda v: cells[(most, v)].middle)
-            words.append(_between(most, cells, best, worst))
-    if never and len(never) < sum(map(len, AXES.values())):
-        words.append(f"; not shown with {', '.join(_plain(n) for n in never)}")
-    return "".join(words) + "."
+        words += "; no axis else" if never else "; no axis"
+        words += " changes that by a factor of 2"
+    return words + "."
 
 
-def _between(axis: str, cells: Cells, best: str, worst: str) -> str:
-    low, high = cells[(axis, best)].middle, cells[(axis, worst)].middle
-    times = f"{high / low:.2g}" if high / low < 99.5 else f"{high / low:.0f}"
-    return f"; the {axis} decides: {times} times as much is needed with {worst} as with {best}"
+WORDS = {
+    "rate": "the rate of the log",
+    "bits": "the joint's encoder",
+    "encoders": "the choice of encoders",
+    "loads": "the load",
+    "excitation": "the excitation",
+    "voltage": "the voltage channel",
+}
 
 
-def _plain(name: str) -> str:
-    axis, _, value = name.partition(" ")
-    return {
-        "encoders": f"the {value} encoder alone",
-        "loads": {"none": "no load", "on the joint": "a weight on the joint"}.get(value, value),
-        "voltage": f"voltage {value}",
-        "rate": value,
-        "bits": value,
-    }.get(axis, value)
+def _at(axis: str, value: str) -> str:
+    """Return a value of an axis in words."""
+    if axis == "encoders":
+        return "with both encoders" if value == "both" else f"with the {value}'s encoder alone"
+    if axis == "voltage":
+        return {"absent": "without voltage"}.get(value, f"with {value} voltage")
+    if axis == "loads":
+        return {"none": "without load", "on the joint": "with a weight on the joint"}.get(
+            value, f"with {value} on the lever"
+        )
+    words = {"mixed": "mixed motion", "random": "random motion", "sine": "one sine"}
+    return {"rate": f"at {value}", "bits": f"at {value}"}.get(
+        axis, f"with {words.get(value, value)}"
+    )
 
 
 def _shown(found: Spread) -> bool:
@@ -170,15 +186,52 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
     header = ("size over the least visible", "rigs", "named first", "first or in the alias group")
     parts.append(_markdown(header, rows))
     missed = [r for r in rigs if r["own"] >= 1.0 and not r["first"]]
-    parts.append("Visible and not named first:\n")
-    parts += [
-        f"- `{r['effect']}`, {r['own']:.3g} times the least: {r['verdict']}"
-        f"{', ' + ', '.join(r['named']) if r['named'] else ''}"
+    items = [
+        f"`{r['effect']}`, {r['own']:.3g} times the least size: {r['verdict'].replace('_', ' ')}"
+        + (f", {', '.join(r['named'])}" if r["named"] else "")
         for r in missed
     ]
-    return "\n\n".join(parts[: -len(missed)] if missed else parts) + (
-        "\n" + "\n".join(parts[-len(missed) :]) + "\n" if missed else "\n"
+    if items:
+        parts.append("Visible by the rig's own recordings, and not named first:")
+        parts.append("\n".join(map(_item, items)))
+    return "\n\n".join(parts) + "\n"
+
+
+def _item(text: str) -> str:
+    """Return an item of a list in narrow lines."""
+    return textwrap.fill(
+        text,
+        98,
+        initial_indent="- ",
+        subsequent_indent="  ",
+        break_long_words=False,
+        break_on_hyphens=False,
     )
+
+
+def _worst(cells: dict[str, Cells]) -> str:
+    """Return the effects and axes along which the least size varies most."""
+    found = []
+    for effect, mine in cells.items():
+        for axis, values in AXES.items():
+            kept = [v for v in values if _shown(mine[(axis, v)])]
+            if len(kept) > 1:
+                worst = max(kept, key=lambda v: mine[(axis, v)].middle)
+                best = min(kept, key=lambda v: mine[(axis, v)].middle)
+                factor = mine[(axis, worst)].middle / mine[(axis, best)].middle
+                found.append((factor, effect, axis, best, worst, mine))
+    found.sort(key=lambda row: -row[0])
+    rows = [
+        (
+            f"`{effect}`",
+            axis,
+            f"{worst}: {number(100.0 * mine[(axis, worst)].middle)} %",
+            f"{best}: {number(100.0 * mine[(axis, best)].middle)} %",
+            f"{factor:.0f}",
+        )
+        for factor, effect, axis, best, worst, mine in found[:TEN]
+    ]
+    return _markdown(("effect", "axis", "worst", "best", "factor"), rows)
 
 
 def _markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

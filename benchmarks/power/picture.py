@@ -22,6 +22,14 @@ COLOURS = ("#08306b", "#2171b5", "#6baed6", "#c6dbef", "#fee391", "#fe9929", "#c
 DARK = (0, 1, 6)
 """Colours on which the number is white."""
 NOT_SHOWN = "#d9d9d9"
+HEADS = {
+    "rate": "rate of the log",
+    "bits": "joint's encoder",
+    "encoders": "encoders",
+    "loads": "loads",
+    "excitation": "excitation",
+    "voltage": "voltage",
+}
 GAP = 0.6
 """Space between two axes, in columns."""
 
@@ -90,7 +98,7 @@ def _label(axes: plt.Axes, effects: list[str], places: dict[Key, float]) -> None
     plt.setp(axes.get_xticklabels(), rotation=60, ha="left", rotation_mode="anchor", fontsize=9)
     for axis, values in AXES.items():
         middle = places[(axis, values[0])] + len(values) / 2.0
-        axes.text(middle, -4.1, axis, ha="center", fontsize=11, weight="bold")
+        axes.text(middle, -4.1, HEADS[axis], ha="center", fontsize=11, weight="bold")
     for side in axes.spines.values():
         side.set_visible(False)
     groups = [ENTRIES[e].group for e in effects]

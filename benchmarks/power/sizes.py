@@ -28,7 +28,7 @@ PARAMETER = {
     "compliance": "stiffness_Nm_rad",
     "gear_mesh_ripple": "amplitude_rad",
     "transmission_efficiency": "efficiency",
-    "coupling_hysteresis": "torque_Nm",
+    "coupling_hysteresis": "deflection_rad",
     "asymmetric_coulomb": "torque_Nm",
     "asymmetric_viscous": "coefficient_Nms_rad",
     "quadratic_drag": "coefficient_Nms2_rad2",
@@ -65,6 +65,7 @@ GRID = frozenset(
     {
         "backlash",
         "compliance",
+        "coupling_hysteresis",
         "friction_memory",
         "load_exponent",
         "presliding",

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from benchmarks.power.axes import AXES, BASE
-from benchmarks.power.sizes import PARAMETER, strength
+from benchmarks.power.axes import AXES, BASE, base_world
+from benchmarks.power.sizes import PARAMETER, injected, strength
 
 Machine = dict[str, Any]
 Key = tuple[str, str]
@@ -29,9 +29,13 @@ class Spread(NamedTuple):
 
 
 def machines_of(out: Path) -> list[Machine]:
-    """Read the machines of a map, in order."""
-    files = sorted(out.glob("*-[0-9][0-9][0-9].json"))
-    return [json.loads(file.read_text()) for file in files]
+    """Read the machines of a map, in order; the sizes that proofs inject are drawn again."""
+    found = []
+    for file in sorted(out.glob("*-[0-9][0-9][0-9].json")):
+        machine = json.loads(file.read_text())
+        base = base_world(machine["seed"], machine["number"])
+        found.append({**machine, "injected": injected(base, list(PARAMETER))})
+    return found
 
 
 def ratios(machine: Machine, effect: str) -> dict[Key, float]:
@@ -73,18 +77,13 @@ def natural(machines: Sequence[Machine], effect: str) -> tuple[Spread | None, Sp
 
 
 def decisive(cells: dict[Key, Spread]) -> tuple[str, float]:
-    """Return the axis over which the median of an effect varies most, and the factor; infinity
-    where the effect is shown at some of its values only.
+    """Return the axis over which the median of an effect varies most, among the values at which
+    the effect is shown, and the factor.
     """
     factors = {}
     for axis, values in AXES.items():
         middles = [cells[(axis, value)].middle for value in values]
         shown = [m for m in middles if math.isfinite(m)]
-        if not shown:
-            factors[axis] = 1.0
-        elif len(shown) < len(middles):
-            factors[axis] = math.inf
-        else:
-            factors[axis] = max(shown) / min(shown)
+        factors[axis] = max(shown) / min(shown) if shown else 1.0
     axis = max(factors, key=lambda a: factors[a])
     return axis, factors[axis]

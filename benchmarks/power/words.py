@@ -40,3 +40,23 @@ CHECKED = """{rigs} rigs with one effect each were drawn anew on MuJoCo's plant,
 and diagnosed blind. An effect is *visible* if its size is at least the least one: by the rig's own
 recordings, from the simulation of the same rig without its effect; and by the map, from the axes of
 the rig alone."""
+
+WORST = """## The ten worst axes
+
+The ten pairs of effect and axis over which the least size varies most, without those of which one
+end is not shown at all, and what lies behind such pairs:
+
+- *Steps.* The joint stands still most of the time: of four recordings of 8 s one machine had 28
+  independent rows of torque in motion, against 1143 with sines. What acts in motion needs motion.
+- *12 bits.* One count is 1.5 mrad. Effects in the difference of two encoders (compliance, mesh,
+  slip, eccentricity) are measured in counts.
+- *One encoder.* There is no equation of the transmission, so that effects between motor and joint
+  are not seen at all, except for their torque.
+- *100 Hz.* The voltage's equation needs the derivative of the current; on one machine the noise of
+  its rows was 12 mV at 100 Hz, 1.4 mV at 1000 Hz and 0.3 mV at 4000 Hz.
+- *Rests.* A breakaway counts with the torque's uncertainty within one sample. On one machine the
+  noise of a breakaway was 0.09 N m at 100 Hz and 0.7 N m at 1000 Hz, half of the Coulomb friction,
+  and at 4000 Hz there was no equation of breakaways. That is a limit of the program, not of the
+  recordings: `dwell_static_friction` would otherwise be seen better at high rates.
+- *Loads.* Effects of the load's friction are seen from the difference of two weights and none.
+"""

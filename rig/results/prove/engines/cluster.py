@@ -208,7 +208,7 @@ def remote_cluster(address: str) -> Iterator[DaskCluster]:
             f"warning: {address}: without TLS, whoever reaches this port can run any code as you; "
             f"use tls:// (docs/guides/worlds.md)"
         )
-    with dask.config.set(SETTINGS):
+    with dask.config.set(SETTINGS), distributed.utils.silence_logging_cmgr(logging.CRITICAL):
         try:
             client = distributed.Client(address, timeout=WAIT_S, set_as_default=False)
         except (OSError, ValueError) as error:
