@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +159,31 @@ class Finished:
 def test_what_a_cluster_loses_is_said_with_a_remedy(error: BaseException, message: str) -> None:
     with pytest.raises(InputError, match=message):
         cluster.DaskCluster(None, "--cluster 2")._result(Finished(error))
+
+
+class Deserted:
+    """A client whose scheduler has no workers."""
+
+    def scheduler_info(self, n_workers: int) -> dict[str, Any]:
+        return {"workers": {}}
+
+    def submit(self, call: object, task: object, pure: bool) -> str:
+        return "a task that waits"
+
+    def cancel(self, futures: object, force: bool) -> None:
+        pass
+
+    def as_current(self) -> AbstractContextManager[None]:
+        return nullcontext()
+
+
+def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    def nothing_comes(futures: object, timeout: float, return_when: str) -> None:
+        raise TimeoutError
+
+    monkeypatch.setattr(cluster.distributed, "wait", nothing_comes)
+    with pytest.raises(InputError, match="no worker for 180 s"):
+        list(cluster.DaskCluster(Deserted(), "--scheduler x").each(abs, [1]))
 
 
 def test_a_worker_with_other_packages_is_refused() -> None:

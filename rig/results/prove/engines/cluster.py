@@ -12,7 +12,7 @@ import ipaddress
 import logging
 import platform
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
@@ -42,6 +42,8 @@ AHEAD = 2
 """Number of tasks per worker that the scheduler holds at once."""
 WAIT_S = 60.0
 """Time in which a scheduler must answer, and have a worker."""
+IDLE = 3
+"""Number of these times after which a cluster without workers ends the command."""
 PACKAGES = ("loadrig", "numpy", "scipy", "numba", "mujoco")
 """Packages that must have the same version on all workers, or the results may differ."""
 OWN = ("rig", "drivers", "identification")
@@ -51,6 +53,11 @@ SETTINGS: Mapping[str, Any] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False,
+    # On a busy machine a worker answers late, and one that was killed takes long to start again.
+    "distributed.deploy.lost-worker-timeout": "10 minutes",
+    "distributed.scheduler.worker-ttl": "30 minutes",
+    "distributed.comm.timeouts.connect": "5 minutes",
+    "distributed.comm.timeouts.tcp": "10 minutes",
     # Files of a trial travel inside its task.
     "distributed.admin.large-graph-warning-threshold": "1TB",
 }
@@ -76,21 +83,40 @@ class DaskCluster:
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
         """Yield results as they arrive; see :class:`rig.results.prove.engines.engine.Engine`."""
-        tasks = iter(todo)
+        tasks, waiting = iter(todo), set[Any]()
         call = partial(_on_worker, one, _fingerprint())
-        arriving = distributed.as_completed(loop=self._client.loop)
         try:
             while True:
-                room = AHEAD * max(self._workers(), 1) - arriving.count()
+                room = AHEAD * max(self._workers(), 1) - len(waiting)
                 for task in islice(tasks, max(room, 0)):
-                    arriving.add(self._client.submit(call, task, pure=False))
-                if not arriving.count():
+                    waiting.add(self._client.submit(call, task, pure=False))
+                if not waiting:
                     return
-                future = next(arriving)
-                yield self._result(future)
-                future.release()
+                for future in self._first_of(waiting):
+                    waiting.remove(future)
+                    yield self._result(future)
+                    future.release()
         finally:
-            self._client.cancel([f for f in arriving.futures], force=True)
+            self._client.cancel(list(waiting), force=True)
+
+    def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
+        """Return those of some tasks that are finished, one or more.
+
+        Raises:
+            InputError: No worker is left for a while.
+        """
+        without = 0
+        while without < IDLE:
+            try:
+                with self._client.as_current():
+                    return distributed.wait(waiting, WAIT_S, "FIRST_COMPLETED").done
+            except TimeoutError:
+                # A worker that died takes its time to start again.
+                without = 0 if self._workers() else without + 1
+        raise InputError(
+            f"{self._where}: no worker for {IDLE * WAIT_S:g} s; nothing that is done is lost: "
+            f"start workers and continue with the same --out"
+        )
 
     def _workers(self) -> int:
         return len(self._client.scheduler_info(n_workers=-1)["workers"])
