@@ -1,40 +1,60 @@
-"""Workers of a proof share its work out and end with it, however it ends."""
+"""Workers of a proof share its work out and end with it, however it ends; the work of a worker that
+dies is done again.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import select
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from rig.results.prove.pool import each
+from rig.results.prove.engines import Processes
+from tests.rig.workers import parent
 
 PATIENCE_S = 60.0
-"""Of the test, where workers never start or never end."""
+"""Of the tests, where workers never start or never end."""
+ENGINES = {"processes": 0, "cluster": 2}
+"""Name to the number of workers in a cluster; none for two processes."""
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_every_task_is_done_once(jobs: int) -> None:
-    assert sorted(each(abs, [-3, 2, -1], jobs)) == [1, 2, 3]
+    assert sorted(Processes(jobs).each(abs, [-3, 2, -1])) == [1, 2, 3]
 
 
-def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
+def test_the_work_of_a_process_that_is_killed_is_done_again(tmp_path: Path) -> None:
+    with parent("dying", 0, tmp_path / "died") as process:
+        output, errors = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, errors
+    squares, message = json.loads(output)
+    assert squares == [0, 1, 4, 9, 16]
+    assert "died 3 times" in message
+    assert "continue with the same --out" in message
+
+
+@pytest.mark.parametrize("workers", ENGINES.values(), ids=ENGINES)
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL], ids=["stopped", "killed"])
+def test_workers_end_with_their_parent(tmp_path: Path, workers: int, how: signal.Signals) -> None:
+    if workers:
+        pytest.importorskip("distributed")
     fifo = tmp_path / "alive"
     os.mkfifo(fifo)
     reading = os.open(fifo, os.O_RDONLY | os.O_NONBLOCK)
     try:
-        script = Path(__file__).with_name("orphans.py")
-        with subprocess.Popen([sys.executable, script, fifo], stderr=subprocess.DEVNULL) as parent:
-            try:
-                started = b""
-                while len(started) < 2:
-                    started += _next(reading)
-            finally:
-                parent.send_signal(signal.SIGKILL)
+        with parent("hanging", workers, fifo) as process:
+            started = b""
+            while len(started) < 2:
+                started += _next(reading)
+            if how == signal.SIGINT:
+                os.killpg(process.pid, how)  # as a terminal does
+            else:
+                process.send_signal(how)
+            _, errors = process.communicate(timeout=PATIENCE_S)
+            assert process.returncode == {signal.SIGINT: 3}.get(how, -how), errors
         assert _next(reading) == b"", "end of file: no worker holds the pipe any more"
     finally:
         os.close(reading)

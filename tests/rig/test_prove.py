@@ -18,6 +18,7 @@ from rig.common.errors import InputError
 from rig.common.provenance import sha256
 from rig.results.prove import run as proving
 from rig.results.prove.draw import assignment
+from rig.results.prove.engines import Processes
 from rig.results.prove.family import FAMILIES
 from rig.results.prove.judge import Judgement
 from rig.results.prove.row import row_of
@@ -462,5 +463,5 @@ def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) 
     path = proof.seals[0].truth
     path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
     with pytest.raises(InputError, match="the truth was changed"):
-        proving.work(proof, clairvoyant, 1, False, lambda what, share: None)
+        proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)
     assert not proof.row_file(1).exists()

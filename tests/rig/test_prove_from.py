@@ -11,13 +11,16 @@ import pytest
 
 from rig.cli.entry import status
 from rig.common.errors import InputError
+from rig.results.prove.engines import Processes
 from rig.results.prove.interchange import proof as judging
-from rig.results.prove.interchange.folder import SUMS_FILE, sealed_rigs, write_sums
+from rig.results.prove.interchange.folder import sealed_rigs
 from rig.results.prove.judge import Judgement
 from rig.results.prove.scoring.score import score
 from rig.results.prove.seal import unseal
+from rig.results.prove.sums import SUMS_FILE, write_sums
 from rig.results.prove.truth import load_truth
 
+ENGINE = Processes(1)
 CAMPAIGN = """campaign: 1
 bench: {motion: rotary, torque_constant: 0.1}
 recordings:
@@ -108,10 +111,10 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     )
     proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
     with pytest.raises(InputError, match="not diagnosed yet"):
-        judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+        judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
     assert told == []
-    judging.diagnose_all(proof, heard, 1, no_progress)
-    rows = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+    judging.diagnose_all(proof, heard, ENGINE, no_progress)
+    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
     assert told == [*TRUTHS, *["opened"] * 4]
     result = score(rows)
     assert result["counts"] == {"one": 2, "two": 0, "nothing": 1, "outside": 1}
@@ -132,7 +135,7 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     told.clear()
     (tmp_path / "out" / "judgements" / "bench_c.json").unlink()
     again = judging.begin_from(tmp_path / "out", 600, 1, theirs)
-    judging.diagnose_all(again, heard, 1, no_progress)
+    judging.diagnose_all(again, heard, ENGINE, no_progress)
     assert told == ["bench_c"]
 
 
@@ -142,8 +145,8 @@ def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(
     (theirs / "bench_d").rename(theirs / "bench_e")
     (theirs / "sealed" / "bench_d.yaml").rename(theirs / "sealed" / "bench_e.yaml")
     proof = judging.begin_from(tmp_path / "out", 600, 1, theirs)
-    judging.diagnose_all(proof, judge, 1, no_progress)
-    row = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)[-1]
+    judging.diagnose_all(proof, judge, ENGINE, no_progress)
+    row = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)[-1]
     assert row["refused"] == "broke down: ZeroDivisionError: as a defect might"
     assert (row["verdict"], row["alarm"], row["top1"]) == ("refused", False, False)
 
@@ -157,8 +160,8 @@ def test_what_is_not_scored_counts_neither_way(theirs: Path, tmp_path: Path) -> 
         "not_scored: [backlash.gap_rad, Mc]\n"
     )
     proof = judging.begin_from(tmp_path / "out", 2, 1, theirs)
-    judging.diagnose_all(proof, judge, 1, no_progress)
-    rows = judging.score_all(proof, no_oracle, lambda path: {}, no_progress)
+    judging.diagnose_all(proof, judge, ENGINE, no_progress)
+    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
     assert (rows[0]["kind"], rows[0]["alarm"], rows[0]["named"]) == ("nothing", False, [])
     assert rows[0]["excused"] == ["compliance"]
     assert (rows[1]["top1"], rows[1]["parameters"], rows[1]["nominal"]) == (True, {}, {})

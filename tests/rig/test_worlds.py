@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.results.prove.engines import Processes
 from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
@@ -241,7 +242,7 @@ def test_angles_are_whole_counts() -> None:
 
 @pytest.mark.usefixtures("short")
 def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
-    rigs = seal_worlds(tmp_path, Follower(), 8, 21, 1, lambda what, share: None)
+    rigs = seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
     assert [rig.name for rig in rigs] == [f"rig-{n:04d}" for n in range(1, 9)]
     kinds = []
     for rig in rigs:
@@ -255,7 +256,7 @@ def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
         assert dataset.recordings[0].channels["angle"].size > 50
     assert kinds.count("nothing") == 2
     before = [rig.truth.stat().st_mtime_ns for rig in rigs]
-    seal_worlds(tmp_path, Follower(), 8, 21, 1, lambda what, share: None)
+    seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
     assert [rig.truth.stat().st_mtime_ns for rig in rigs] == before, "what is there is kept"
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import click
 import numpy as np
 
+from rig.results.prove.engines import Processes
 from rig.results.prove.worlds.seal import seal_worlds
 from rig.results.prove.worlds.sizes import SIZES
 from rig.results.prove.worlds.world import COMMAND_S, Signals, World
@@ -220,8 +221,8 @@ PLACES = {
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True)
 def main(out: Path, rigs: int, seed: int, jobs: int) -> None:
     """Seal worlds of this plant into OUT."""
-    plant = OdePlant()
-    for rig in seal_worlds(out, plant, rigs, seed, jobs, lambda what, share: click.echo(what)):
+    plant, engine = OdePlant(), Processes(jobs)
+    for rig in seal_worlds(out, plant, rigs, seed, engine, lambda what, share: click.echo(what)):
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 

@@ -30,8 +30,8 @@ class Observable:
         left: Share of the regressor's squares that the nominal parameters cannot explain, median
             over trial parameters; zero if no recording can show the effect.
         sizes: Parameter to its value at the smallest size that the recordings can show. This is the
-            median over trial parameters or, if these determine the size, the smallest observable
-            trial; empty if none is observable.
+            middle one of the trial parameters by size or, if these determine the size, the smallest
+            observable trial; empty if none is observable.
         alike: Effects that explain at least `alike` of its regressor, to the share explained,
             greatest first.
     """
@@ -131,7 +131,7 @@ def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[
     The squares that the effect explains must be significant at ``level``, and at least the share of
     the noise below which an effect is negligible.
     """
-    linear: list[Mapping[str, float]] = []
+    linear: list[tuple[float, Mapping[str, float]]] = []
     shaped: list[tuple[float, Mapping[str, float]]] = []
     for trial in own:
         width, size = trial.span.shape[1], trial.term.size
@@ -140,9 +140,12 @@ def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[
         coefficients[0] = math.sqrt(needed / trial.gain) if size is None else size
         read = trial.term.read(coefficients, trial.shape, context)
         if size is None:
-            linear.append(read)
+            linear.append((float(coefficients[0]), read))
         elif size**2 * trial.gain >= needed:
             shaped.append((trial.gain, read))
     if linear:
-        return {name: float(np.median([r[name] for r in linear])) for name in linear[0]}
+        # One trial, as values of several would not belong together: the mass of a wrong weight is
+        # its recording's.
+        middle = sorted(linear, key=lambda found: found[0])[len(linear) // 2]
+        return {name: float(value) for name, value in middle[1].items()}
     return dict(min(shaped, key=lambda found: found[0])[1]) if shaped else {}

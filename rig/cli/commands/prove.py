@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import time
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from rig.cli import options as shared
 from rig.common.errors import InputError
+
+if TYPE_CHECKING:
+    from rig.results.prove.engines import Engine
 
 
 @click.command("prove")
@@ -44,6 +48,19 @@ from rig.common.errors import InputError
     help="Folder of the proof; a proof that was begun in it is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option(
+    "--cluster",
+    "workers",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Use N worker processes of a dask cluster on this machine (needs the extra `dask`).",
+)
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Use the workers of this dask scheduler, which you trust, e.g. tls://10.0.0.5:8786 (needs "
+    "the extra `dask`).",
+)
 @shared.seed("Seed of draws and diagnosis.")
 @click.option(
     "--gas",
@@ -59,6 +76,8 @@ def command(
     source: Path | None,
     out: Path,
     jobs: int,
+    workers: int | None,
+    scheduler: str | None,
     seed: int,
     gas: bool,
     keep: bool,
@@ -68,7 +87,8 @@ def command(
     diagnose, unseal and score.
 
     The command prints the SHA-256 of every sealed truth before the first diagnosis starts. With
-    --from, all rigs are diagnosed before the first truth is opened.
+    --from, all rigs are diagnosed before the first truth is opened. The results are the same bytes
+    with any number of processes or workers; SHA256SUMS in the folder lists them.
 
     \b
     Example:
@@ -77,26 +97,29 @@ def command(
       rig prove --seal sealed --rigs 24 --seed 7
       rig prove --plant mujoco --rigs 12 --jobs 2 --out mujoco-proof
       rig prove --from sealed-by-others --json proof.json
+      rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
     """
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
+    from rig.results.prove.engines.choice import engine
 
     _require_one_task(home, source, gas, plant)
     require_folder(out, "--out")
     require_file(json_file, "--json")
     started = time.perf_counter()
     try:
-        if home is not None:
-            require_folder(home, "--seal")
-            _seal(home, plant, rigs, seed, jobs)
-            return
-        if plant != OWN:
-            source = out / WORLDS
-            _seal(source, plant, rigs, seed, jobs)
-        if source is not None:
-            rows = _judge(source, out, rigs, seed, jobs)
-        else:
-            rows = _prove(out, rigs, seed, gas, jobs, keep)
+        with engine(jobs, workers, scheduler) as shared_out:
+            if home is not None:
+                require_folder(home, "--seal")
+                _seal(home, plant, rigs, seed, shared_out)
+                return
+            if plant != OWN:
+                source = out / WORLDS
+                _seal(source, plant, rigs, seed, shared_out, repeated=True)
+            if source is not None:
+                rows = _judge(source, out, rigs, seed, shared_out)
+            else:
+                rows = _prove(out, rigs, seed, gas, shared_out, keep)
         _show(rows, out, seed, started, json_file)
     except OSError as error:
         raise InputError(
@@ -143,7 +166,7 @@ def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: 
 
 
 def _prove(
-    out: Path, rigs: int, seed: int, gas: bool, jobs: int, keep: bool
+    out: Path, rigs: int, seed: int, gas: bool, engine: Engine, keep: bool
 ) -> list[dict[str, Any]]:
     """Draw, seal, diagnose and score trials; return their rows."""
     from rig.results.prove.family import GAS, MOTION
@@ -155,28 +178,42 @@ def _prove(
     for sealed in proof.seals:
         click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
     with ShareBar() as bar:
-        return work(proof, judge, jobs, keep, bar)
+        return work(proof, judge, engine, keep, bar)
 
 
-def _seal(home: Path, plant: str, rigs: int, seed: int, jobs: int) -> None:
-    """Draw and seal trials for other tools; print their digests."""
+def _seal(
+    home: Path, plant: str, rigs: int, seed: int, engine: Engine, repeated: bool = False
+) -> None:
+    """Draw and seal trials; print their digests.
+
+    Args:
+        home: Folder of the sealed trials.
+        plant: Name of the plant.
+        rigs: Number of trials.
+        seed: Seed of the draws.
+        engine: Shares the trials out.
+        repeated: Whether the digests repeat with the seed; they do not if the truths are sent to
+            others later.
+    """
     from rig.results.prove.interchange.own import seal_own
     from rig.terminal.bar import ShareBar
 
     with ShareBar() as bar:
         if plant == OWN:
-            sealed = seal_own(home, rigs, seed, jobs, bar)
+            sealed = seal_own(home, rigs, seed, engine, bar)
         else:
             from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
+            from rig.results.prove.seal import random_salt, repeated_salt
             from rig.results.prove.worlds.seal import seal_worlds
 
             require_mujoco()
-            sealed = seal_worlds(home, MujocoPlant(), rigs, seed, jobs, bar)
+            salt = partial(repeated_salt, seed) if repeated else random_salt
+            sealed = seal_worlds(home, MujocoPlant(), rigs, seed, engine, bar, salt)
     for rig in sealed:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
 
 
-def _judge(source: Path, out: Path, rigs: int, seed: int, jobs: int) -> list[dict[str, Any]]:
+def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:
     """Diagnose and score rigs that other programs have sealed; return their rows."""
     from rig.results.prove.absorbed import floors_of
     from rig.results.prove.interchange.proof import begin_from, diagnose_all, score_all
@@ -187,6 +224,6 @@ def _judge(source: Path, out: Path, rigs: int, seed: int, jobs: int) -> list[dic
     for rig in proof.rigs:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
     with ShareBar() as bar:
-        diagnose_all(proof, judge, jobs, bar)
+        diagnose_all(proof, judge, engine, bar)
     with ShareBar() as bar:
-        return score_all(proof, oracle_of, floors_of, bar)
+        return score_all(proof, oracle_of, floors_of, engine, bar)

@@ -12,6 +12,7 @@ from rig.results.prove.draw import Assigned, assignment, draw
 from rig.results.prove.gas_draw import gas_assignment
 from rig.results.prove.gas_simulate import seal_gas, simulate_gas
 from rig.results.prove.generate import Sealed, seal_rig, simulate_rig
+from rig.results.prove.seal import repeated_salt
 
 Seed = Sequence[int]
 
@@ -32,7 +33,7 @@ class Family(NamedTuple):
 
 
 def _seal_motion(out: Path, number: int, assigned: Assigned, seed: Seed) -> Sealed:
-    return seal_rig(out, number, draw(*assigned, seed))
+    return seal_rig(out, number, draw(*assigned, seed), repeated_salt(*seed))
 
 
 def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str, float]:

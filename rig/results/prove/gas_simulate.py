@@ -21,6 +21,7 @@ from rig.results.prove.excitation import CYCLE_S
 from rig.results.prove.gas_draw import GasRig, draw_gas
 from rig.results.prove.gas_excitation import gas_experiments
 from rig.results.prove.generate import Sealed, seal_truth
+from rig.results.prove.seal import repeated_salt
 
 CHANNELS = ("time", "command", "angle", "pressure")
 """Channels that a diagnosis of the gas generator uses. The drive's current is not used, because it
@@ -58,7 +59,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
         },
         "maker": {**drawn, "machine": asdict(rig.machine)},
     }
-    return seal_truth(out, number, truth)
+    return seal_truth(out, number, truth, repeated_salt(*seed))
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:

@@ -9,7 +9,6 @@ and the strength of its effects.
 from __future__ import annotations
 
 import math
-import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +21,7 @@ from rig.results.prove.absorbed import FLOOR_SUFFIX, floors
 from rig.results.prove.draw import Kind, Rig, assignment, draw
 from rig.results.prove.excitation import experiments
 from rig.results.prove.folder import CAMPAIGN_FILE, write
-from rig.results.prove.seal import seal
+from rig.results.prove.seal import random_salt, seal
 from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
 from rig.results.prove.truth import strangers
 from rig.runs.truth import true_parameters
@@ -54,13 +53,13 @@ def place(out: Path, number: int, digest: str = "") -> Sealed:
     )
 
 
-def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
+def seal_rig(out: Path, number: int, rig: Rig, salt: str) -> Sealed:
     """Write and seal the truth of a trial; nothing is simulated yet.
 
     Raises:
         OSError: It cannot be written.
     """
-    return seal_truth(out, number, truth_of(rig))
+    return seal_truth(out, number, truth_of(rig), salt)
 
 
 def truth_of(rig: Rig) -> dict[str, Any]:
@@ -78,11 +77,8 @@ def truth_of(rig: Rig) -> dict[str, Any]:
     }
 
 
-def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
+def seal_truth(out: Path, number: int, truth: Mapping[str, Any], salt: str) -> Sealed:
     """Write and seal the truth of one trial.
-
-    The salt of the seal is independent of the seed, so that the truth cannot be guessed from the
-    digest.
 
     Raises:
         OSError: It cannot be written.
@@ -90,7 +86,7 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
     where = place(out, number)
     where.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {"truth": 1, "rig": number, "outside": strangers(truth["effects"]), **truth}
-    return where._replace(digest=seal(where.truth, content, secrets.token_hex(16)))
+    return where._replace(digest=seal(where.truth, content, salt))
 
 
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
@@ -141,7 +137,7 @@ def main(out: Path, rigs: int, seed: int, only: Sequence[str]) -> None:
         drawn = [("one" if len(only) == 1 else "two", tuple(only))] * rigs
     for number, (kind, names) in enumerate(drawn, start=1):
         rig = draw(kind, names, (seed, number))
-        where = seal_rig(out, number, rig)
+        where = seal_rig(out, number, rig, random_salt())
         click.echo(f"{where.campaign}  {where.digest}")
         write_json(where.truth.with_suffix(".strength.json"), simulate_rig(where, rig))
 

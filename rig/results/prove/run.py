@@ -4,10 +4,10 @@ after another.
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,16 +16,22 @@ from rig.common.errors import InputError
 from rig.common.input_files import is_file, read_json
 from rig.common.places import write_json
 from rig.results.prove.absorbed import FLOOR_SUFFIX
+from rig.results.prove.draw import Assigned
+from rig.results.prove.engines import Engine
+from rig.results.prove.engines.bundle import Files, read_folder, without_place, write_folder
 from rig.results.prove.excitation import experiments
 from rig.results.prove.family import FAMILIES, MOTION
 from rig.results.prove.generate import Sealed, place
 from rig.results.prove.judge import Judge
-from rig.results.prove.pool import each
 from rig.results.prove.row import VERSION, row_of
-from rig.results.prove.seal import unseal
+from rig.results.prove.seal import sealed_content, unseal
+from rig.results.prove.sums import write_sums
+from rig.results.prove.times import TIMES, timed_row, without_times
 
 PROOF_FILE = "proof.json"
-ROWS = "rows"
+ROWS, DIAGNOSES = "rows", "diagnoses"
+REPEATED = (PROOF_FILE, "sealed", DIAGNOSES, "judgements", ROWS)
+"""Files and folders of a proof whose bytes depend on its settings alone."""
 
 
 class Proof(NamedTuple):
@@ -64,7 +70,7 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
         except ValueError as error:
             raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
         return Proof(out, seed, seals, family)
-    for name in (ROWS, "diagnoses"):
+    for name in (ROWS, DIAGNOSES, TIMES):
         (out / name).mkdir(parents=True, exist_ok=True)
     made = FAMILIES[family]
     drawn = enumerate(made.assignment(rigs, seed), start=1)
@@ -93,55 +99,126 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     return seals
 
 
+class Trial(NamedTuple):
+    """One trial as it travels to a worker.
+
+    Attributes:
+        number: Number of the trial, from 1.
+        assigned: Kind and effects.
+        sealed: Content of its sealed truth, which is written to the worker's disk, and read, after
+            the diagnosis.
+        truth: Path of that file where the proof was begun, for messages.
+        digest: SHA-256 of that file.
+    """
+
+    number: int
+    assigned: Assigned
+    sealed: bytes
+    truth: Path
+    digest: str
+
+
+class Proved(NamedTuple):
+    """One trial as it comes back.
+
+    Attributes:
+        number: Number of the trial.
+        diagnosis: The record of ``rig diagnose --json`` without date and duration.
+        row: Its row without durations.
+        times: Date and durations.
+        floor: Noise floors of its reference simulation.
+        files: Its recordings, if they are kept.
+    """
+
+    number: int
+    diagnosis: Mapping[str, Any]
+    row: Mapping[str, Any]
+    times: Mapping[str, Any]
+    floor: Mapping[str, float]
+    files: Files
+
+
 def work(
-    proof: Proof, judge: Judge, jobs: int, keep: bool, progress: Callable[[str, float], None]
+    proof: Proof, judge: Judge, engine: Engine, keep: bool, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """Diagnose and score the trials that have no row yet; return all rows in order.
 
     Args:
         proof: The proof as begun.
-        judge: Judges a campaign; with more than one job it must be importable.
-        jobs: Processes.
+        judge: Judges a campaign; with more than one worker it must be importable.
+        engine: Shares the trials out.
         keep: Whether recordings of trials drawn here stay after scoring.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
-        InputError: A truth was changed after it was sealed.
+        InputError: A truth was changed after it was sealed, or workers die repeatedly.
         OSError: A file cannot be written.
     """
+    assigned = FAMILIES[proof.family].assignment(len(proof.seals), proof.seed)
     todo = [s for s in proof.seals if not is_file(proof.row_file(s.number))]
     done = len(proof.seals) - len(todo)
-    one = partial(prove_rig, proof=proof, judge=judge, keep=keep)
-    for finished in each(one, todo, jobs):
+    trials = (
+        Trial(s.number, assigned[s.number - 1], sealed_content(s.truth), s.truth, s.digest)
+        for s in todo
+    )
+    one = partial(prove_trial, seed=proof.seed, family=proof.family, judge=judge, keep=keep)
+    for proved in engine.each(one, trials):
+        _store(proof, proved)
         done += 1
         progress(
-            f"trial {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals)
+            f"trial {proved.number} diagnosed, {done} of {len(proof.seals)}",
+            done / len(proof.seals),
         )
-    return [read_json(proof.row_file(s.number)) for s in proof.seals]
+    write_sums(proof.out, REPEATED)
+    names = [f"{s.number:04d}" for s in proof.seals]
+    return [timed_row(proof.out, name) for name in names]
 
 
-def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
-    """Diagnose, unseal and score one trial; return its number.
+def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) -> Proved:
+    """Simulate, diagnose, unseal and score one trial in a temporary folder.
 
-    The truth is opened after the judgement.
+    The result depends on the arguments alone, except for its date and durations. The truth is
+    opened after the judgement.
+
+    Raises:
+        InputError: The truth was changed after it was sealed.
+        OSError: The temporary folder cannot be written.
     """
-    family = FAMILIES[proof.family]
-    assigned = family.assignment(len(proof.seals), proof.seed)[sealed.number - 1]
-    strengths = family.simulate(sealed, assigned, (proof.seed, sealed.number))
-    beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
-    floor = read_json(beside) if is_file(beside) else {}
-    judgement = judge(sealed.campaign, diagnosis_seed(proof.seed, sealed.number))
-    write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", judgement.diagnosis)
-    truth = unseal(sealed.truth, sealed.digest).record(sealed.number)
-    oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
-    names = [e.name for e in experiments()]
-    write_json(
-        proof.row_file(sealed.number),
-        row_of(truth, strengths, judgement, oracle, sealed.digest, floor, names),
-    )
-    if not keep:
-        shutil.rmtree(sealed.campaign.parent)
-    return sealed.number
+    with TemporaryDirectory(prefix="loadrig-") as scratch:
+        home = Path(scratch)
+        sealed = place(home, trial.number, trial.digest)
+        sealed.truth.parent.mkdir()
+        strengths = FAMILIES[family].simulate(sealed, trial.assigned, (seed, trial.number))
+        beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
+        floor = read_json(beside) if is_file(beside) else {}
+        judgement = judge(sealed.campaign, diagnosis_seed(seed, trial.number))
+        sealed.truth.write_bytes(trial.sealed)
+        try:
+            truth = unseal(sealed.truth, sealed.digest).record(trial.number)
+        except InputError as error:
+            moved = (p.replace(str(sealed.truth), str(trial.truth)) for p in error.problems)
+            raise InputError(moved) from error
+        asked = truth["kind"] in ("one", "two")
+        oracle = judgement.oracle(list(truth["effects"])) if asked else None
+        names = [e.name for e in experiments()]
+        row = row_of(truth, strengths, judgement, oracle, sealed.digest, floor, names)
+        folder = sealed.campaign.parent
+        diagnosis, times = without_times(without_place(judgement.diagnosis, folder))
+        row, spent = without_times(row)
+        kept = read_folder(folder) if keep else {}
+    return Proved(trial.number, diagnosis, row, times | spent, floor, kept)
+
+
+def _store(proof: Proof, proved: Proved) -> None:
+    """Write the files of one trial; its row, which marks it as done, is the last."""
+    where = place(proof.out, proved.number)
+    name = f"{proved.number:04d}.json"
+    write_folder(where.campaign.parent, proved.files)
+    if proved.floor:
+        write_json(where.truth.with_suffix(FLOOR_SUFFIX), proved.floor)
+    write_json(proof.out / DIAGNOSES / name, proved.diagnosis)
+    write_json(proof.out / TIMES / name, proved.times)
+    write_json(proof.row_file(proved.number), proved.row)
 
 
 def diagnosis_seed(seed: int, number: int) -> int:

@@ -7,14 +7,12 @@ optional ``SHA256SUMS`` lists the digest of every file in the format of ``sha256
 
 from __future__ import annotations
 
-import secrets
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from rig.common.errors import InputError
-from rig.common.input_files import is_file, read_utf8
-from rig.common.places import write_text
+from rig.common.input_files import is_file
 from rig.common.provenance import sha256_file
 from rig.results.prove.folder import CAMPAIGN_FILE
 from rig.results.prove.seal import seal
@@ -22,7 +20,6 @@ from rig.results.prove.truth import strangers
 
 SEALED = "sealed"
 REFERENCE = ".reference"
-SUMS_FILE = "SHA256SUMS"
 SUFFIXES = (".yaml", ".yml", ".json")
 PREFIX = "rig-"
 """Name of the folder of a rig whose truth has only a number as its name, as written by ``rig
@@ -88,7 +85,7 @@ def _found(home: Path) -> Iterator[SealedRig]:
                 break
 
 
-def write_truth(where: SealedRig, truth: Mapping[str, Any]) -> None:
+def write_truth(where: SealedRig, truth: Mapping[str, Any], salt: str) -> None:
     """Write the truth of a rig with a salt.
 
     Raises:
@@ -96,45 +93,4 @@ def write_truth(where: SealedRig, truth: Mapping[str, Any]) -> None:
     """
     where.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {"truth": 1, "rig": where.name, "outside": strangers(truth["effects"]), **truth}
-    seal(where.truth, content, secrets.token_hex(16))
-
-
-def write_sums(home: Path) -> Path:
-    """Write the digest of every file of the folder; return the path of the list.
-
-    Raises:
-        OSError: It cannot be written.
-    """
-    path = home / SUMS_FILE
-    files = sorted(f for f in home.rglob("*") if is_file(f) and f != path)
-    lines = [f"{sha256_file(file)}  {file.relative_to(home).as_posix()}" for file in files]
-    write_text(path, "\n".join(lines) + "\n")
-    return path
-
-
-def check_sums(home: Path) -> None:
-    """Compare the files of the folder with its list of digests; without a list nothing is checked.
-
-    Raises:
-        InputError: A file is missing, or differs from its listed digest; the message names all such
-            files.
-    """
-    path = home / SUMS_FILE
-    if not is_file(path):
-        return
-    problems = []
-    for number, line in enumerate(read_utf8(path).splitlines(), start=1):
-        digest, _, name = line.partition(" ")
-        file = home / name.strip().removeprefix("*")
-        try:
-            found = sha256_file(file)
-        except OSError as error:
-            problems.append(f"{path}:{number}: {name.strip()}: cannot be read: {error.strerror}")
-            continue
-        if found != digest:
-            problems.append(
-                f"{path}:{number}: {name.strip()}: SHA-256 is {found}, listed is {digest}; the "
-                f"file was changed"
-            )
-    if problems:
-        raise InputError(problems)
+    seal(where.truth, content, salt)

@@ -7,27 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rig.common.input_files import is_file
-from rig.results.prove.draw import Assigned, assignment, draw
+from rig.results.prove.draw import assignment, draw
+from rig.results.prove.engines import Engine
 from rig.results.prove.excitation import experiments
 from rig.results.prove.folder import write
 from rig.results.prove.generate import truth_of
-from rig.results.prove.interchange.folder import (
-    PREFIX,
-    SealedRig,
-    place,
-    sealed_rigs,
-    write_sums,
-    write_truth,
-)
-from rig.results.prove.pool import each
+from rig.results.prove.interchange.folder import SealedRig, write_truth
+from rig.results.prove.interchange.sealing import Made, Task, made, making, seal_all
 from rig.results.prove.simulate import campaign, reference_of, strength
-
-Numbered = tuple[int, Assigned]
 
 
 def seal_own(
-    home: Path, rigs: int, seed: int, jobs: int, progress: Callable[[str, float], None]
+    home: Path, rigs: int, seed: int, engine: Engine, progress: Callable[[str, float], None]
 ) -> list[SealedRig]:
     """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
 
@@ -37,33 +28,28 @@ def seal_own(
         home: Folder of the sealed rigs.
         rigs: Number of trials.
         seed: Seed of the draws.
-        jobs: Processes.
+        engine: Shares the trials out.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
+        InputError: Workers die repeatedly.
         OSError: It cannot be written.
     """
-    todo = list(enumerate(assignment(rigs, seed), start=1))
-    for done, name in enumerate(each(partial(_seal, home=home, seed=seed), todo, jobs), start=1):
-        progress(f"{name} sealed, {done} of {rigs}", done / rigs)
-    write_sums(home)
-    return sealed_rigs(home)
+    drawn = list(enumerate(assignment(rigs, seed), start=1))
+    return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)
 
 
-def _seal(numbered: Numbered, home: Path, seed: int) -> str:
-    """Simulate and seal one trial; return its name."""
-    number, assigned = numbered
-    where = place(home, f"{PREFIX}{number:04d}")
-    if is_file(where.truth):
-        return where.name
-    rig = draw(*assigned, (seed, number))
-    plan = experiments(rig.gravity)
-    recorded = campaign(rig, plan)
-    write(where.campaign.parent, rig.machine, recorded)
-    truth: dict[str, Any] = truth_of(rig)
-    if rig.machine.effects:
-        reference = reference_of(rig, plan)
-        write(where.reference.parent, rig.machine, reference)
-        truth["strength"] = strength(recorded, reference)
-    write_truth(where, truth)
-    return where.name
+def _seal(task: Task, seed: int) -> Made:
+    """Simulate and seal one trial in a temporary folder."""
+    with making(task.number) as where:
+        rig = draw(*task.assigned, (seed, task.number))
+        plan = experiments(rig.gravity)
+        recorded = campaign(rig, plan)
+        write(where.campaign.parent, rig.machine, recorded)
+        truth: dict[str, Any] = truth_of(rig)
+        if rig.machine.effects:
+            reference = reference_of(rig, plan)
+            write(where.reference.parent, rig.machine, reference)
+            truth["strength"] = strength(recorded, reference)
+        write_truth(where, truth, task.salt)
+        return made(where)

@@ -12,15 +12,26 @@ from rig.common.errors import InputError
 from rig.common.input_files import is_file, read_json
 from rig.common.places import write_json
 from rig.config.campaign import load_campaign
-from rig.results.prove.interchange.folder import SealedRig, check_sums, sealed_rigs
+from rig.results.prove.engines import Engine
+from rig.results.prove.engines.bundle import Bundle, bundle, unpacked, without_place
+from rig.results.prove.interchange.folder import SealedRig, sealed_rigs
 from rig.results.prove.judge import Judge, Judgement
 from rig.results.prove.located import REFUSED
-from rig.results.prove.pool import each
 from rig.results.prove.row import VERSION, row_of
-from rig.results.prove.run import PROOF_FILE, ROWS, diagnosis_seed, seals_begun
+from rig.results.prove.run import (
+    DIAGNOSES,
+    PROOF_FILE,
+    REPEATED,
+    ROWS,
+    diagnosis_seed,
+    seals_begun,
+)
 from rig.results.prove.seal import unseal
+from rig.results.prove.sums import check_sums, write_sums
+from rig.results.prove.times import TIMES, timed_row, without_times
+from rig.results.prove.truth import Truth
 
-DIAGNOSES, JUDGEMENTS = "diagnoses", "judgements"
+JUDGEMENTS = "judgements"
 Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
 """(campaign file, true names) to the errors with the true structure, or None."""
 Floors = Callable[[Path], Mapping[str, float]]
@@ -56,7 +67,7 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
     """
     given = sealed_rigs(source)[:rigs]
     check_sums(source)
-    settings = {"rigs": rigs, "seed": seed, "from": str(source.resolve()), "row_version": VERSION}
+    settings = {"rigs": rigs, "seed": seed, "from": _stated(source, out), "row_version": VERSION}
     file, seals = out / PROOF_FILE, {rig.name: rig.digest for rig in given}
     if is_file(file):
         changed = [n for n, d in seals_begun(file, settings).items() if seals.get(n) != d]
@@ -66,51 +77,97 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
                 f"this proof began; give --out another folder"
             )
     else:
-        for name in (ROWS, DIAGNOSES, JUDGEMENTS):
+        for name in (ROWS, DIAGNOSES, JUDGEMENTS, TIMES):
             (out / name).mkdir(parents=True, exist_ok=True)
         write_json(file, {"settings": settings, "seals": seals})
     return FromProof(out, seed, tuple(given))
 
 
-def diagnose_all(proof: FromProof, judge: Judge, jobs: int, progress: Progress) -> None:
+def _stated(source: Path, out: Path) -> str:
+    """Return the source as the proof states it: relative to the proof's folder if it is in it."""
+    whole = source.resolve()
+    inside = whole.is_relative_to(out.resolve())
+    return str(whole.relative_to(out.resolve()) if inside else whole)
+
+
+def diagnose_all(proof: FromProof, judge: Judge, engine: Engine, progress: Progress) -> None:
     """Diagnose the rigs that have no judgement yet; no truth is opened.
 
     Args:
         proof: The proof as begun.
-        judge: Judges a campaign; with more than one job it must be importable.
-        jobs: Processes.
+        judge: Judges a campaign; with more than one worker it must be importable.
+        engine: Shares the rigs out.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
+        InputError: Workers die repeatedly, or lack a file of a campaign.
         OSError: A file cannot be written.
     """
     numbered = list(enumerate(proof.rigs, start=1))
     todo = [(n, r) for n, r in numbered if not is_file(proof.file(JUDGEMENTS, r))]
     done = len(numbered) - len(todo)
-    for name in each(partial(_diagnosed, proof=proof, judge=judge), todo, jobs):
+    tasks = (
+        ToDiagnose(diagnosis_seed(proof.seed, n), rig.name, given(rig.campaign, engine))
+        for n, rig in todo
+    )
+    for said in engine.each(partial(diagnosed, judge=judge), tasks):
+        for folder, record in ((DIAGNOSES, said.diagnosis), (TIMES, said.times)):
+            write_json(proof.out / folder / f"{said.name}.json", record)
+        write_json(proof.out / JUDGEMENTS / f"{said.name}.json", said.beside)
         done += 1
-        progress(f"{name} diagnosed, {done} of {len(numbered)}", done / len(numbered))
+        progress(f"{said.name} diagnosed, {done} of {len(numbered)}", done / len(numbered))
 
 
-def _diagnosed(numbered: tuple[int, SealedRig], proof: FromProof, judge: Judge) -> str:
-    """Diagnose one rig and store the judgement; return the name of the rig."""
-    number, rig = numbered
-    try:
-        judgement = judge(rig.campaign, diagnosis_seed(proof.seed, number))
-    except InputError as error:
-        judgement = _refusal("; ".join(error.problems))
-    except Exception as error:  # noqa: BLE001 - a breakdown on one rig is a result, the others go on
-        trace = traceback.format_exc()
-        judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
-    write_json(proof.file(DIAGNOSES, rig), judgement.diagnosis)
+class ToDiagnose(NamedTuple):
+    """One rig to diagnose: seed of the diagnosis, name, and campaign."""
+
+    seed: int
+    name: str
+    campaign: Path | Bundle
+
+
+class Diagnosed(NamedTuple):
+    """One diagnosed rig.
+
+    Attributes:
+        name: Its name.
+        diagnosis: The record of ``rig diagnose --json`` without date and duration.
+        beside: Results of the baseline methods, and the residual of the nominal model.
+        times: Date and durations.
+    """
+
+    name: str
+    diagnosis: Mapping[str, Any]
+    beside: Mapping[str, Any]
+    times: Mapping[str, Any]
+
+
+def given(campaign: Path, engine: Engine) -> Path | Bundle:
+    """Return a campaign as a worker of the engine can read it.
+
+    Raises:
+        InputError: It has files outside its folder, which another machine cannot read.
+    """
+    return campaign if engine.shares_files else bundle(campaign)
+
+
+def diagnosed(task: ToDiagnose, judge: Judge) -> Diagnosed:
+    """Diagnose one rig; the result depends on the arguments alone, except for its times."""
+    with unpacked(task.campaign) as campaign:
+        try:
+            judgement = judge(campaign, task.seed)
+        except InputError as error:
+            judgement = _refusal("; ".join(error.problems))
+        except Exception as error:  # noqa: BLE001 - a breakdown on one rig is a result, the others go on
+            trace = traceback.format_exc()
+            judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
+        diagnosis, times = without_times(without_place(judgement.diagnosis, campaign.parent))
     beside = {
         "baselines": {method: list(names) for method, names in judgement.baselines.items()},
-        "seconds": judgement.seconds,
-        "baseline_seconds": judgement.baseline_seconds,
         "left": dict(judgement.left),
     }
-    write_json(proof.file(JUDGEMENTS, rig), beside)
-    return rig.name
+    spent = {"seconds": judgement.seconds, "baseline_seconds": judgement.baseline_seconds}
+    return Diagnosed(task.name, diagnosis, beside, times | spent)
 
 
 def _refusal(message: str, trace: str = "") -> Judgement:
@@ -131,18 +188,20 @@ def _refusal(message: str, trace: str = "") -> Judgement:
 
 
 def score_all(
-    proof: FromProof, oracle: Oracle, floors: Floors, progress: Progress
+    proof: FromProof, oracle: Oracle, floors: Floors, engine: Engine, progress: Progress
 ) -> list[dict[str, Any]]:
     """Open the truths and score the judgements; return all rows in order.
 
     Args:
         proof: The proof, every rig of it diagnosed.
-        oracle: Fits the true structure.
-        floors: Computes the residual of the nominal model on a rig without effects.
+        oracle: Fits the true structure; with more than one worker it must be importable.
+        floors: Computes the residual of the nominal model on a rig without effects; likewise.
+        engine: Shares the fits out.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
-        InputError: A rig is not diagnosed yet; a truth was changed or is not valid.
+        InputError: A rig is not diagnosed yet; a truth was changed or is not valid; workers die
+            repeatedly.
         OSError: A file cannot be written.
     """
     missing = [rig.name for rig in proof.rigs if not is_file(proof.file(JUDGEMENTS, rig))]
@@ -151,41 +210,83 @@ def score_all(
             f"{proof.out}: not diagnosed yet: {', '.join(missing)}; the truths "
             "are opened only after all rigs are diagnosed"
         )
-    rows = []
-    for n, rig in enumerate(proof.rigs, start=1):
-        file = proof.file(ROWS, rig)
-        if not is_file(file):
-            write_json(file, _row(proof, rig, oracle, floors))
-        progress(f"{rig.name} scored, {n} of {len(proof.rigs)}", n / len(proof.rigs))
-        rows.append(read_json(file))
-    return rows
+    todo = [rig for rig in proof.rigs if not is_file(proof.file(ROWS, rig))]
+    done = len(proof.rigs) - len(todo)
+    by_name = {rig.name: (rig, unseal(rig.truth, rig.digest)) for rig in todo}
+    tasks = (_to_score(proof, rig, truth, engine) for rig, truth in by_name.values())
+    for fits in engine.each(partial(fitted, oracle=oracle, floors=floors), tasks):
+        rig, truth = by_name[fits.name]
+        write_json(proof.file(ROWS, rig), _row(proof, rig, truth, fits))
+        done += 1
+        progress(f"{rig.name} scored, {done} of {len(proof.rigs)}", done / len(proof.rigs))
+    write_sums(proof.out, REPEATED)
+    return [timed_row(proof.out, rig.name) for rig in proof.rigs]
 
 
-def _row(proof: FromProof, rig: SealedRig, oracle: Oracle, floors: Floors) -> dict[str, Any]:
+class ToScore(NamedTuple):
+    """One rig to score.
+
+    Attributes:
+        name: Its name.
+        campaign: Its campaign, where the true structure is fitted to it.
+        names: Its true effects.
+        reference: Campaign of the same rig without effects, where it exists.
+    """
+
+    name: str
+    campaign: Path | Bundle | None
+    names: Sequence[str]
+    reference: Path | Bundle | None
+
+
+class Fits(NamedTuple):
+    """Fits with the truth of a rig: of the true structure, and of the nominal model without
+    effects; None where there is none.
+    """
+
+    name: str
+    oracle: Mapping[str, Any] | None
+    floor: Mapping[str, float] | None
+
+
+def _to_score(proof: FromProof, rig: SealedRig, truth: Truth, engine: Engine) -> ToScore:
+    refused = read_json(proof.file(DIAGNOSES, rig))["verdict"] == REFUSED
+    asked = truth.kind in ("one", "two") and not refused
+    beside = is_file(rig.reference) and not refused
+    return ToScore(
+        rig.name,
+        given(rig.campaign, engine) if asked else None,
+        list(truth.scored),
+        given(rig.reference, engine) if beside else None,
+    )
+
+
+def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
+    """Fit the true structure to a rig, and the nominal model to the same rig without effects."""
+    held = floor = None
+    if task.campaign is not None:
+        with unpacked(task.campaign) as campaign:
+            held = oracle(campaign, task.names)
+    if task.reference is not None:
+        with unpacked(task.reference) as campaign:
+            floor = floors(campaign)
+    return Fits(task.name, held, floor)
+
+
+def _row(proof: FromProof, rig: SealedRig, truth: Truth, fits: Fits) -> dict[str, Any]:
     diagnosis = read_json(proof.file(DIAGNOSES, rig))
     beside = read_json(proof.file(JUDGEMENTS, rig))
-    truth = unseal(rig.truth, rig.digest)
-    names = list(truth.scored)
-    refused = diagnosis["verdict"] == REFUSED
-    held = oracle(rig.campaign, names) if truth.kind in ("one", "two") and not refused else None
-    floor = floors(rig.reference) if is_file(rig.reference) and not refused else truth.floor
     excused = list(truth.excused)
     diagnosis["effects"] = [e for e in diagnosis["effects"] if e["name"] not in excused]
     if excused and not diagnosis["effects"] and diagnosis["verdict"] in ("named", "ambiguous"):
         diagnosis["verdict"] = "nothing_missing"
     judgement = Judgement(
-        diagnosis,
-        beside["baselines"],
-        lambda _names: None,
-        beside["seconds"],
-        beside["baseline_seconds"],
-        beside["left"],
+        diagnosis, beside["baselines"], lambda _names: None, 0.0, 0.0, beside["left"]
     )
-    recordings = _recordings(rig.campaign)
-    row = row_of(
-        truth.record(rig.name), truth.strength, judgement, held, rig.digest, floor, recordings
-    )
-    return {**row, "excused": excused, "axes": truth.axes}
+    floor = truth.floor if fits.floor is None else fits.floor
+    names, recorded = truth.record(rig.name), _recordings(rig.campaign)
+    row = row_of(names, truth.strength, judgement, fits.oracle, rig.digest, floor, recorded)
+    return {**without_times(row)[0], "excused": excused, "axes": truth.axes}
 
 
 def _recordings(campaign: Path) -> list[str]:

@@ -84,7 +84,7 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
     log_ = draw_log(chain, drive, _voltages(needs))
     load, loads = _loads(chain, needs)
     recordings = _recordings(chain, motions, body, log_, (load, loads))
-    scale = _scale(body, recordings)
+    scale = scale_of(body, recordings)
     effects = {name: SIZES[name](sizes, scale) for name in names}
     loaded = load if any(r.weight_kg or r.pendulum for r in recordings) else "none"
     return World(
@@ -185,9 +185,9 @@ def _reach(body: Body) -> Reach:
     return Reach(body.travel, body.speed, 0.5 * spare / constants.J)
 
 
-def _scale(body: Body, recordings: Sequence[Planned]) -> Scale:
-    """Return the scales for the sizes of effects, from the motions of the recordings with role
-    fit.
+def scale_of(body: Body | World, recordings: Sequence[Planned]) -> Scale:
+    """Return the scales for the sizes of effects, from the machine and from the motions of the
+    recordings with role fit.
     """
     fitted = [(k, r) for k, r in enumerate(recordings, start=1) if r.role == "fit"]
     steps = [np.abs(np.diff(r.command)).max() for _, r in fitted]

@@ -11,17 +11,10 @@ from typing import Protocol
 
 import numpy as np
 
-from rig.common.input_files import is_file
-from rig.results.prove.draw import Assigned
-from rig.results.prove.interchange.folder import (
-    PREFIX,
-    SealedRig,
-    place,
-    sealed_rigs,
-    write_sums,
-    write_truth,
-)
-from rig.results.prove.pool import each
+from rig.results.prove.engines import Engine
+from rig.results.prove.interchange.folder import SealedRig, write_truth
+from rig.results.prove.interchange.sealing import Made, Task, made, making, seal_all
+from rig.results.prove.seal import random_salt
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
 from rig.results.prove.worlds.files import truth_of_world, write_world
 from rig.results.prove.worlds.logger import Columns, columns
@@ -59,8 +52,9 @@ def seal_worlds(
     plant: Plant,
     rigs: int,
     seed: int,
-    jobs: int,
+    engine: Engine,
     progress: Callable[[str, float], None],
+    salt: Callable[[int], str] = random_salt,
 ) -> list[SealedRig]:
     """Draw, simulate and seal worlds; return the worlds with their digests. Nothing is diagnosed.
 
@@ -68,41 +62,37 @@ def seal_worlds(
 
     Args:
         home: Folder of the sealed rigs.
-        plant: The plant; with more than one job it must be importable.
+        plant: The plant; with more than one worker it must be importable.
         rigs: Number of worlds.
         seed: Seed of the draws.
-        jobs: Processes.
+        engine: Shares the worlds out.
         progress: Called with the label of a step and the share that is done.
+        salt: Salt of the seal of the world with a number; at random unless given.
 
     Raises:
+        InputError: Workers die repeatedly.
         OSError: It cannot be written.
     """
-    assigned = worlds_assignment(rigs, seed, plant.effects, plant.outside)
-    todo = list(enumerate(assigned, start=1))
-    one = partial(seal_world, home=home, plant=plant, seed=seed)
-    for done, name in enumerate(each(one, todo, jobs), start=1):
-        progress(f"{name} sealed, {done} of {rigs}", done / rigs)
-    write_sums(home)
-    return sealed_rigs(home)
+    drawn = list(enumerate(worlds_assignment(rigs, seed, plant.effects, plant.outside), start=1))
+    return seal_all(
+        home, drawn, partial(seal_world, plant=plant, seed=seed), engine, progress, salt
+    )
 
 
-def seal_world(numbered: tuple[int, Assigned], home: Path, plant: Plant, seed: int) -> str:
-    """Simulate and seal one world; return its name."""
-    number, (kind, names) = numbered
-    where = place(home, f"{PREFIX}{number:04d}")
-    if is_file(where.truth):
-        return where.name
-    world = draw_world(kind, names, (seed, number))
-    logged = log_of(plant, world)
-    write_world(where.campaign.parent, world, logged)
-    strength: Mapping[str, float] = {}
-    if world.effects:
-        plain = without_effects(world)
-        reference = log_of(plant, plain)
-        write_world(where.reference.parent, plain, reference)
-        strength = strength_of(world, logged, reference)
-    write_truth(where, truth_of_world(world, sorted(plant.not_scored), strength))
-    return where.name
+def seal_world(task: Task, plant: Plant, seed: int) -> Made:
+    """Simulate and seal one world in a temporary folder."""
+    with making(task.number) as where:
+        world = draw_world(*task.assigned, (seed, task.number))
+        logged = log_of(plant, world)
+        write_world(where.campaign.parent, world, logged)
+        strength: Mapping[str, float] = {}
+        if world.effects:
+            plain = without_effects(world)
+            reference = log_of(plant, plain)
+            write_world(where.reference.parent, plain, reference)
+            strength = strength_of(world, logged, reference)
+        write_truth(where, truth_of_world(world, sorted(plant.not_scored), strength), task.salt)
+        return made(where)
 
 
 def log_of(plant: Plant, world: World) -> list[Columns]:

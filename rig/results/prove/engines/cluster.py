@@ -1,0 +1,270 @@
+"""Shares work among the workers of a dask cluster: one that exists, or one of worker processes on
+this machine.
+
+What this package starts listens on the loopback interface alone and takes only connections with a
+key that is made for it and stays in memory. A scheduler of the user's own is trusted: whoever can
+connect to it can have its workers, and this process, run any code.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import logging
+import platform
+import tempfile
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache, partial
+from importlib.metadata import PackageNotFoundError, version
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from rig.common.allocation import keep_freed_memory
+from rig.common.errors import InputError
+from rig.common.provenance import sha256
+from rig.results.prove.engines.engine import DEATHS, Result, Task, died
+from rig.terminal.output import complain
+
+try:
+    import cryptography  # noqa: F401 - needed by the cluster's own keys
+    import dask
+    import distributed
+except ImportError:
+    dask = distributed = None
+
+MISSING = (
+    "--cluster and --scheduler need the packages distributed and cryptography; install them with: "
+    "pip install 'loadrig[dask]'"
+)
+LOOPBACK = "127.0.0.1"
+AHEAD = 2
+"""Number of tasks per worker that the scheduler holds at once."""
+WAIT_S = 60.0
+"""Time in which a scheduler must answer, and have a worker."""
+IDLE = 3
+"""Number of these times after which a cluster without workers ends the command."""
+PACKAGES = ("loadrig", "numpy", "scipy", "numba", "mujoco")
+"""Packages that must have the same version on all workers, or the results may differ."""
+OWN = ("rig", "drivers", "identification")
+"""Packages of this program, of which workers must have the same code."""
+SETTINGS: Mapping[str, Any] = {
+    "distributed.scheduler.allowed-failures": DEATHS - 1,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+    "distributed.worker.profile.enabled": False,
+    # On a busy machine a worker answers late, and one that was killed takes long to start again.
+    "distributed.deploy.lost-worker-timeout": "10 minutes",
+    "distributed.scheduler.worker-ttl": "30 minutes",
+    "distributed.comm.timeouts.connect": "5 minutes",
+    "distributed.comm.timeouts.tcp": "10 minutes",
+    # Files of a trial travel inside its task.
+    "distributed.admin.large-graph-warning-threshold": "1TB",
+}
+
+
+class DaskCluster:
+    """Engine of the workers of a dask scheduler, which need not share files with this process."""
+
+    def __init__(self, client: Any, where: str) -> None:
+        """Use a connected client.
+
+        Args:
+            client: The ``distributed.Client``.
+            where: Name of the cluster for messages.
+        """
+        self._client = client
+        self._where = where
+
+    @property
+    def shares_files(self) -> bool:
+        """Return whether workers read the files of this process: they may be on other machines."""
+        return False
+
+    def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
+        """Yield results as they arrive; see :class:`rig.results.prove.engines.engine.Engine`."""
+        tasks, waiting = iter(todo), set[Any]()
+        call = partial(_on_worker, one, _fingerprint())
+        try:
+            while True:
+                room = AHEAD * max(self._workers(), 1) - len(waiting)
+                for task in islice(tasks, max(room, 0)):
+                    waiting.add(self._client.submit(call, task, pure=False))
+                if not waiting:
+                    return
+                for future in self._first_of(waiting):
+                    waiting.remove(future)
+                    yield self._result(future)
+                    future.release()
+        finally:
+            self._client.cancel(list(waiting), force=True)
+
+    def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
+        """Return those of some tasks that are finished, one or more.
+
+        Raises:
+            InputError: No worker is left for a while.
+        """
+        without = 0
+        while without < IDLE:
+            try:
+                with self._client.as_current():
+                    return distributed.wait(waiting, WAIT_S, "FIRST_COMPLETED").done
+            except TimeoutError:
+                # A worker that died takes its time to start again.
+                without = 0 if self._workers() else without + 1
+        raise InputError(
+            f"{self._where}: no worker for {IDLE * WAIT_S:g} s; nothing that is done is lost: "
+            f"start workers and continue with the same --out"
+        )
+
+    def _workers(self) -> int:
+        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+
+    def _result(self, future: Any) -> Any:
+        """Return the result of a finished task.
+
+        Raises:
+            InputError: Its workers died, the cluster is gone, or a worker lacks this package.
+        """
+        try:
+            return future.result()
+        except distributed.scheduler.KilledWorker as error:
+            raise died(f"{self._where}: {DEATHS} workers died on one task") from error
+        except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
+            raise InputError(
+                f"{self._where}: the scheduler is gone; nothing that is done is lost: start it "
+                f"again and continue with the same --out"
+            ) from error
+        except ModuleNotFoundError as error:
+            raise InputError(
+                f"{self._where}: a worker cannot import {error.name}; install this version of "
+                f"loadrig where the workers run"
+            ) from error
+
+
+def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task: Task) -> Result:
+    """Do the work on one task, on a worker whose packages are those of the process that asks.
+
+    Raises:
+        InputError: They are not.
+    """
+    _set_up()
+    found = _fingerprint()
+    other = [
+        f"{name} {found.get(name, 'missing')} instead of {expected.get(name, 'none')}"
+        for name in sorted({*found, *expected})
+        if found.get(name) != expected.get(name)
+    ]
+    if other:
+        raise InputError(
+            f"worker on {platform.node()}: {'; '.join(other)}: its results could differ; install "
+            f"the same versions there"
+        )
+    return one(task)
+
+
+@cache
+def _set_up() -> None:
+    """Set up a worker as the command line sets up its own process, once."""
+    keep_freed_memory()
+
+
+@cache
+def _fingerprint() -> dict[str, str]:
+    """Return the versions on which results depend, and a digest of this program's own code."""
+    found = {"python": platform.python_version()}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    root = Path(__file__).parents[4]
+    files = sorted(f for own in OWN for f in (root / own).rglob("*.py"))
+    code = b"".join(f.relative_to(root).as_posix().encode() + f.read_bytes() for f in files)
+    return found | {"code": sha256(code)[:12]}
+
+
+@contextmanager
+def local_cluster(workers: int) -> Iterator[DaskCluster]:
+    """Start worker processes on this machine, and end them with the context.
+
+    Args:
+        workers: Their number.
+
+    Raises:
+        InputError: The extra is not installed.
+    """
+    _require()
+    with (
+        tempfile.TemporaryDirectory(prefix="loadrig-workers-") as scratch,
+        dask.config.set(SETTINGS),
+        distributed.LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            # With None the page is off, but its server would still take the port 8787.
+            dashboard_address=f"{LOOPBACK}:0",
+            scheduler_kwargs={"dashboard": False},
+            memory_limit=None,
+            local_directory=scratch,
+            silence_logs=logging.CRITICAL,
+            security=distributed.Security.temporary(),
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield DaskCluster(client, f"--cluster {workers}")
+
+
+@contextmanager
+def remote_cluster(address: str) -> Iterator[DaskCluster]:
+    """Connect to a scheduler of the user's own; keys for TLS are those of dask's configuration.
+
+    Args:
+        address: Its address, such as ``tls://10.0.0.5:8786``.
+
+    Raises:
+        InputError: The extra is not installed, nothing answers at the address, or the scheduler has
+            no workers.
+    """
+    _require()
+    if unprotected(address):
+        complain(
+            f"warning: {address}: without TLS, whoever reaches this port can run any code as you; "
+            f"use tls:// (docs/guides/worlds.md)"
+        )
+    with dask.config.set(SETTINGS), distributed.utils.silence_logging_cmgr(logging.CRITICAL):
+        try:
+            client = distributed.Client(address, timeout=WAIT_S, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise InputError(
+                f"--scheduler {address}: cannot connect: {error}; start it with `dask scheduler`, "
+                f"or give its address as it prints it"
+            ) from error
+        with client:
+            try:
+                client.wait_for_workers(1, timeout=WAIT_S)
+            except TimeoutError as error:
+                raise InputError(
+                    f"--scheduler {address}: no worker within {WAIT_S:g} s; start one with `dask "
+                    f"worker {address} --nthreads 1`"
+                ) from error
+            yield DaskCluster(client, f"--scheduler {address}")
+
+
+def unprotected(address: str) -> bool:
+    """Return whether a scheduler can be reached from other machines without TLS, by its address."""
+    protocol, _, rest = address.rpartition("://")
+    if protocol in ("tls", "wss"):
+        return False
+    host = rest.rpartition(":")[0].strip("[]")
+    try:
+        return not ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host != "localhost"
+
+
+def _require() -> None:
+    if distributed is None:
+        raise InputError(MISSING)

@@ -1,0 +1,101 @@
+"""Trials and diagnoses that are quick and made up, which workers of a proof can import; run by
+``test_cluster`` in a process of its own, which it asks for by the variable ``PROOF_PARTS``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import signal
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import psutil
+
+from rig.results.prove import judge as judging
+from rig.results.prove import run
+from rig.results.prove.family import FAMILIES
+from rig.results.prove.generate import Sealed
+from rig.results.prove.judge import Judgement
+
+DIES = "PROOF_PARTS_DIES"
+"""Variable with a file: the first worker that does not find it makes it and is killed."""
+FIT = {"equation": "torque", "validate_baseline_rms": 2.0, "validate_final_rms": 1.0}
+
+
+def simulate(where: Sealed, assigned: Any, seed: Sequence[int]) -> dict[str, float]:
+    where.campaign.parent.mkdir(parents=True)
+    where.campaign.write_text(f"campaign: {list(seed)}\n")
+    (where.campaign.parent / "a.npz").write_bytes(bytes(seed))
+    where.truth.with_suffix(".floor.json").write_text('{"torque": 0.5}')
+    return {"current": 4.0}
+
+
+def judge(source: Path, seed: int) -> Judgement:
+    """Return a diagnosis that follows from the content of the campaign's folder and the seed."""
+    obey()
+    files = sorted(source.parent.iterdir())
+    digest = hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+    value = int(digest[:8], 16) / 2.0**32
+    estimate = {"value": value, "low": value - seed / 2.0**40, "high": 1.0, "unit": "rad"}
+    where = {"coordinate": "travel since reversal", "recordings": ["a"]}
+    effect = {
+        "name": "backlash",
+        "alias_group": [],
+        "confidence": 0.5 + value / 2.0,
+        "parameters": {"gap_rad": estimate},
+        "where": where,
+    }
+    record = {
+        "created": f"by process {os.getpid()}",
+        "seconds": float(os.getpid()),
+        "inputs": [{"file": str(f)} for f in files],
+        "verdict": "named",
+        "effects": [effect],
+        "fit": FIT | {"noise_floor_rms": value},
+        "fits": [FIT],
+        "location": where,
+        "parameter_shift": {"Mc": {"before": 8.0, "after": 7.0, "unit": "N m"}},
+        "p_value": value,
+    }
+    return Judgement(record, {"sparse": ("cogging",)}, fit, os.getpid(), 1.0, {"torque": 1.0})
+
+
+def fit(names: Sequence[str]) -> Mapping[str, Any]:
+    """Return the oracle's record."""
+    rest = {name: 1.0 + len(name) / 7.0 for name in names}
+    record = {"equation": "torque", "baseline_rms": 2.0, "oracle_rms": 0.7, "noise_rms": 0.3}
+    return record | {"remaining_strength": rest}
+
+
+def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any]:
+    assert source.is_file()
+    return fit(names)
+
+
+def floors_of(source: Path) -> Mapping[str, float]:
+    return {"torque": len(source.read_bytes()) / 997.0}
+
+
+def obey() -> None:
+    """Be killed as the environment says; check that nobody listens but on the loopback
+    interface.
+    """
+    if DIES not in os.environ:
+        return
+    here = psutil.Process()
+    for process in (here, *here.parents()[:1]):
+        listening = (c for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN)
+        assert {c.laddr.ip for c in listening} <= {"127.0.0.1"}
+    try:
+        Path(os.environ[DIES]).touch(exist_ok=False)
+    except FileExistsError:
+        return
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+QUICK = {name: family._replace(simulate=simulate) for name, family in FAMILIES.items()}
+if "PROOF_PARTS" in os.environ:
+    # A process of the test, or one of its workers, which imports this module for its functions.
+    run.FAMILIES, judging.judge = QUICK, judge
