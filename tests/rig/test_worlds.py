@@ -103,7 +103,7 @@ def test_worlds_are_wide() -> None:
     counts = [len(w.recordings) for w in worlds]
     assert min(counts) == 2
     assert max(counts) >= 12
-    for name, low, high in (("peak_Nm", 0.5, 20.0), ("peak_N", 60.0, 250.0)):
+    for name, low, high in (("peak_Nm", 0.5, 15.0), ("peak_N", 60.0, 900.0)):
         peaks = [float(w.axes[name]) for w in worlds if name in w.axes]  # type: ignore[arg-type]
         assert (min(peaks) < low, max(peaks) > high) == (True, True)
 
