@@ -10,8 +10,8 @@ import pytest
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.score import predictions
-from identification.diagnosis.rows.clock import one_clock, run_starts
 from identification.diagnosis.fit.start import views_and_fit
+from identification.diagnosis.rows.clock import one_clock, run_starts
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
