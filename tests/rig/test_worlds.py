@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -10,14 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.results.prove.mujoco_plant.plant import MujocoPlant
 from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
+from rig.results.prove.worlds.coverage import WORDS, uncovered
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
 from rig.results.prove.worlds.files import truth_of_world
 from rig.results.prove.worlds.logger import columns
 from rig.results.prove.worlds.motion import MOTIONS, Reach, command
 from rig.results.prove.worlds.seal import log_of, seal_worlds
 from rig.results.prove.worlds.sizes import NEEDS, SIZES
+from rig.results.prove.worlds.torque import Course
 from rig.results.prove.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.sources import load_source
 
@@ -148,6 +152,22 @@ def test_names_come_in_turn_and_pairs_share_a_load() -> None:
     }  # fmt: skip
     singles = {names[0] for kind, names in drawn if kind == "one"}
     assert singles == set(IN_CATALOGUE)
+
+
+def test_make_prove_covers_every_axis_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The axes do not depend on the courses of the motions, which take most of the time."""
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text()
+    found = re.search(r"PROVE_WORLDS := --plant mujoco --rigs (\d+) --seed (\d+)", makefile)
+    assert found is not None
+    rigs, seed = int(found[1]), int(found[2])
+    path = np.linspace(0.0, 0.1, 50)
+    monkeypatch.setattr(drawing, "command", lambda *_: path)
+    monkeypatch.setattr(drawing, "course", lambda *_: Course(path, path))
+    assigned = worlds_assignment(rigs, seed, MujocoPlant.effects, MujocoPlant.outside)
+    axes = [draw_world(*a, (seed, n)).axes for n, a in enumerate(assigned, start=1)]
+    assert uncovered(axes) == {}
+    assert "load" in uncovered(axes[:4])
+    assert uncovered([]).keys() == WORDS.keys()
 
 
 def world_with(effects: dict[str, dict[str, float]], **log: object) -> World:

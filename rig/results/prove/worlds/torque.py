@@ -25,6 +25,12 @@ CENTRED = (0.6, 2.0)
 """Range of the torque of the spring at the end of the travel, over the static friction."""
 MOVED = 0.15
 """Least share of the travel that is worth recording; below it the torque is raised."""
+FASTER = (1.0, 2.0, 4.0, 8.0)
+"""Factors on the speed of a course that are tried until the joint moves for a useful time: a slow
+torque rests below the static friction, and throws the joint to the end of its travel above it.
+"""
+MOVING = 0.3
+"""Least share of the time in motion that is useful."""
 TRIES = 24
 CHANGE = 1.12
 """Number of amplitudes that are tried, and the ratio of one to the next."""
@@ -96,28 +102,57 @@ def course(
         load: The known load.
     """
     constants, peak, reach, stiffness = machine
-    shape = command(rng, motion, *times, Reach(1.0, FAR, FAR))
-    shape = shape / max(float(np.abs(shape).max()), 1e-12)
-    static = load.static(constants)
-    most = LARGEST_SHARE * peak
-    size = min(static * log(*OVER_STATIC)(rng), most)
+    seed, most = int(rng.integers(1 << 62)), LARGEST_SHARE * peak
+    size = min(load.static(constants) * log(*OVER_STATIC)(rng), most)
     values = _values(constants, load, stiffness)
+    best, moved = Course(np.zeros(0), np.zeros(0)), -1.0
+    for faster in FASTER:
+        shape = _shape(np.random.default_rng(seed), motion, times, faster)
+        tried = _within(values, shape, (size, most), reach)
+        share = float(np.mean(np.diff(tried.angle) != 0.0))
+        if share > moved:
+            best, moved = tried, share
+        if moved > MOVING:
+            break
+    return Course(np.asarray(best.torque - load.steady), best.angle)
+
+
+def _shape(
+    rng: np.random.Generator, motion: str, times: tuple[float, float], faster: float
+) -> Array:
+    """Return a course without scale, from -1 to 1 at most."""
+    duration, lead = times
+    path = command(rng, motion, faster * duration, faster * lead, Reach(1.0, FAR, FAR))
+    at = np.arange(round((duration + lead) / COMMAND_S)) * faster
+    shape = np.interp(at, np.arange(len(path)), path)
+    return np.asarray(shape / max(float(np.abs(shape).max()), 1e-12))
+
+
+def _within(values: Array, shape: Array, sizes: tuple[float, float], reach: Reach) -> Course:
+    """Return the course with the size that keeps travel and speed, or that moves the joint enough.
+
+    Args:
+        values: Values of the nominal machine.
+        shape: Course without scale.
+        sizes: Size to begin with, and greatest size, N m.
+        reach: Limits of travel and speed.
+    """
+    size, most = sizes
     chosen = shape * size
     path = _predicted(values, chosen)
-    raised = False
+    lowered = False
     for _ in range(TRIES):
         speed = float(np.abs(np.diff(path)).max()) / COMMAND_S
         far = max(float(np.abs(path).max()) / reach.travel, speed / reach.speed)
         if far > 1.0:
-            size /= CHANGE
-        elif far < MOVED and size < most and not raised:
+            size, lowered = size / CHANGE, True
+        elif far < MOVED and size < most and not lowered:
             size = min(size * CHANGE, most)
         else:
             break
-        raised = raised or far > 1.0
         chosen = shape * size
         path = _predicted(values, chosen)
-    return Course(np.asarray(chosen - load.steady), path)
+    return Course(chosen, path)
 
 
 def _values(constants: Constants, load: Load, stiffness: float) -> Array:
