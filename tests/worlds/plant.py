@@ -62,7 +62,8 @@ class OdePlant:
             noise[1] *= world.sensing.flicker * settings[drive.COUNT]
             inner = math.ceil(1.0 / (rate * INNER_S))
             values = _values(world, k, session_s)
-            play(values, settings, y, inner, command, push, noise, mesh, out)
+            sent = np.vstack((command, push, world.host_sends(k, n)))
+            play(values, settings, y, inner, sent, noise, mesh, out)
             warm = y[at.TEMPERATURE]
             first = round(planned.lead_s * rate)
             yield Signals(*out[:, first:], command[first:], session_s + planned.lead_s)
@@ -90,7 +91,7 @@ def _drive(world: World) -> np.ndarray:
         d[drive.K_I] = J * wide**2 / 4.0
     elif given.kind in ("torque", "host"):
         d[drive.K_P], d[drive.K_V] = world.host_law
-        d[drive.EVERY] = given.rate_Hz // given.host_Hz
+        d[drive.HOST] = 1.0
         wide = 2.0 * math.pi * given.velocity_Hz
     else:
         d[drive.K_P] = 3.0 * given.position_Hz * world.holding_N_m / world.smallest_rad

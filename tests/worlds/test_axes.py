@@ -110,6 +110,19 @@ def test_an_amplitude_is_found_within_travel_and_speed(motion: str) -> None:
         assert sent[0] == pytest.approx(0.2 * peak), "the steady load is held from the start"
 
 
+def test_the_host_keeps_no_phase_to_the_log() -> None:
+    """With a fixed phase a held voltage would be sampled early or late, as by a time skew."""
+    world = drawn("torque", "rotary")
+    rate, host_Hz = world.drive.rate_Hz, world.drive.host_Hz
+    sends = world.host_sends(0, 40 * rate)
+    at = np.flatnonzero(sends)
+    assert sends[0] == 1.0
+    assert len(at) / 40.0 == pytest.approx(host_Hz, rel=0.05)
+    phase = 2.0 * np.pi * at * host_Hz / rate
+    assert abs(np.mean(np.exp(1j * phase))) < 0.1
+    assert not drawn("cascade", "rotary").host_sends(0, 100).any()
+
+
 @pytest.mark.parametrize("kind", ["torque", "host"])
 def test_a_log_has_a_command_only_where_an_angle_is_sent(kind: LoopKind) -> None:
     world = drawn(kind, "rotary")

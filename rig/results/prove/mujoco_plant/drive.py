@@ -30,7 +30,7 @@ DAMPING = 0.8
     HOST,
     SETTINGS,
 ) = range(15)
-LAST, SPEED, SUM, CURRENT_SUM, WAITED, HELD, STATES = range(7)
+LAST, SPEED, SUM, CURRENT_SUM, HELD, STATES = range(6)
 
 
 def settings(world: World) -> Array:
@@ -48,7 +48,7 @@ def settings(world: World) -> Array:
         out[INTEGRAL] = constants.J * omega**2 / 5.0
     elif drive.kind in ("host", "torque"):
         out[POSITION], out[VELOCITY] = world.host_law
-        out[HOST] = drive.rate_Hz / drive.host_Hz
+        out[HOST] = 1.0
     else:
         out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / world.smallest_rad
         out[VELOCITY] = 2.0 * DAMPING * math.sqrt(out[POSITION] * constants.J)
@@ -69,7 +69,8 @@ def asked(p: Array, s: Array, sent: Array, angle: float, current: float) -> floa
     Args:
         p: Settings.
         s: States.
-        sent: Angle sent, rad, its speed, rad/s, and torque sent, N m, shape (3,).
+        sent: Angle sent, rad, its speed, rad/s, torque sent, N m, and whether the host sends now,
+            shape (4,).
         angle: Angle at the encoder before quantisation, rad at the joint.
         current: Measured current, A.
     """
@@ -79,10 +80,8 @@ def asked(p: Array, s: Array, sent: Array, angle: float, current: float) -> floa
     command, speed, given = sent[0], sent[1], sent[2]
     if p[HOST] > 0.0:
         # The drive holds the torque until the host sends the next one.
-        if s[WAITED] <= 0.0:
+        if sent[3] > 0.0:
             s[HELD] = given + p[POSITION] * (command - seen) - p[VELOCITY] * s[SPEED]
-            s[WAITED] = p[HOST]
-        s[WAITED] -= 1.0
         torque = s[HELD]
     elif p[CASCADE] > 0.0:
         error = p[POSITION] * (command - seen) + p[FORWARD] * speed - s[SPEED]

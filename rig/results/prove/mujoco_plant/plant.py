@@ -179,7 +179,9 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
     noise[1] *= world.sensing.flicker * given.loop[COUNT]
     out, inputs = (
         np.zeros((COLUMNS, n)),
-        np.vstack((command, np.gradient(command, 1.0 / rate), torque, noise)),
+        np.vstack(
+            (command, np.gradient(command, 1.0 / rate), torque, world.host_sends(k, n), noise)
+        ),
     )
     _hold(given, states)
     step = mujoco.mj_step
@@ -237,7 +239,8 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
         row: Number of the step.
         views: MuJoCo's state; voltage, friction, damping and further torques are set in it.
         given: Settings and states.
-        inputs: Angle sent, its speed, torque sent, noise of current and encoder, shape (5, n).
+        inputs: Angle sent, its speed, torque sent, whether the host sends, noise of current and
+            encoder, shape (6, n).
         out: Signals of every step, shape (COLUMNS, n).
     """
     p, f, stage = given.loop, given.law, given.stage
@@ -251,7 +254,7 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
     if row == 0:
         given.loop_state[LAST] = round(seen / p[COUNT]) * p[COUNT]
     voltage = asked(
-        p, given.loop_state, inputs[:3, row], seen + inputs[4, row], current + inputs[3, row]
+        p, given.loop_state, inputs[:4, row], seen + inputs[5, row], current + inputs[4, row]
     )
     sag = 1.0 - stage[SAG] * voltage * current / stage[NOMINAL] ** 2
     terminal = voltage * sag - stage[DEAD] * np.sign(current)

@@ -27,6 +27,10 @@ LINES_PER_TURN, LINE_M = 4096, 2e-5
 """Lines of an interpolating encoder: number in a turn of a rotary one, distance in a linear one."""
 SCALE_M = 1.0
 """Length that the counts of a linear encoder divide, m."""
+HOST_JITTER = 0.3
+"""Greatest deviation of an interval between two torques of the host, share of the mean one: a
+computer without real time, whose torques are in no fixed phase to the samples of the log.
+"""
 HOST_SAMPLES = 25.0
 """Least number of the host's samples in one oscillation of its position loop."""
 HOST_DAMPING, CENTRING_DAMPING = 0.8, 0.5
@@ -93,7 +97,7 @@ class Drive:
         velocity_Hz: Bandwidth of the velocity loop, or of the damping of ``pd``.
         current_Hz: Bandwidth of the current loop.
         feedforward: Share of the command's speed that is fed forward.
-        host_Hz: Rate at which the host sends torques, a divisor of ``rate_Hz``; 0 without a host.
+        host_Hz: Mean rate at which the host sends torques; 0 without a host.
         centring_N_m_rad: Stiffness of the spring of ``torque``.
     """
 
@@ -284,6 +288,19 @@ class World:
             stiffness = 3.0 * drive.position_Hz * self.holding_N_m / self.smallest_rad
             stiffness, ratio = min(stiffness, J * fastest**2), HOST_DAMPING
         return stiffness, 2.0 * ratio * float(np.sqrt(stiffness * J))
+
+    def host_sends(self, k: int, ticks: int) -> Array:
+        """Return 1 at each tick of the drive in recording ``k`` at which the host sends a torque,
+        else 0.
+        """
+        out = np.zeros(ticks)
+        if self.drive.host_Hz:
+            rng = np.random.default_rng([*self.seed, 8, k])
+            count = round(1.2 * ticks * self.drive.host_Hz / self.drive.rate_Hz) + 9
+            waits = 1.0 + HOST_JITTER * rng.uniform(-1.0, 1.0, count)
+            at = np.cumsum(waits) * self.drive.rate_Hz / self.drive.host_Hz
+            out[[0, *(row for row in np.round(at).astype(int) if row < ticks)]] = 1.0
+        return out
 
     @property
     def motor_count_rad(self) -> float | None:
