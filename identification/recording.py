@@ -28,7 +28,8 @@ CHANNELS: Mapping[str, str] = {
     "pressure": "Pa",
     "enabled": "1",
 }
-"""Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N).
+"""Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N, but
+the angle of the motor is in rad).
 
 ``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear;
 ``motor_angle``, ``current`` and ``voltage`` at the motor; ``feedforward`` is added to the
@@ -51,7 +52,8 @@ class Bench:
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
         inductance: L, H.
-        gear_ratio: i, motor turns per joint turn (assumption 5, theta = i theta_r).
+        gear_ratio: i, motor turns per joint turn (assumption 5, theta = i theta_r); on a linear
+            bench rad/m.
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.

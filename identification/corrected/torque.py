@@ -217,7 +217,7 @@ def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
 
 
 def load_dependent_friction(s: Any, m: Any, coefficient: float) -> Array:
-    """Friction proportional to the torque of a weight that turns with the joint."""
+    """Friction proportional to the torque of the known loads."""
     return np.asarray(s["sense"] * coefficient * borne(s, m))
 
 

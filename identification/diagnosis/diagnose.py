@@ -56,7 +56,7 @@ from identification.diagnosis.verdict.unexplained import unexplained
 from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
-from identification.recording import Bench, Dataset, Recording, RecordingError
+from identification.recording import Dataset, Recording, RecordingError
 
 FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which valve and motor move differently, so that the friction of the valve depends on
@@ -67,14 +67,6 @@ Estimate = Callable[[Dataset], tuple[Mapping[str, float | None], tuple[str, ...]
 """Nominal parameters of a dataset by another estimator, None for one that is not determined, and
 its warnings.
 """
-ANGULAR = (
-    "cogging",
-    "torque_ripple",
-    "gear_mesh_ripple",
-    "encoder_eccentricity",
-    "gravity_imbalance",
-)
-"""Effects periodic in an angle, which a linear bench without a gear ratio (rad/m) cannot show."""
 
 
 def diagnose(
@@ -319,7 +311,7 @@ def _effects_to_search(
     """Return the effects to search for, and warnings that state why others are excluded."""
     fitted = dataset.part("fit")
     excluded, why = unrecorded_effects(fitted, here)
-    left_out = {*dataset.model.terms, *(ANGULAR if _is_linear(fitted[0].bench) else ()), *excluded}
+    left_out = {*dataset.model.terms, *excluded}
     return [t for t in TERMS if t.name not in left_out], why
 
 
@@ -327,11 +319,6 @@ def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tup
     """Return views of the recordings that are set aside."""
     fitted, held = dataset.part("fit"), dataset.part("validate")
     return views((*fitted, *held), bandwidth, flexible, dataset.recordings)[len(fitted) :]
-
-
-def _is_linear(bench: Bench) -> bool:
-    """Whether a linear bench is described without its motor and gear."""
-    return bench.motion == "linear" and bench.gear_ratio == 1.0
 
 
 def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:

@@ -100,7 +100,8 @@ class BenchSection(Schema):
             measured.
         resistance: Winding resistance, ohm; needed if only the voltage was measured.
         inductance: Winding inductance, H.
-        gear_ratio: Motor turns per turn of the joint.
+        gear_ratio: Motor turns per turn of the joint; on a linear bench motor angle per travel,
+            rad/m.
         moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
         lever_ratio: Ratio of the contact force to the weight on the lever, L3/L4; needed if a
             recording has a `weight_mass`.

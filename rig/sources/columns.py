@@ -106,7 +106,9 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def channel_unit(channel: str, linear: bool = False) -> str:
-    """Return the SI unit of a channel on a rotary or a linear bench."""
+    """Return the SI unit of a channel on a rotary or a linear bench; motors turn on both."""
+    if channel == "motor_angle":
+        return CHANNELS[channel]
     return unit_on("linear" if linear else "rotary", CHANNELS[channel])
 
 

@@ -3,17 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from identification.corrected.model import CorrectedModel
 from identification.corrected.score import predictions
+from identification.diagnosis.fit.start import views_and_fit
 from identification.diagnosis.rows.clock import one_clock, run_starts
 from identification.diagnosis.rows.view import views
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.filter.segments import motion
 from identification.prepare import prepare
-from identification.recording import Array, Bench, Controller, Hoist, Pendulum, Recording
+from identification.recording import (
+    Array,
+    Bench,
+    Controller,
+    Dataset,
+    Hoist,
+    Model,
+    Pendulum,
+    Recording,
+)
 from identification.simulate.closed_loop import (
     OPEN_LOOP,
     Inputs,
@@ -126,3 +140,34 @@ def test_a_declared_start_sets_the_clock_whatever_the_stamps_say() -> None:
     assert not one_clock(unknown)
     assert run_starts(unknown) == [0.0, 0.0]
     assert views([late, early], 10.0)[0].run_time[0] == pytest.approx(600.0)
+
+
+@pytest.mark.parametrize(
+    ("load", "borne"),
+    [
+        ({}, False),
+        ({"hoist": Hoist(3.0, 0.4)}, True),
+        ({"constant_torque": 2.0}, True),
+        ({"hoist": Hoist(3.0), "constant_torque": 3.0 * G}, False),
+    ],
+)
+def test_friction_may_grow_with_any_torque_that_the_joint_bears(
+    load: dict[str, Any], borne: bool
+) -> None:
+    here, joint = views_and_fit(Dataset((replace(sine(), **load),), Model()), 25.0)
+    term = next(t for t in TERMS if t.name == "load_dependent_friction")
+    assert bool(term.shapes(Context(here, joint.nominal))) is borne
+
+
+@pytest.mark.parametrize(
+    ("bench", "kept"),
+    [
+        (Bench(), {"cogging", "gravity_imbalance"}),
+        (Bench("linear", gear_ratio=628.3), {"cogging"}),
+        (Bench("linear"), set()),
+    ],
+)
+def test_a_carriage_has_no_angle_and_a_screw_has_the_motors(bench: Bench, kept: set[str]) -> None:
+    recording = replace(sine(), bench=bench)
+    excluded, _ = unrecorded_effects([recording], views([recording], 25.0))
+    assert {"cogging", "gravity_imbalance"} - excluded == kept

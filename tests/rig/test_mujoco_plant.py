@@ -44,7 +44,7 @@ def world_of(
     planned = Planned("a", "fit", "sine", command, 0.0, **recording)  # type: ignore[arg-type]
     return replace(
         world, effects=effects or {}, constants=constants, motor=motor, sensing=sensing,
-        drive=drive, recordings=(planned,), moment_arm_m=0.095, lever_ratio=10.0,
+        drive=drive, recordings=(planned,), moment_arm_m=0.095, lever_ratio=10.0, motion="rotary",
     )  # fmt: skip
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +12,17 @@ import numpy as np
 import pytest
 
 from rig.results.prove.engines import Processes
+from rig.results.prove.mujoco_plant.plant import MujocoPlant
 from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
+from rig.results.prove.worlds.coverage import WORDS, uncovered
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
 from rig.results.prove.worlds.files import truth_of_world
 from rig.results.prove.worlds.logger import columns
 from rig.results.prove.worlds.motion import MOTIONS, Reach, command
 from rig.results.prove.worlds.seal import log_of, seal_worlds
 from rig.results.prove.worlds.sizes import NEEDS, SIZES
+from rig.results.prove.worlds.torque import Course
 from rig.results.prove.worlds.world import COMMAND_S, Planned, Signals, World
 from rig.sources import load_source
 
@@ -93,15 +97,20 @@ def test_worlds_are_wide() -> None:
     assert {w.log.voltage for w in worlds} == {"commanded", "measured", "absent"}
     assert {w.log.current for w in worlds} == {"sampled", "averaged", "filtered"}
     assert {r.motion for w in worlds for r in w.recordings} == set(MOTIONS)
-    assert {w.axes["load"] for w in worlds} == {"none", "lever", "pendulum"}
+    assert {w.axes["load"] for w in worlds} == {
+        "none", "lever", "pendulum", "carriage", "hoisted", "force",
+    }  # fmt: skip
+    assert {w.drive.kind for w in worlds} == {"cascade", "pd", "torque", "host"}
+    assert {w.motion for w in worlds} == {"rotary", "linear"}
     assert {w.axes["starts"] for w in worlds} == {"moving", "at rest"}
     bits = [b for w in worlds for b in (w.sensing.motor_bits, w.sensing.joint_bits) if b]
     assert (min(bits), max(bits)) == (12, 24)
     counts = [len(w.recordings) for w in worlds]
     assert min(counts) == 2
     assert max(counts) >= 12
-    assert max(w.axes["peak_Nm"] for w in worlds) > 20.0  # type: ignore[type-var, operator]
-    assert min(w.axes["peak_Nm"] for w in worlds) < 0.5  # type: ignore[type-var, operator]
+    for name, low, high in (("peak_Nm", 0.5, 15.0), ("peak_N", 60.0, 900.0)):
+        peaks = [float(w.axes[name]) for w in worlds if name in w.axes]  # type: ignore[arg-type]
+        assert (min(peaks) < low, max(peaks) > high) == (True, True)
 
 
 @pytest.mark.usefixtures("brief")
@@ -117,7 +126,8 @@ def test_a_world_has_what_its_effect_needs_to_show(name: str) -> None:
             "commanded voltage": world.log.voltage == "commanded",
             "two weights": len(weights) >= 2,
             "lever": len(weights) >= 1,
-            "pendulum": any(r.pendulum for r in world.recordings),
+            "known torque": any(r.pendulum or r.hoisted_kg for r in world.recordings),
+            "turning joint": world.motion == "rotary",
             "fall": world.constants.Ms > world.constants.Mc,
         }
         assert all(has[need] for need in NEEDS[name])
@@ -145,9 +155,25 @@ def test_names_come_in_turn_and_pairs_share_a_load() -> None:
     assert singles == set(IN_CATALOGUE)
 
 
+def test_make_prove_covers_every_axis_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The axes do not depend on the courses of the motions, which take most of the time."""
+    makefile = (Path(__file__).parents[2] / "Makefile").read_text()
+    found = re.search(r"PROVE_WORLDS := --plant mujoco --rigs (\d+) --seed (\d+)", makefile)
+    assert found is not None
+    rigs, seed = int(found[1]), int(found[2])
+    path = np.linspace(0.0, 0.1, 50)
+    monkeypatch.setattr(drawing, "command", lambda *_: path)
+    monkeypatch.setattr(drawing, "course", lambda *_: Course(path, path))
+    assigned = worlds_assignment(rigs, seed, MujocoPlant.effects, MujocoPlant.outside)
+    axes = [draw_world(*a, (seed, n)).axes for n, a in enumerate(assigned, start=1)]
+    assert uncovered(axes) == {}
+    assert "load" in uncovered(axes[:4])
+    assert uncovered([]).keys() == WORDS.keys()
+
+
 def world_with(effects: dict[str, dict[str, float]], **log: object) -> World:
     world = draw_world("nothing", (), (8, 3))
-    still = [Planned(name, "fit", "sine", np.zeros(500), 0.0) for name in "ab"]
+    still = np.zeros(500)
     sensing = replace(
         world.sensing,
         motor_bits=20,
@@ -160,8 +186,9 @@ def world_with(effects: dict[str, dict[str, float]], **log: object) -> World:
     return replace(
         world,
         effects=effects,
+        motion="rotary",
         sensing=sensing,
-        drive=replace(world.drive, rate_Hz=4000),
+        drive=replace(world.drive, rate_Hz=4000, kind="cascade"),
         log=replace(world.log, rate_Hz=500, jitter=0.0, clock=False, supply=False, **log),
         recordings=(
             Planned("a", "fit", "sine", still, 0.0),

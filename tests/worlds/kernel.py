@@ -50,7 +50,7 @@ from tests.worlds.physics import (
 
 # The drive's settings and states, by their place.
 (TICK, CASCADE, K_P, K_V, K_I, AHEAD, WINDOW, BEAT, PER_A, MOST_A, MOST_V, COUNT, AT_MOTOR,
- R_KNOWN, L_KNOWN, K_KNOWN, SETTINGS) = range(17)  # fmt: skip
+ R_KNOWN, L_KNOWN, K_KNOWN, HOST, BEGIN, SETTINGS) = range(19)  # fmt: skip
 STILL = 1e-12
 BARELY = 1e-9
 """Share of a step: an event so early is one of a body that was about to let go."""
@@ -168,21 +168,29 @@ def memories(p, y, h):
 
 
 @compiled
-def play(p, d, y, inner, command, noise, mesh, out):
+def play(p, d, y, inner, sent, noise, mesh, out):
     """Play one recording.
+
+    A host, if there is one, reads the encoder at its own ticks and sends a torque, which the drive
+    makes from the host's next tick on.
 
     Args:
         p: Values of the physics.
         d: Settings of the drive.
         y: State at the start; the state at the end.
         inner: Steps between two ticks.
-        command: Angle sent at each tick, rad, shape (n,).
+        sent: At each tick the angle sent, rad, the torque that the host has planned, N m, and
+            whether it is a tick of the host, shape (3, n).
         noise: Of current and encoder, shape (2, n).
         mesh: Amplitude, count and phase of the teeth's error.
         out: Current, voltage asked, at the motor and of the supply, shaft and joint, shape (6, n).
     """
+    command, push, ticks = sent[0], sent[1], sent[2]
     n, window = len(command), int(d[WINDOW])
     seen, total, sum_error = np.zeros(n), 0.0, 0.0
+    if d[CASCADE] > 0.0:
+        sum_error = d[BEGIN] / (d[K_I] * d[TICK])
+    now = sends = d[BEGIN]
     trial = np.zeros(STATE)
     h = d[TICK] / inner
     for k in range(n):
@@ -194,7 +202,12 @@ def play(p, d, y, inner, command, noise, mesh, out):
         back = min(k, window)
         speed = (seen[k] - seen[k - back]) / (back * d[TICK]) if back else 0.0
         asked_speed = (command[k] - command[k - 1]) / d[TICK] if k else 0.0
-        if d[CASCADE] > 0.0:
+        if d[HOST] > 0.0:
+            if ticks[k] > 0.0:
+                now = sends
+                sends = push[k] + d[K_P] * (command[k] - seen[k]) - d[K_V] * speed
+            torque = now
+        elif d[CASCADE] > 0.0:
             # Speed enters the proportional part alone; its error is summed up.
             wanted = d[K_P] * (command[k] - seen[k]) + d[AHEAD] * asked_speed
             sum_error += wanted - speed

@@ -5,7 +5,8 @@ with MuJoCo's. Friction is a set-valued law with two states of each body: stuck,
 the torque on it exceeds the static limit, and sliding in one direction, with friction a smooth
 function of speed. A sliding body whose speed reaches zero is an event: the step is cut there.
 
-Everything is at the joint; the motor's shaft turns ``GEAR`` times as far.
+Everything is at the joint; the motor's shaft turns ``GEAR`` times as far. A carriage on a linear
+axis has the same equations in m, N and kg, with rad per m for the gear.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from identification.numerics.compiled import compiled
     THIN, THIN_S, DRIFT, DRIFT_S,
     LOPSIDED, LOPSIDED_P, SPRING, SPRING_0, STOP_K, STOP_HIGH, STOP_LOW,
     SLOPE, SWING, SWING_F, SWING_D, PIVOT, PER_LOAD,
-    TIMED, TIMED_F, TIMED_P, FLIP, FLIP_S, BURST, BURST_T, BURST_L, ACC, BEGAN, SIZE,
-) = range(81)  # fmt: skip
+    TIMED, TIMED_F, TIMED_P, FLIP, FLIP_S, BURST, BURST_T, BURST_L, ACC, BEGAN, STEADY, SIZE,
+) = range(82)  # fmt: skip
 # State of one recording.
 (
     CURRENT, PHI, W_M, THETA, W, WORKING, SLOW, REST, Z, TEMPERATURE, SLIDES_M, SLIDES, E_1, E_2,
@@ -53,7 +54,9 @@ def motor_torque(p, y):
 def other_torques(p, y, since):
     """Return what acts on the joint beside motor and friction."""
     q = y[THETA]
-    torque = -p[HUNG] * math.sin(q - p[HANGS]) - p[LOPSIDED] * math.sin(q - p[LOPSIDED_P])
+    torque = (
+        p[STEADY] - p[HUNG] * math.sin(q - p[HANGS]) - p[LOPSIDED] * math.sin(q - p[LOPSIDED_P])
+    )
     torque -= p[SPRING] * (q - p[SPRING_0])
     if p[STOP_K] > 0.0:
         torque -= p[STOP_K] * (max(q - p[STOP_HIGH], 0.0) + min(q - p[STOP_LOW], 0.0))
@@ -91,7 +94,7 @@ def level(p, y, speed, way, since):
         own += p[PATCH] * math.exp(-0.5 * ((y[THETA] - p[PATCH_C]) / p[PATCH_W]) ** 2)
     mu = p[MU_C] + (p[MU_S] - p[MU_C]) * math.exp(-((seen / p[W_L]) ** 2))
     own += contact(p, y[THETA], since) * mu + p[PIVOT]
-    own += p[PER_LOAD] * abs(p[HUNG] * math.sin(y[THETA] - p[HANGS]))
+    own += p[PER_LOAD] * abs(p[STEADY] - p[HUNG] * math.sin(y[THETA] - p[HANGS]))
     return max(own + way * p[SIDE], 0.0)
 
 

@@ -54,15 +54,17 @@ class OdePlant:
             y = np.zeros(at.STATE)
             y[at.TEMPERATURE] = warm * math.exp(-planned.pause_s / cooling) if session_s else 0.0
             n = round(len(planned.command) * COMMAND_S * rate)
-            command = np.interp(
-                np.arange(n) / rate, np.arange(len(planned.command)) * COMMAND_S, planned.command
-            )
+            command, push = planned.sent(np.arange(n) / rate)
             settings, mesh, out = _drive(world), _mesh(world), np.zeros((6, n))
+            settings[drive.BEGIN] = -planned.steady_N_m(world.gravity_m_s2)
+            y[at.CURRENT] = settings[drive.BEGIN] / world.motor.torque_per_A
             noise = np.random.default_rng([*world.seed, 5, k]).standard_normal((2, n))
             noise[0] *= world.sensing.current_noise_A
             noise[1] *= world.sensing.flicker * settings[drive.COUNT]
             inner = math.ceil(1.0 / (rate * INNER_S))
-            play(_values(world, k, session_s), settings, y, inner, command, noise, mesh, out)
+            values = _values(world, k, session_s)
+            sent = np.vstack((command, push, world.host_sends(k, n)))
+            play(values, settings, y, inner, sent, noise, mesh, out)
             warm = y[at.TEMPERATURE]
             first = round(planned.lead_s * rate)
             yield Signals(*out[:, first:], command[first:], session_s + planned.lead_s)
@@ -88,6 +90,10 @@ def _drive(world: World) -> np.ndarray:
     if given.kind == "cascade":
         d[drive.K_P], d[drive.K_V] = 2.0 * math.pi * given.position_Hz, J * wide
         d[drive.K_I] = J * wide**2 / 4.0
+    elif given.kind in ("torque", "host"):
+        d[drive.K_P], d[drive.K_V] = world.host_law
+        d[drive.HOST] = 1.0
+        wide = 2.0 * math.pi * given.velocity_Hz
     else:
         d[drive.K_P] = 3.0 * given.position_Hz * world.holding_N_m / world.smallest_rad
         d[drive.K_V] = 1.4 * math.sqrt(d[drive.K_P] * J)
@@ -100,11 +106,8 @@ def _drive(world: World) -> np.ndarray:
     d[drive.MOST_V] = motor.supply_V
     d[drive.R_KNOWN], d[drive.L_KNOWN] = motor.resistance_ohm, motor.inductance_H
     d[drive.K_KNOWN] = motor.constant
-    bits, turns = world.sensing.motor_bits, motor.gear_ratio
-    d[drive.AT_MOTOR] = float(bits is not None)
-    if bits is None:
-        bits, turns = world.sensing.joint_bits, 1.0
-    d[drive.COUNT] = 2.0 * math.pi / 2.0**bits / turns
+    d[drive.AT_MOTOR] = float(world.sensing.motor_bits is not None)
+    d[drive.COUNT] = world.loop_count_rad
     return d
 
 
@@ -127,6 +130,8 @@ def _values(world: World, k: int, session_s: float) -> np.ndarray:
         p[at.HUNG] = hung.mass_kg * world.gravity_m_s2 * hung.length_m
         p[at.HANGS] = hung.zero_rad
         p[at.J_L] += hung.mass_kg * hung.length_m**2
+    p[at.STEADY] = planned.steady_N_m(world.gravity_m_s2)
+    p[at.J_L] += planned.hoisted_kg
     p[at.K_T] = p[at.K_E] = motor.constant
     p[at.GEAR], p[at.R], p[at.L] = motor.gear_ratio, motor.resistance_ohm, motor.inductance_H
     p[at.SUPPLY], p[at.BRUSH_A] = motor.supply_V, 1.0

@@ -49,6 +49,7 @@ def world_of(
         recordings=(Planned("a", "fit", "sine", command, 0.0, **recording),),  # type: ignore[arg-type]
         moment_arm_m=0.095,
         lever_ratio=10.0,
+        motion="rotary",
     )  # fmt: skip
 
 
@@ -176,9 +177,9 @@ def test_every_effect_plays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert ODE.effects <= MOTION.keys()
     for n, name in enumerate(sorted({*ODE.effects, *ODE.outside})):
         world = draw_world("one", (name,), (31, n))
-        short = replace(
-            world.recordings[-1], command=world.recordings[-1].command[:600], lead_s=0.0
-        )
+        last = world.recordings[-1]
+        torque = None if last.torque is None else last.torque[:600]
+        short = replace(last, command=last.command[:600], torque=torque, lead_s=0.0)
         signals = played(replace(world, recordings=(short,)))
         assert np.isfinite(signals.current).all()
         assert np.isfinite(signals.angle).all()

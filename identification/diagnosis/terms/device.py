@@ -179,6 +179,11 @@ def _has_weight(view: View) -> bool:
     return view.recording.pendulum is not None
 
 
+def _is_borne(view: View) -> bool:
+    """Whether the joint bears the torque of a known load, turning or steady."""
+    return _has_weight(view) or view.recording.steady_torque != 0.0
+
+
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
     if voltage_is_computed(view.recording):
         return rows(command_delay_error(view, -shape[0]))
@@ -286,7 +291,7 @@ TERMS = (
         lambda context: (
             NO_SHAPE
             if any(context.nominal.undeclared)
-            else everywhere(context, _has_weight, NO_SHAPE)
+            else everywhere(context, _is_borne, NO_SHAPE)
         ),
         positive=(0,),
         follows=True,

@@ -1,5 +1,5 @@
 """Finds effects that recordings cannot show because a common origin of their angles, or a common
-clock, was not recorded.
+clock, was not recorded, or because the bench has no such angle.
 """
 
 from __future__ import annotations
@@ -9,7 +9,8 @@ from collections.abc import Collection, Sequence
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.rows.clock import one_clock
 from identification.diagnosis.rows.view import View, lacks_common_origin
-from identification.recording import Recording
+from identification.model.units import LINEAR
+from identification.recording import Bench, Recording
 
 LOCAL_EFFECTS = (
     "gravity_imbalance",
@@ -22,6 +23,13 @@ LOCAL_EFFECTS = (
 show.
 """
 
+OF_A_TURN = ("gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
+"""Effects periodic in the angle of the joint, which a carriage does not have."""
+OF_THE_MOTOR = ("cogging", "torque_ripple")
+"""Effects periodic in the angle of the motor, which a linear bench shows only if its gear ratio
+(rad/m) is known.
+"""
+
 
 def unrecorded_effects(
     fitted: Sequence[Recording], views: Sequence[View]
@@ -32,7 +40,7 @@ def unrecorded_effects(
         fitted: Recordings to fit.
         views: Views of these recordings.
     """
-    names: set[str] = set()
+    names = set(_not_on(fitted[0].bench))
     warnings = []
     if lacks_common_origin(views):
         names.update(LOCAL_EFFECTS)
@@ -47,6 +55,13 @@ def unrecorded_effects(
             "running time counted from its first sample; state start in the campaign file if known"
         )
     return frozenset(names), tuple(warnings)
+
+
+def _not_on(bench: Bench) -> tuple[str, ...]:
+    """Return effects that are periodic in an angle that the bench, as described, does not have."""
+    if bench.motion != LINEAR:
+        return ()
+    return OF_A_TURN if bench.gear_ratio != 1.0 else (*OF_A_TURN, *OF_THE_MOTOR)
 
 
 def _titles(names: Collection[str]) -> str:

@@ -75,6 +75,7 @@ def test_any_names_are_looked_at(names: list[str]) -> None:
         ("pos", "angle", 1.0),
         ("pos [deg]", None, 1.0),
         ("i_m", "current", 1.0),
+        ("motor_angle [rad]", "motor_angle", 1.0),
     ],
 )
 def test_guesses_on_a_linear_bench(name: str, channel: str | None, scale: float) -> None:

@@ -1,5 +1,5 @@
 """Computes one step of the drive around MuJoCo's motor: encoder, position loop, velocity loop and
-current loop.
+current loop, or the torque that a host sends.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ DAMPING = 0.8
     LIMIT,
     SUPPLY,
     COUNT,
+    HOST,
     SETTINGS,
-) = range(14)
-LAST, SPEED, SUM, CURRENT_SUM, STATES = range(5)
+) = range(15)
+LAST, SPEED, SUM, CURRENT_SUM, HELD, STATES = range(6)
 
 
 def settings(world: World) -> Array:
@@ -45,6 +46,9 @@ def settings(world: World) -> Array:
         out[POSITION] = 2.0 * math.pi * drive.position_Hz
         out[VELOCITY] = constants.J * omega
         out[INTEGRAL] = constants.J * omega**2 / 5.0
+    elif drive.kind in ("host", "torque"):
+        out[POSITION], out[VELOCITY] = world.host_law
+        out[HOST] = 1.0
     else:
         out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / world.smallest_rad
         out[VELOCITY] = 2.0 * DAMPING * math.sqrt(out[POSITION] * constants.J)
@@ -54,30 +58,32 @@ def settings(world: World) -> Array:
     wide = 2.0 * math.pi * drive.current_Hz
     out[CURRENT], out[CURRENT_INTEGRAL] = motor.inductance_H * wide, motor.resistance_ohm * wide
     out[PER_A], out[LIMIT], out[SUPPLY] = motor.torque_per_A, motor.limit_A, motor.supply_V
-    if world.sensing.motor_bits is not None:
-        out[COUNT] = 2.0 * math.pi / 2.0**world.sensing.motor_bits / motor.gear_ratio
-    else:
-        assert world.sensing.joint_bits is not None
-        out[COUNT] = 2.0 * math.pi / 2.0**world.sensing.joint_bits
+    out[COUNT] = world.loop_count_rad
     return out
 
 
 @compiled
-def asked(p: Array, s: Array, command: float, speed: float, angle: float, current: float) -> float:
+def asked(p: Array, s: Array, sent: Array, angle: float, current: float) -> float:
     """Return the voltage that the drive commands, and update the states of the drive.
 
     Args:
         p: Settings.
         s: States.
-        command: Angle sent, rad.
-        speed: Speed of the command, rad/s.
+        sent: Angle sent, rad, its speed, rad/s, torque sent, N m, and whether the host sends now,
+            shape (4,).
         angle: Angle at the encoder before quantisation, rad at the joint.
         current: Measured current, A.
     """
     seen = round(angle / p[COUNT]) * p[COUNT]
     s[SPEED] += p[FILTER] * ((seen - s[LAST]) / p[PERIOD] - s[SPEED])
     s[LAST] = seen
-    if p[CASCADE] > 0.0:
+    command, speed, given = sent[0], sent[1], sent[2]
+    if p[HOST] > 0.0:
+        # The drive holds the torque until the host sends the next one.
+        if sent[3] > 0.0:
+            s[HELD] = given + p[POSITION] * (command - seen) - p[VELOCITY] * s[SPEED]
+        torque = s[HELD]
+    elif p[CASCADE] > 0.0:
         error = p[POSITION] * (command - seen) + p[FORWARD] * speed - s[SPEED]
         torque = p[VELOCITY] * error + s[SUM]
         most = p[LIMIT] * p[PER_A]

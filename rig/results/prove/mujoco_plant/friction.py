@@ -17,6 +17,8 @@ RESTING = 2e-5
 """Share of a speed scale below which a joint counts as resting, because MuJoCo's friction creeps
 (see the tests).
 """
+UNIT_SPEED = {"rotary": 1.0, "linear": 0.1}
+"""Scale of the speeds of each kind of machine, rad/s or m/s."""
 AGED_OFF = 3.0
 """Number of Stribeck speeds above which the time at rest is set to zero."""
 (
@@ -25,8 +27,8 @@ AGED_OFF = 3.0
     SIDED, SIDED_VISCOUS, PATCH, PATCH_AT, PATCH_WIDE, MEMORY_S, DWELL, DWELL_S,
     DRIFT, DRIFT_S, THIN, THIN_S, VISCOUS, RIPPLE, RIPPLE_N, RIPPLE_AT,
     KNEE, RATIONAL, LAG_S, EFFICIENCY, TIMED, TIMED_HZ, TIMED_AT, SWITCHED, SWITCHED_S,
-    BRISTLES, PER_A, GEAR, BEGAN, VALUES,
-) = range(49)  # fmt: skip
+    BRISTLES, PER_A, GEAR, BEGAN, PULL, STEADY, UNIT, VALUES,
+) = range(52)  # fmt: skip
 LEVEL, REST_S, LAGGED, KEPT = range(4)
 
 
@@ -77,6 +79,9 @@ def values(world: World, k: int, began_s: float) -> Array:
     out[EFFICIENCY] = given.get("transmission_efficiency", {}).get("efficiency", 1.0)
     out[BRISTLES] = float("presliding" in given)
     out[PER_A], out[GEAR] = motor.torque_per_A, motor.gear_ratio
+    planned = world.recordings[k]
+    out[PULL], out[STEADY] = planned.pull_N_m, planned.steady_N_m(world.gravity_m_s2)
+    out[UNIT] = UNIT_SPEED[world.motion]
     return out
 
 
@@ -94,7 +99,7 @@ def dry(f: Array, s: Array, t: float, q: float, w: float, push: float, dt: float
         dt: Time step, s.
     """
     since = t - f[BEGAN]
-    resting = abs(w) < RESTING * (f[W_SF] + 1.0)
+    resting = abs(w) < RESTING * (f[W_SF] + f[UNIT])
     if resting:
         s[REST_S] += dt
     elif abs(w) > AGED_OFF * f[W_SF]:
@@ -120,7 +125,7 @@ def dry(f: Array, s: Array, t: float, q: float, w: float, push: float, dt: float
         own = s[LEVEL]
     forward = push > 0.0 if resting else w > 0.0
     own += f[SIDED] if forward else -f[SIDED]
-    own += f[PIVOT] + f[PER_LOAD] * abs(f[HUNG] * math.sin(q - f[ZERO]))
+    own += f[PIVOT] + f[PER_LOAD] * abs(f[STEADY] - f[HUNG] * math.sin(q - f[ZERO]))
     return float(max(own, 0.0))
 
 

@@ -48,9 +48,10 @@ def xml(world: World, k: int, step_s: float) -> str:
     """
     two = two_bodies(world)
     rotor = world.motor.rotor_share * world.constants.J
-    motor = _body("motor", rotor, "", _joint("m", world, k, step_s)) if two else ""
+    body = _body if world.motion == "rotary" else _carriage
+    motor = body("motor", rotor, "", _joint("m", world, k, step_s)) if two else ""
     load = world.constants.J - (rotor if two else 0.0) + _hung_inertia(world, k)
-    joint = _body("joint", load, _masses(world, k), _joint("q", world, k, step_s))
+    joint = body("joint", load, _masses(world, k), _joint("q", world, k, step_s))
     return f"""<mujoco>
 <compiler angle="radian" inertiafromgeom="false"/>
 <option timestep="{step_s!r}" integrator="implicitfast" solver="Newton" iterations="50"
@@ -68,8 +69,18 @@ def _body(name: str, inertia: float, inside: str, joint: str) -> str:
     )
 
 
+def _carriage(name: str, mass: float, inside: str, joint: str) -> str:
+    """Return a body on a vertical slide, whose own weight is balanced."""
+    return (
+        f'<body name="{name}" gravcomp="1">{joint}<inertial pos="0 0 0" mass="{mass!r}" '
+        f'diaginertia="{TINY} {TINY} {TINY}"/>{inside}</body>'
+    )
+
+
 def _joint(name: str, world: World, k: int, step_s: float) -> str:
-    """Return a hinge; its dry friction and viscous load friction are set before each step."""
+    """Return a hinge or a slide; its dry friction and viscous load friction are set before each
+    step.
+    """
     constants, effects = world.constants, world.effects
     share = world.motor.friction_share if two_bodies(world) else 0.0
     viscous = constants.sigma_2 * (share if name == "m" else 1.0 - share)
@@ -80,16 +91,22 @@ def _joint(name: str, world: World, k: int, step_s: float) -> str:
         cubic = _of(effects, "x_cubic_spring", "stiffness_Nm_rad3")
         rest = _of(effects, "return_spring", "rest_rad")
         spring = f'stiffness="{linear!r} 0 {cubic!r}" springref="{rest!r}"'
+    kind = 'hinge" axis="0 1 0' if world.motion == "rotary" else 'slide" axis="0 0 1'
     return (
-        f'<joint name="{name}" type="hinge" axis="0 1 0" damping="{viscous!r}{drag}" {spring} '
+        f'<joint name="{name}" type="{kind}" damping="{viscous!r}{drag}" {spring} '
         f'frictionloss="{constants.Mc!r}" solreffriction="{2.0 * step_s!r} 1" '
         f'solimpfriction="{IMPEDANCE} {IMPEDANCE} 0.001 0.5 2"/>'
     )
 
 
 def _masses(world: World, k: int) -> str:
-    """Return the weight on the joint, and an unbalanced mass, as point masses."""
+    """Return the weight on the joint, a mass that is lifted, and an unbalanced mass, as point
+    masses.
+    """
     points = []
+    lifted = world.recordings[k].hoisted_kg
+    if lifted:
+        points.append((lifted, 0.0, 0.0))
     hung = world.recordings[k].pendulum
     if hung is not None:
         points.append((hung.mass_kg, hung.length_m, hung.zero_rad))

@@ -18,7 +18,16 @@ import numpy as np
 
 from identification.numerics.compiled import compiled
 from rig.common.errors import InputError
-from rig.results.prove.mujoco_plant.drive import COUNT, LAST, PERIOD, STATES, asked, settings
+from rig.results.prove.mujoco_plant.drive import (
+    CASCADE,
+    COUNT,
+    LAST,
+    PERIOD,
+    STATES,
+    SUM,
+    asked,
+    settings,
+)
 from rig.results.prove.mujoco_plant.friction import (
     ALPHA,
     GEAR,
@@ -26,7 +35,9 @@ from rig.results.prove.mujoco_plant.friction import (
     MC,
     MS,
     PER_A,
+    PULL,
     SHARE,
+    STEADY,
     W_SF,
     damping,
     dry,
@@ -161,15 +172,18 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
     )
     n = round(len(planned.command) * COMMAND_S * rate)
     at = np.arange(n) / rate
-    command = np.interp(at, np.arange(len(planned.command)) * COMMAND_S, planned.command)
+    command, torque = planned.sent(at)
     rng = np.random.default_rng([*world.seed, 7, k])
     noise = rng.standard_normal((2, n))
     noise[0] *= world.sensing.current_noise_A
     noise[1] *= world.sensing.flicker * given.loop[COUNT]
     out, inputs = (
         np.zeros((COLUMNS, n)),
-        np.vstack((command, np.gradient(command, 1.0 / rate), noise)),
+        np.vstack(
+            (command, np.gradient(command, 1.0 / rate), torque, world.host_sends(k, n), noise)
+        ),
     )
+    _hold(given, states)
     step = mujoco.mj_step
     for row in range(n):
         tick(row, views, given, inputs, out)
@@ -186,6 +200,14 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
         start_s=session_s + planned.lead_s,
     )
     return signals, float(states[0]) if heated else 0.0
+
+
+def _hold(given: Given, states: Array) -> None:
+    """Begin with the current that holds the known steady load."""
+    needed = -given.law[STEADY]
+    states[-1] = needed / given.law[PER_A]
+    if given.loop[CASCADE] > 0.0:
+        given.loop_state[SUM] = needed
 
 
 def _a_step_later(angle: Array) -> Array:
@@ -217,7 +239,8 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
         row: Number of the step.
         views: MuJoCo's state; voltage, friction, damping and further torques are set in it.
         given: Settings and states.
-        inputs: Command, its speed, noise of current and encoder, shape (4, n).
+        inputs: Angle sent, its speed, torque sent, whether the host sends, noise of current and
+            encoder, shape (6, n).
         out: Signals of every step, shape (COLUMNS, n).
     """
     p, f, stage = given.loop, given.law, given.stage
@@ -231,9 +254,8 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
     if row == 0:
         given.loop_state[LAST] = round(seen / p[COUNT]) * p[COUNT]
     voltage = asked(
-        p, given.loop_state, inputs[0, row], inputs[1, row], seen + inputs[3, row],
-        current + inputs[2, row],
-    )  # fmt: skip
+        p, given.loop_state, inputs[:4, row], seen + inputs[5, row], current + inputs[4, row]
+    )
     sag = 1.0 - stage[SAG] * voltage * current / stage[NOMINAL] ** 2
     terminal = voltage * sag - stage[DEAD] * np.sign(current)
     push = f[PER_A] * current
@@ -241,6 +263,7 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
     views.applied[0] = further(f, given.law_state, since, shaft * f[GEAR], w, current, dt)
     views.friction[last] = dry(f, given.law_state, t, q, w, push, dt)
     views.viscous[last] = damping(f, t, q)
+    views.applied[last] += f[PULL]
     if last > 0:
         v = views.speed[0]
         views.friction[0] = f[SHARE] * (

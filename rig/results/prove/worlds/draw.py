@@ -20,7 +20,16 @@ from rig.results.prove.worlds.machines import (
 )
 from rig.results.prove.worlds.motion import MOTIONS, Reach, command
 from rig.results.prove.worlds.sizes import NEEDS, SIZES, Scale
-from rig.results.prove.worlds.world import Drive, Log, Pendulum, Planned, Sensing, World
+from rig.results.prove.worlds.torque import Load, centring, course
+from rig.results.prove.worlds.world import (
+    Drive,
+    Log,
+    Motion,
+    Pendulum,
+    Planned,
+    Sensing,
+    World,
+)
 
 FEWEST, MOST = 2, 16
 SHORTEST_S, LONGEST_S = 5.0, 30.0
@@ -30,7 +39,21 @@ recordings, not shorter ones.
 """
 SHARES: dict[Kind, float] = {"one": 60.0, "nothing": 25.0, "two": 10.0, "outside": 5.0}
 """Number of trials of each kind in a hundred; proofs of other sizes have the same proportions."""
-LOADS = ("none", "lever", "pendulum")
+LOADS: dict[Motion, dict[str, float]] = {
+    "rotary": {"none": 0.25, "lever": 0.5, "pendulum": 0.25},
+    "linear": {"none": 0.2, "lever": 0.3, "carriage": 0.2, "hoisted": 0.2, "force": 0.1},
+}
+"""Loads of each kind of machine and their shares. ``lever``: weights that press on the joint by a
+lever; ``pendulum``: a weight that turns with the joint; ``carriage``: masses on a level carriage;
+``hoisted``: masses that it lifts; ``force``: constant forces.
+"""
+LINEAR_SHARE = 0.35
+HUNG_SHARES = (0.3, 0.6, 0.45)
+"""Torques of three weights on the joint over 0.6 of the greatest torque of the machine."""
+STEADY_SHARES = (0.0, 0.35, 0.2, -0.25)
+"""Steady forces over the greatest force of the machine; a lifted mass has their magnitudes."""
+CARRIED = (0.0, 1.0, 0.5, 0.25)
+"""Masses on a carriage over the heaviest one, which is as heavy as the machine."""
 
 
 def worlds_assignment(
@@ -55,13 +78,13 @@ def worlds_assignment(
 
 
 def _pair(names: Sequence[str], rng: np.random.Generator) -> tuple[str, str]:
-    """Return two effects that one machine can have; a machine has either a lever or a pendulum as
-    load.
+    """Return two effects that one machine can have; a machine has either a lever or another load
+    with a known torque.
     """
     while True:
         first, second = (names[k] for k in rng.choice(len(names), 2, replace=False))
         needs = NEEDS.get(first, frozenset()) | NEEDS.get(second, frozenset())
-        if not ("pendulum" in needs and needs & {"lever", "two weights"}):
+        if not ("known torque" in needs and needs & {"lever", "two weights"}):
             return first, second
 
 
@@ -78,15 +101,19 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
     chain, parts, motions, sizes = (
         np.random.default_rng(stream) for stream in np.random.SeedSequence(list(seed)).spawn(4)
     )
-    body = draw_body(parts, "fall" in needs)
+    linear = chain.uniform() < LINEAR_SHARE and "turning joint" not in needs
+    body = draw_body(parts, "fall" in needs, "linear" if linear else "rotary")
     drive = draw_drive(chain)
-    sensing = draw_sensing(chain, body.motor, needs)
+    sensing = draw_sensing(chain, body.motor, needs, body.motion)
     log_ = draw_log(chain, drive, _voltages(needs))
-    load, loads = _loads(chain, needs)
-    recordings = _recordings(chain, motions, body, log_, (load, loads))
+    load, loads = _loads(chain, needs, body.motion)
+    if load == "carriage":
+        body = body._replace(lever_ratio=1.0, heaviest_kg=body.constants.J)
+    drive, recordings = _recordings(chain, motions, body, (drive, log_), (load, loads))
     scale = scale_of(body, recordings)
     effects = {name: SIZES[name](sizes, scale) for name in names}
-    loaded = load if any(r.weight_kg or r.pendulum for r in recordings) else "none"
+    known = (r.weight_kg or r.pendulum or r.hoisted_kg or r.pull_N_m for r in recordings)
+    loaded = load if any(known) else "none"
     return World(
         kind,
         effects,
@@ -101,6 +128,7 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
         GRAVITY_M_S2,
         _axes(body, drive, sensing, log_, recordings) | {"load": loaded},
         tuple(seed),
+        body.motion,
     )
 
 
@@ -116,11 +144,12 @@ def _voltages(needs: Collection[str]) -> tuple[str, ...]:
     return ("commanded", "measured") if "voltage" in needs else ("commanded", "measured", "absent")
 
 
-def _loads(rng: np.random.Generator, needs: Collection[str]) -> tuple[str, int]:
+def _loads(rng: np.random.Generator, needs: Collection[str], motion: Motion) -> tuple[str, int]:
     """Draw the kind of load and the number of loads."""
-    load, loads = str(rng.choice(LOADS, p=(0.25, 0.5, 0.25))), int(rng.integers(1, 4))
-    if "pendulum" in needs:
-        return "pendulum", loads
+    shares = LOADS[motion]
+    load, loads = str(rng.choice(list(shares), p=list(shares.values()))), int(rng.integers(1, 4))
+    if "known torque" in needs:
+        return ("pendulum", loads) if motion == "rotary" else ("hoisted", max(loads, 2))
     if "two weights" in needs:
         return "lever", max(loads, 2)
     if "lever" in needs:
@@ -132,57 +161,110 @@ def _recordings(
     chain: np.random.Generator,
     motions: np.random.Generator,
     body: Body,
-    log_: Log,
+    electronics: tuple[Drive, Log],
     load: tuple[str, int],
-) -> tuple[Planned, ...]:
-    """Draw the recordings; of three or more recordings, one in four has role validate."""
-    kind, loads = load
+) -> tuple[Drive, tuple[Planned, ...]]:
+    """Draw the recordings; of three or more recordings, one in four has role validate.
+
+    Returns:
+        The drive, with the spring of a host that sends torques, and the recordings.
+    """
+    (kind, loads), (drive, log_) = load, electronics
     count = round(log(FEWEST - 0.4, MOST + 0.4)(chain))
     affordable = int(MOST_ROWS / (0.5 * (SHORTEST_S + LONGEST_S) * log_.rate_Hz))
-    # Each load once in the fit, for a lever also no load.
-    count = max(min(count, affordable), loads + 2 if kind == "lever" else loads, FEWEST)
+    # Each load once in the fit; except for a weight on the joint, also no load.
+    each = loads if kind in ("pendulum", "none") else loads + 1
+    count = max(min(count, affordable), each + (kind == "lever"), FEWEST)
     used = list(chain.permutation(list(MOTIONS))[: int(chain.integers(1, 4))])
     moving = bool(chain.uniform() < 0.4)
-    reach = _reach(body)
-    kept: list[Planned] = []
     aside = max(1, count // 4) if count > FEWEST else 0
-    for k in range(count):
+    sends_torque = drive.kind == "torque"
+    known = [_loaded(k, kind, loads, body, sends_torque) for k in range(count)]
+    if sends_torque:
+        static = max(_load_of(r, body).static(body.constants) for r in known)
+        stiffness = centring(motions, body.constants, static, body.travel)
+        drive = replace(drive, centring_N_m_rad=stiffness)
+    kept: list[Planned] = []
+    for k, empty in enumerate(known):
         motion, duration = str(used[k % len(used)]), float(motions.uniform(SHORTEST_S, LONGEST_S))
         lead = float(motions.uniform(1.0, 2.5)) if moving else 0.0
         duration, lead = round(duration, 2), round(lead, 2)
-        path = command(motions, motion, duration, lead, reach)
-        weight, pendulum = _load_of(k, kind, loads, body)
-        pause = round(float(motions.uniform(3.0, 30.0)), 2)
-        role = "validate" if k >= count - aside else "fit"
-        kept.append(
-            Planned(f"rec{k:02d}", role, motion, path, lead, weight, pendulum, pause)  # type: ignore[arg-type]
+        planned = replace(
+            empty,
+            name=f"rec{k:02d}",
+            role="validate" if k >= count - aside else "fit",
+            motion=motion,
+            lead_s=lead,
         )
-    return tuple(kept)
+        kept.append(_commanded(motions, planned, duration, body, drive))
+    return drive, tuple(kept)
 
 
-def _load_of(k: int, kind: str, loads: int, body: Body) -> tuple[float, Pendulum | None]:
-    """Return the weight on the lever, or on the joint, in recording ``k``; the first recording with
-    a lever has no weight.
+def _commanded(
+    rng: np.random.Generator, planned: Planned, duration_s: float, body: Body, drive: Drive
+) -> Planned:
+    """Draw what is sent in a recording, and the pause before it."""
+    reach, times = _reach(body, planned), (duration_s, planned.lead_s)
+    if drive.kind == "torque":
+        machine = (body.constants, body.peak_N_m, reach, drive.centring_N_m_rad)
+        drawn = course(rng, planned.motion, times, machine, _load_of(planned, body))
+        planned = replace(planned, command=drawn.angle, torque=drawn.torque)
+    else:
+        planned = replace(planned, command=command(rng, planned.motion, *times, reach))
+    return replace(planned, pause_s=round(float(rng.uniform(3.0, 30.0)), 2))
+
+
+def _loaded(k: int, kind: str, loads: int, body: Body, sends_torque: bool) -> Planned:
+    """Return recording ``k`` with its known load and nothing else; the first recording has none,
+    except for a weight on the joint.
+
+    A host that sends torques has its spring about zero, where the weight hangs straight down.
     """
+    empty = Planned("", "fit", "", np.zeros(0), 0.0)
     if kind == "lever":
         place = k % (loads + 1)
-        return round(body.heaviest_kg * place / loads, 4) if loads else 0.0, None
+        return replace(empty, weight_kg=round(body.heaviest_kg * place / loads, 4))
     if kind == "pendulum":
-        share, length = (0.3, 0.6, 0.45)[k % loads], 0.02 + 0.1 * body.peak_N_m / 40.0
+        share, length = HUNG_SHARES[k % loads], 0.02 + 0.1 * body.peak_N_m / 40.0
         mass = share * 0.6 * body.peak_N_m / (GRAVITY_M_S2 * length)
-        return 0.0, Pendulum(round(mass, 4), length, (0.0, -0.7, 0.9)[k % loads])
-    return 0.0, None
+        zero = 0.0 if sends_torque else (0.0, -0.7, 0.9)[k % loads]
+        return replace(empty, pendulum=Pendulum(round(mass, 4), length, zero))
+    steady = STEADY_SHARES[k % (loads + 1)] * body.peak_N_m if loads else 0.0
+    if kind == "hoisted":
+        return replace(empty, hoisted_kg=round(abs(steady) / GRAVITY_M_S2, 4))
+    if kind == "force":
+        return replace(empty, pull_N_m=round(steady, 3))
+    if kind == "carriage":
+        # The guide bears its weight: friction and inertia, but no force.
+        mass = round(CARRIED[k % (loads + 1)] * body.heaviest_kg, 4)
+        return replace(empty, weight_kg=mass, hoisted_kg=mass, pull_N_m=mass * GRAVITY_M_S2)
+    return empty
 
 
-def _reach(body: Body) -> Reach:
-    """Return the limits of a command; half of the torque that friction leaves may accelerate the
-    joint.
+def _load_of(planned: Planned, body: Body) -> Load:
+    """Return the known load of a recording, at the joint."""
+    force = body.lever_ratio * planned.weight_kg * GRAVITY_M_S2
+    hung = planned.pendulum
+    inertia = planned.hoisted_kg + (0.0 if hung is None else hung.mass_kg * hung.length_m**2)
+    return Load(
+        force * body.moment_arm_m,
+        inertia,
+        _torque_of(hung),
+        0.0 if hung is None else hung.zero_rad,
+        planned.steady_N_m(GRAVITY_M_S2),
+    )
+
+
+def _reach(body: Body, planned: Planned) -> Reach:
+    """Return the limits of a command; half of the torque that friction and a steady load leave may
+    accelerate the joint.
     """
     constants = body.constants
     friction = constants.Mc + constants.sigma_2 * body.speed
     load = constants.mu_c * body.heaviest_kg * body.lever_ratio * GRAVITY_M_S2 * body.moment_arm_m
-    spare = max(body.peak_N_m - friction - 1.5 * load, 0.2 * body.peak_N_m)
-    return Reach(body.travel, body.speed, 0.5 * spare / constants.J)
+    held = friction + 1.5 * load + abs(planned.steady_N_m(GRAVITY_M_S2))
+    spare = max(body.peak_N_m - held, 0.2 * body.peak_N_m)
+    return Reach(body.travel, body.speed, 0.5 * spare / (constants.J + planned.hoisted_kg))
 
 
 def scale_of(body: Body | World, recordings: Sequence[Planned]) -> Scale:
@@ -199,6 +281,7 @@ def scale_of(body: Body | World, recordings: Sequence[Planned]) -> Scale:
     heaviest = max(r.weight_kg for _, r in fitted)
     force = body.lever_ratio * heaviest * GRAVITY_M_S2
     hung = max((_torque_of(r.pendulum) for _, r in fitted), default=0.0)
+    hung += max(abs(r.steady_N_m(GRAVITY_M_S2)) for _, r in fitted)
     torque += body.moment_arm_m * force * constants.mu_c + hung
     return Scale(
         Mc=constants.Mc,
@@ -214,6 +297,7 @@ def scale_of(body: Body | World, recordings: Sequence[Planned]) -> Scale:
         loaded=tuple((k, r.weight_kg) for k, r in fitted if r.weight_kg > 0.0),
         recordings=len(fitted),
         shortest_s=min(r.duration_s for _, r in fitted),
+        unit=1.0 if body.motion == "rotary" else abs(farthest),
     )
 
 
@@ -227,9 +311,11 @@ def _axes(
     """Return the values of a world on all axes, as words and numbers."""
     encoders = (("motor", sensing.motor_bits), ("joint", sensing.joint_bits))
     return {
-        "peak_Nm": float(f"{body.peak_N_m:.3g}"),
+        "machine": body.motion,
+        "peak_Nm" if body.motion == "rotary" else "peak_N": float(f"{body.peak_N_m:.3g}"),
         "loop": drive.kind,
         "loop_Hz": float(drive.rate_Hz),
+        "host_Hz": float(drive.host_Hz),
         "gain_Hz": float(f"{drive.position_Hz:.3g}"),
         "feedforward": drive.feedforward > 0.0,
         "log_Hz": float(log_.rate_Hz),
@@ -244,6 +330,8 @@ def _axes(
         "starts": "moving" if any(r.lead_s for r in recordings) else "at rest",
         "recordings": float(len(recordings)),
         "seconds": float(round(sum(r.duration_s for r in recordings))),
-        "loads": float(len({(r.weight_kg, r.pendulum) for r in recordings})),
+        "loads": float(
+            len({(r.weight_kg, r.pendulum, r.hoisted_kg, r.pull_N_m) for r in recordings})
+        ),
         "friction": "falls" if body.constants.Ms > body.constants.Mc else "flat",
     }

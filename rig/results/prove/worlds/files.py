@@ -28,7 +28,7 @@ FORMATS: Mapping[str, str] = {
     "supply_voltage": "%.6g",
 }
 ANGLES = "%.9g"
-"""Format of all other columns; a step of a 24-bit encoder is 4e-7 rad."""
+"""Format of all other columns; a step of a 24-bit encoder is 4e-7 rad, or 6e-8 m."""
 
 
 def write_world(folder: Path, world: World, logged: Sequence[Columns]) -> Path:
@@ -57,7 +57,7 @@ def campaign(world: World, columns: Columns) -> dict[str, Any]:
     """
     motor, lever = world.motor, any(r.weight_kg for r in world.recordings)
     bench: dict[str, Any] = {
-        "motion": "rotary",
+        "motion": world.motion,
         "torque_constant": motor.constant,
         "back_emf_constant": motor.constant,
         "resistance": motor.resistance_ohm,
@@ -93,6 +93,10 @@ def _entry(world: World, planned: Planned) -> dict[str, Any]:
     if planned.pendulum is not None:
         hung = planned.pendulum
         entry["gravity"] = {"mass": hung.mass_kg, "length": hung.length_m, "zero": hung.zero_rad}
+    if planned.hoisted_kg:
+        entry["hoisted"] = {"mass": planned.hoisted_kg}
+    if planned.pull_N_m:
+        entry["constant_torque"] = planned.pull_N_m
     return entry
 
 

@@ -11,10 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from rig.results.prove.worlds.world import Array, Signals, World
+from rig.results.prove.worlds.world import LINE_M, LINES_PER_TURN, Array, Signals, World
 
-LINES = 4096
-"""Number of lines of an interpolating joint encoder."""
 Columns = dict[str, Array]
 Rows = NDArray[np.int64]
 
@@ -37,19 +35,21 @@ def columns(world: World, k: int, signals: Signals, rng: np.random.Generator) ->
     start = signals.start_s if world.log.clock else 0.0
     out = {
         "time": start + time - time[0] + np.clip(jitter, -limit, limit),
-        "command": signals.command[rows],
         "current": _current(world, signals, rows, step, rng),
     }
+    if world.recordings[k].torque is None:
+        out["command"] = signals.command[rows]
     if world.log.voltage != "absent":
         out["voltage"] = _voltage(world, signals, rows, step, rng)
     if world.log.supply:
         noise = world.sensing.voltage_noise_V * rng.standard_normal(len(rows))
         out["supply_voltage"] = signals.supply[rows] + noise
-    if world.sensing.motor_bits is not None:
+    if (count := world.motor_count_rad) is not None:
         shaft = _late(world, signals.motor_angle, "angles")
-        out["motor_angle"] = _counted(shaft[rows], world.sensing.motor_bits, world, rng)
-    if world.sensing.joint_bits is not None:
-        out["angle"] = _joint(world, k, signals, rows, rng)
+        out["motor_angle"] = _counted(shaft[rows], count, world.sensing.flicker, rng)
+    if (count := world.joint_count_rad) is not None:
+        joint = _joint(world, k, signals, rows)
+        out["angle"] = _counted(joint, count, world.sensing.flicker, rng)
     return out
 
 
@@ -87,7 +87,8 @@ def _voltage(
     return np.asarray(mean + world.sensing.voltage_noise_V * rng.standard_normal(len(rows)))
 
 
-def _joint(world: World, k: int, signals: Signals, rows: Rows, rng: np.random.Generator) -> Array:
+def _joint(world: World, k: int, signals: Signals, rows: Rows) -> Array:
+    """Return the angle at the joint encoder before counts are taken, at the rows of the log."""
     late = world.effects.get("transport_delay", {}).get("time_s", 0.0)
     angle = _late(world, signals.angle, "angles", late)[rows]
     seat: Mapping[str, float] = world.effects.get("encoder_eccentricity", {})
@@ -97,17 +98,15 @@ def _joint(world: World, k: int, signals: Signals, rows: Rows, rng: np.random.Ge
         number = round(slip["recording"])
         after = rows / world.drive.rate_Hz > slip["at_s"] if k + 1 == number else k + 1 > number
         angle = angle + slip["angle_rad"] * after
-    pitch = 2.0 * np.pi / LINES
-    angle = angle + world.sensing.lines_error * pitch * np.sin(2.0 * np.pi * angle / pitch)
-    bits = world.sensing.joint_bits
-    assert bits is not None
-    return _counted(angle, bits, world, rng)
+    pitch = 2.0 * np.pi / LINES_PER_TURN if world.motion == "rotary" else LINE_M
+    return np.asarray(
+        angle + world.sensing.lines_error * pitch * np.sin(2.0 * np.pi * angle / pitch)
+    )
 
 
-def _counted(angle: Array, bits: int, world: World, rng: np.random.Generator) -> Array:
+def _counted(angle: Array, count: float, flicker: float, rng: np.random.Generator) -> Array:
     """Return an angle in whole counts; an angle between two counts flickers."""
-    count = 2.0 * np.pi / 2.0**bits
-    noise = world.sensing.flicker * rng.standard_normal(len(angle))
+    noise = flicker * rng.standard_normal(len(angle))
     return np.asarray(np.round(angle / count + noise) * count)
 
 

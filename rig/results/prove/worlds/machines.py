@@ -1,5 +1,5 @@
-"""Draws the machine of a world, from a hobby servo to the valve, with its drive, encoders and
-logger.
+"""Draws the machine of a world, from a hobby servo to the valve or from a small actuator to a ball
+screw that carries hundreds of kilograms, with its drive, encoders and logger.
 """
 
 from __future__ import annotations
@@ -11,15 +11,25 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rig.results.prove.sizes import even, log
-from rig.results.prove.worlds.world import Constants, Drive, Log, Motor, Sensing
+from rig.results.prove.worlds.world import Constants, Drive, Log, LoopKind, Motion, Motor, Sensing
 
 GRAVITY_M_S2 = 9.80665
 SMALLEST_N_M, LARGEST_N_M = 0.2, 40.0
 """Greatest torque of the smallest and of the largest machine, N m."""
+LINEAR_N, LINEAR_TRAVEL_M, LINEAR_SPEED_M_S = (20.0, 2000.0), (0.05, 0.6), (0.05, 0.8)
+"""Range of the greatest force, the travel to either side and the speed of a linear machine."""
+SCREW_LEAD_M, BELT_M = (0.002, 0.02), (0.06, 0.2)
+"""Range of the travel per motor turn of a ball screw, and per turn of the pulley of a belt."""
+BELT_GEARS = (1.0, 3.0, 5.0, 10.0)
+ARM = 1.0
+"""Ratio of the friction force on a carriage to the friction of the contact force."""
 LOOP_RATES_HZ = (2000, 4000, 8000)
 LOG_RATES_HZ = (100, 200, 250, 500, 1000, 2000, 4000)
 LEAST_GAIN_HZ, MOST_GAIN_HZ = 1.0, 16.0
 """Range of the bandwidth of the position loop."""
+LOOPS: dict[LoopKind, float] = {"cascade": 0.5, "pd": 0.2, "torque": 0.15, "host": 0.15}
+"""Share of each kind of loop."""
+HOST_RATES_HZ = (200, 500, 1000)
 
 
 class Body(NamedTuple):
@@ -34,6 +44,8 @@ class Body(NamedTuple):
         moment_arm_m: L1.
         lever_ratio: L3/L4.
         heaviest_kg: Heaviest weight on the lever.
+        motion: Whether the joint turns or is a carriage; units as in
+            :mod:`rig.results.prove.worlds.world`.
     """
 
     peak_N_m: float
@@ -44,20 +56,25 @@ class Body(NamedTuple):
     moment_arm_m: float
     lever_ratio: float
     heaviest_kg: float
+    motion: Motion
 
 
-def draw_body(rng: np.random.Generator, falls: bool) -> Body:
+def draw_body(rng: np.random.Generator, falls: bool, motion: Motion = "rotary") -> Body:
     """Draw a machine.
 
     Args:
         rng: Generator.
         falls: Whether friction must fall from rest to motion; else one in five does not fall.
+        motion: Its kind.
     """
-    peak = log(SMALLEST_N_M, LARGEST_N_M)(rng)
-    travel, speed = log(0.25, 1.2)(rng), log(0.8, 5.0)(rng)
+    linear = motion == "linear"
+    peak = log(*(LINEAR_N if linear else (SMALLEST_N_M, LARGEST_N_M)))(rng)
+    travel = log(*(LINEAR_TRAVEL_M if linear else (0.25, 1.2)))(rng)
+    speed = log(*(LINEAR_SPEED_M_S if linear else (0.8, 5.0)))(rng)
     Mc = peak * rng.uniform(0.1, 0.22)
     flat = not falls and rng.uniform() < 0.2
     arm, ratio = 0.095 * float(rng.uniform(0.5, 1.2)), float(rng.choice((1.0, 5.0, 10.0)))
+    arm = ARM if linear else arm
     mu_c = float(rng.uniform(0.03, 0.08))
     constants = Constants(
         J=peak * rng.uniform(0.15, 0.5) / (speed * 2.0 * math.pi * rng.uniform(1.0, 2.5)),
@@ -71,17 +88,24 @@ def draw_body(rng: np.random.Generator, falls: bool) -> Body:
         mu_2=mu_c * rng.uniform(0.2, 0.8) / speed,
     )
     heaviest = Mc * rng.uniform(0.4, 1.3) / (mu_c * arm * ratio * GRAVITY_M_S2)
-    motor = _motor(rng, peak, speed)
-    return Body(peak, travel, speed, constants, motor, arm, ratio, heaviest)
+    motor = _motor(rng, peak, speed, _rad_per_m(rng) if linear else None)
+    return Body(peak, travel, speed, constants, motor, arm, ratio, heaviest, motion)
 
 
-def _motor(rng: np.random.Generator, peak: float, speed: float) -> Motor:
+def _rad_per_m(rng: np.random.Generator) -> float:
+    """Draw the motor angle per travel of a ball screw or of a belt with or without a gear."""
+    if rng.uniform() < 0.6:
+        return 2.0 * math.pi / round(log(*SCREW_LEAD_M)(rng), 3)
+    return 2.0 * math.pi * float(rng.choice(BELT_GEARS)) / round(log(*BELT_M)(rng), 3)
+
+
+def _motor(rng: np.random.Generator, peak: float, speed: float, rad_per_m: float | None) -> Motor:
     """Draw a motor that reaches the peak torque, and that reaches the speed with half of its supply
     voltage.
     """
     supply = float(rng.choice((6.0, 12.0, 24.0, 48.0, 60.0)))
     limit = 2.0 * peak * speed / supply * log(1.3, 5.0)(rng)
-    gear = float(round(log(20.0, 300.0)(rng)))
+    gear = float(round(log(20.0, 300.0)(rng))) if rad_per_m is None else rad_per_m
     resistance = rng.uniform(0.2, 0.4) * supply / limit
     return Motor(
         resistance_ohm=resistance,
@@ -98,31 +122,35 @@ def _motor(rng: np.random.Generator, peak: float, speed: float) -> Motor:
 def draw_drive(rng: np.random.Generator) -> Drive:
     """Draw the drive loops; the gains vary by a factor of sixteen."""
     rate = int(rng.choice(LOOP_RATES_HZ))
-    cascade = rng.uniform() < 0.7
+    kind: Any = str(rng.choice(list(LOOPS), p=list(LOOPS.values())))
     position = log(LEAST_GAIN_HZ, MOST_GAIN_HZ)(rng)
     return Drive(
-        kind="cascade" if cascade else "pd",
+        kind=kind,
         rate_Hz=rate,
         position_Hz=position,
         velocity_Hz=min(position * rng.uniform(3.0, 6.0), rate / 60.0),
         current_Hz=min(log(200.0, 800.0)(rng), rate / 10.0),
-        feedforward=float(rng.choice((0.0, 1.0))) if cascade else 0.0,
+        feedforward=float(rng.choice((0.0, 1.0))) if kind == "cascade" else 0.0,
+        host_Hz=int(rng.choice(HOST_RATES_HZ)) if kind in ("torque", "host") else 0,
     )
 
 
-def draw_sensing(rng: np.random.Generator, motor: Motor, needs: Collection[str]) -> Sensing:
+def draw_sensing(
+    rng: np.random.Generator, motor: Motor, needs: Collection[str], motion: Motion = "rotary"
+) -> Sensing:
     """Draw encoders of 12 to 24 bits and the current sensor.
 
     Args:
         rng: Generator.
         motor: Motor of the machine.
+        motion: Kind of the machine; the scale of a linear one has 2^17 to 2^24 counts per m.
         needs: ``two encoders``, ``motor encoder``: what there must be.
     """
     both, at_motor = rng.uniform() < 0.5, rng.uniform() < 0.6
     both, at_motor = both or "two encoders" in needs, at_motor or "motor encoder" in needs
     motor_bits = int(rng.integers(12, 17)) if both or at_motor else None
     # A drive that has nothing but a coarse encoder on the joint cannot close a velocity loop.
-    fewest = 12 if motor_bits is not None else 17
+    fewest = 12 if motor_bits is not None and motion == "rotary" else 17
     joint_bits = int(rng.integers(fewest, 25)) if both or not at_motor else None
     return Sensing(
         motor_bits=motor_bits,

@@ -45,15 +45,19 @@ def command(
     """
     t: Array = np.arange(round((duration_s + lead_s) / COMMAND_S), dtype=np.float64) * COMMAND_S
     seed, share = int(rng.integers(1 << 62)), rng.uniform(0.55, 1.0)
+    best, farthest = np.zeros(len(t)), 0.0
     for slower in SLOWER:
         path = _smooth(MOTIONS[motion](np.random.default_rng(seed), t * slower), slower)
         path = (path - path[0]) * _eased(t)
         speed = np.gradient(path, COMMAND_S)
         most = (np.abs(x).max() for x in (path, speed, np.gradient(speed, COMMAND_S)))
         scale = min(limit / max(m, 1e-12) for limit, m in zip(reach, most, strict=True))
-        if scale * np.abs(path).max() > WORTH * reach.travel:
+        # Slowed steps may all lie after the end of the recording.
+        if (far := float(scale * np.abs(path).max())) > farthest:
+            best, farthest = path * scale * share, far
+        if farthest > WORTH * reach.travel:
             break
-    return np.asarray(path * scale * share)
+    return np.asarray(best)
 
 
 def _smooth(path: Array, slower: float) -> Array:

@@ -121,9 +121,12 @@ def strength_of(
         ),
         "voltage": max(sensing.voltage_noise_V, sensing.current_noise_A),
         **{
-            name: 2.0 * np.pi / 2.0**bits * float(np.hypot(sensing.flicker, 1.0 / np.sqrt(12.0)))
-            for name, bits in (("motor_angle", sensing.motor_bits), ("angle", sensing.joint_bits))
-            if bits is not None
+            name: count * float(np.hypot(sensing.flicker, 1.0 / np.sqrt(12.0)))
+            for name, count in (
+                ("motor_angle", world.motor_count_rad),
+                ("angle", world.joint_count_rad),
+            )
+            if count is not None
         },
     }
     found = {}

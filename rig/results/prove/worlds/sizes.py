@@ -1,4 +1,8 @@
-"""Draws the size of an injected effect relative to the machine, from near the noise to obvious."""
+"""Draws the size of an injected effect relative to the machine, from near the noise to obvious.
+
+Names and units of parameters are those of a rotary machine; on a linear machine the values are in m
+and N.
+"""
 
 from __future__ import annotations
 
@@ -33,6 +37,7 @@ class Scale:
         loaded: Numbers of the loaded recordings to fit, from 1, and the labels of their weights.
         recordings: Number of recordings to fit.
         shortest_s: Length of the shortest recording.
+        unit: Angle to which errors of an encoder are relative: 1 rad, or the travel of a carriage.
     """
 
     Mc: float
@@ -48,6 +53,7 @@ class Scale:
     loaded: tuple[tuple[int, float], ...]
     recordings: int
     shortest_s: float
+    unit: float = 1.0
 
 
 Draw = Callable[[np.random.Generator, Scale], Parameters]
@@ -72,7 +78,7 @@ def _coulomb_drift(rng: np.random.Generator, s: Scale) -> Parameters:
 
 def _slip(rng: np.random.Generator, s: Scale) -> Parameters:
     return {
-        "angle_rad": either(5e-4, 1e-2)(rng),
+        "angle_rad": either(5e-4, 1e-2)(rng) * s.unit,
         "at_s": s.shortest_s * even(0.2, 0.8)(rng),
         "recording": float(rng.integers(1, s.recordings + 1)),
     }
@@ -191,10 +197,11 @@ catalogue.
 """
 
 NEEDS: Mapping[str, frozenset[str]] = {
+    **dict.fromkeys(("transport_delay", "encoder_slip"), frozenset({"two encoders"})),
     **dict.fromkeys(
-        ("gear_mesh_ripple", "transport_delay", "encoder_eccentricity", "encoder_slip"),
-        frozenset({"two encoders"}),
+        ("gear_mesh_ripple", "encoder_eccentricity"), frozenset({"two encoders", "turning joint"})
     ),
+    "gravity_imbalance": frozenset({"turning joint"}),
     **dict.fromkeys(("brush_drop", "winding_heating"), frozenset({"voltage"})),
     **dict.fromkeys(("inverter_dead_time", "supply_sag"), frozenset({"commanded voltage"})),
     **dict.fromkeys(
@@ -205,8 +212,8 @@ NEEDS: Mapping[str, frozenset[str]] = {
     **dict.fromkeys(
         ("backlash", "compliance", "coupling_hysteresis"), frozenset({"motor encoder"})
     ),
-    "transmission_efficiency": frozenset({"pendulum"}),
-    "load_dependent_friction": frozenset({"pendulum"}),
+    "transmission_efficiency": frozenset({"known torque"}),
+    "load_dependent_friction": frozenset({"known torque"}),
     "stribeck_shape": frozenset({"fall"}),
     "friction_memory": frozenset({"fall"}),
 }

@@ -1,7 +1,9 @@
 """Describes one drawn world: a machine, the drive, encoders and logger around it, and its
 recordings.
 
-Angles and torques are at the joint unless a name says otherwise.
+Angles and torques are at the joint unless a name says otherwise. All units are those of a rotary
+machine. On a linear machine the joint is a carriage: m replaces rad, N replaces N m, kg replaces
+kg m^2, and the gear ratio is in rad of the motor per m.
 """
 
 from __future__ import annotations
@@ -19,6 +21,20 @@ from rig.results.prove.truth import Axis
 Array = NDArray[np.float64]
 COMMAND_S = 1e-3
 """Time between the samples of the command, s; the drive interpolates between them."""
+LoopKind = Literal["cascade", "pd", "torque", "host"]
+Motion = Literal["rotary", "linear"]
+LINES_PER_TURN, LINE_M = 4096, 2e-5
+"""Lines of an interpolating encoder: number in a turn of a rotary one, distance in a linear one."""
+SCALE_M = 1.0
+"""Length that the counts of a linear encoder divide, m."""
+HOST_JITTER = 0.3
+"""Greatest deviation of an interval between two torques of the host, share of the mean one: a
+computer without real time, whose torques are in no fixed phase to the samples of the log.
+"""
+HOST_SAMPLES = 25.0
+"""Least number of the host's samples in one oscillation of its position loop."""
+HOST_DAMPING, CENTRING_DAMPING = 0.8, 0.5
+"""Damping ratios of a host's position loop, and of its weak spring."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +60,8 @@ class Motor:
         resistance_ohm: Resistance of the winding.
         inductance_H: Inductance of the winding.
         constant: Torque constant in N m/A and back-EMF constant in V s/rad, which are one in SI.
-        gear_ratio: Motor turns per joint turn.
+        gear_ratio: Motor turns per joint turn; on a linear machine rad per m, 2 pi over the lead of
+            the screw or over the travel of the belt per turn.
         supply_V: Supply voltage of the power stage, which limits the motor voltage.
         limit_A: Current limit of the drive.
         rotor_share: Share of the inertia J that is the rotor's.
@@ -72,20 +89,26 @@ class Drive:
 
     Attributes:
         kind: ``cascade``: position P, velocity PI, current PI; ``pd``: position P and velocity D
-            straight to the current.
-        rate_Hz: Rate of all loops.
+            straight to the current; ``host``: the drive is sent a torque by a slow host, which
+            computes position P and velocity D; ``torque``: the drive is sent a torque of a given
+            course by the host, which adds a weak spring about zero and its damping.
+        rate_Hz: Rate of all loops of the drive.
         position_Hz: Bandwidth of the position loop.
         velocity_Hz: Bandwidth of the velocity loop, or of the damping of ``pd``.
         current_Hz: Bandwidth of the current loop.
         feedforward: Share of the command's speed that is fed forward.
+        host_Hz: Mean rate at which the host sends torques; 0 without a host.
+        centring_N_m_rad: Stiffness of the spring of ``torque``.
     """
 
-    kind: Literal["cascade", "pd"]
+    kind: LoopKind
     rate_Hz: int
     position_Hz: float
     velocity_Hz: float
     current_Hz: float
     feedforward: float
+    host_Hz: int = 0
+    centring_N_m_rad: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -94,10 +117,10 @@ class Sensing:
 
     Attributes:
         motor_bits: Counts per motor turn, as a power of two; None without a motor encoder.
-        joint_bits: Counts per joint turn, as a power of two; None without a joint encoder.
+        joint_bits: Counts per joint turn, on a linear machine per m, as a power of two; None
+            without a joint encoder.
         flicker: Noise before the count is taken, rms, counts.
-        lines_error: Interpolation error of the joint encoder within one of 4096 lines, share of
-            the line.
+        lines_error: Interpolation error of the joint encoder within one line, share of the line.
         current_noise_A: Noise of one sample, rms.
         current_quantum_A: Step of the current's digits.
         voltage_noise_V: Noise of a measured voltage, rms.
@@ -156,11 +179,15 @@ class Planned:
         name: Name of its file.
         role: As in a campaign file.
         motion: Kind of its excitation.
-        command: Joint angle sent, rad, every :data:`COMMAND_S`.
+        command: Joint angle sent, rad, every :data:`COMMAND_S`; where a torque is sent, the angle
+            that is expected of the machine without effects.
         lead_s: Part of the command that passes before the log begins: it begins in motion.
         weight_kg: Label of the weight on the lever.
         pendulum: The weight on the joint, or None.
         pause_s: Time without power before it.
+        hoisted_kg: Known mass that the carriage of a linear machine lifts: force -m g, inertia m.
+        pull_N_m: Known constant torque on the joint, positive if it drives the joint forward.
+        torque: Torque sent, N m, every :data:`COMMAND_S`; None where an angle is sent.
     """
 
     name: str
@@ -171,6 +198,20 @@ class Planned:
     weight_kg: float = 0.0
     pendulum: Pendulum | None = None
     pause_s: float = 0.0
+    hoisted_kg: float = 0.0
+    pull_N_m: float = 0.0
+    torque: Array | None = None
+
+    def sent(self, at_s: Array) -> tuple[Array, Array]:
+        """Return the angle, rad, and the torque, N m, that are sent at the times ``at_s``."""
+        times = np.arange(len(self.command)) * COMMAND_S
+        if self.torque is None:
+            return np.interp(at_s, times, self.command), np.zeros(len(at_s))
+        return np.zeros(len(at_s)), np.interp(at_s, times, self.torque)
+
+    def steady_N_m(self, gravity_m_s2: float) -> float:
+        """Return the known torque that is the same at every angle."""
+        return self.pull_N_m - self.hoisted_kg * gravity_m_s2
 
     @property
     def duration_s(self) -> float:
@@ -196,6 +237,7 @@ class World:
         gravity_m_s2: Local gravity.
         axes: The place in the world, axis to value.
         seed: Entropy of all noise.
+        motion: Whether the joint turns or is a carriage on a linear axis.
     """
 
     kind: Kind
@@ -211,16 +253,17 @@ class World:
     gravity_m_s2: float
     axes: Mapping[str, Axis]
     seed: tuple[int, ...]
+    motion: Motion = "rotary"
 
     @property
     def holding_N_m(self) -> float:
         """Return the greatest torque that a position loop must hold: static friction plus the
-        torque of a weight on the joint.
+        torque of the known loads.
         """
         hung = (r.pendulum for r in self.recordings if r.pendulum is not None)
-        return self.constants.Ms + self.gravity_m_s2 * max(
-            (p.mass_kg * p.length_m for p in hung), default=0.0
-        )
+        turning = self.gravity_m_s2 * max((p.mass_kg * p.length_m for p in hung), default=0.0)
+        steady = max(abs(r.steady_N_m(self.gravity_m_s2)) for r in self.recordings)
+        return self.constants.Ms + turning + steady
 
     @property
     def smallest_rad(self) -> float:
@@ -229,6 +272,58 @@ class World:
         """
         most = [float(np.abs(r.command).max()) for r in self.recordings]
         return max(min(most), max(most) / 20.0, 1e-3)
+
+    @property
+    def host_law(self) -> tuple[float, float]:
+        """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
+
+        A position loop overcomes the static friction with an error that falls with its gain, a
+        third of the smallest motion at 1 Hz, as far as the rate of the host permits.
+        """
+        drive, J = self.drive, self.constants.J
+        if drive.kind == "torque":
+            stiffness, ratio = drive.centring_N_m_rad, CENTRING_DAMPING
+        else:
+            fastest = 2.0 * np.pi * drive.host_Hz / HOST_SAMPLES
+            stiffness = 3.0 * drive.position_Hz * self.holding_N_m / self.smallest_rad
+            stiffness, ratio = min(stiffness, J * fastest**2), HOST_DAMPING
+        return stiffness, 2.0 * ratio * float(np.sqrt(stiffness * J))
+
+    def host_sends(self, k: int, ticks: int) -> Array:
+        """Return 1 at each tick of the drive in recording ``k`` at which the host sends a torque,
+        else 0.
+        """
+        out = np.zeros(ticks)
+        if self.drive.host_Hz:
+            rng = np.random.default_rng([*self.seed, 8, k])
+            count = round(1.2 * ticks * self.drive.host_Hz / self.drive.rate_Hz) + 9
+            waits = 1.0 + HOST_JITTER * rng.uniform(-1.0, 1.0, count)
+            at = np.cumsum(waits) * self.drive.rate_Hz / self.drive.host_Hz
+            out[[0, *(row for row in np.round(at).astype(int) if row < ticks)]] = 1.0
+        return out
+
+    @property
+    def motor_count_rad(self) -> float | None:
+        """Return the step of the motor encoder; None without one."""
+        bits = self.sensing.motor_bits
+        return None if bits is None else 2.0 * np.pi / 2.0**bits
+
+    @property
+    def joint_count_rad(self) -> float | None:
+        """Return the step of the joint encoder; None without one."""
+        bits, whole = self.sensing.joint_bits, 2.0 * np.pi if self.motion == "rotary" else SCALE_M
+        return None if bits is None else whole / 2.0**bits
+
+    @property
+    def loop_count_rad(self) -> float:
+        """Return the step, at the joint, of the encoder that closes the loop: the motor's if there
+        is one.
+        """
+        motor, joint = self.motor_count_rad, self.joint_count_rad
+        if motor is not None:
+            return motor / self.motor.gear_ratio
+        assert joint is not None
+        return joint
 
     def contact_N(self, k: int) -> float:
         """Return the contact force of recording ``k``; its true weight may differ from the
@@ -252,7 +347,7 @@ class Signals:
         supply: Voltage of the supply, V.
         motor_angle: True angle of the motor's shaft, rad.
         angle: True angle of the joint, rad.
-        command: Joint angle sent, rad.
+        command: Joint angle sent, rad; zero where a torque is sent.
         start_s: Time of the first sample since the session began.
     """
 
