@@ -17,6 +17,7 @@ import psutil
 import pytest
 from hypothesis import settings
 
+from identification.numerics.two_threads import THREAD as KERNEL_THREAD
 from rig.cli.entry import GARBAGE_THRESHOLD
 from rig.common.allocation import keep_freed_memory
 
@@ -61,7 +62,7 @@ def no_leaks() -> Iterator[None]:
     leaked = [
         f"thread {thread.name}"
         for thread in set(threading.enumerate()) - threads
-        if thread.is_alive()
+        if thread.is_alive() and not thread.name.startswith(KERNEL_THREAD)
     ]
     _, alive = psutil.wait_procs(_children(process) - children, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]

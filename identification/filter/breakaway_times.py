@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.filter.likelihood import Point
 from identification.numerics.arrays import Array
-from identification.numerics.levenberg_marquardt import huber, huber_weight
+from identification.numerics.levenberg_marquardt import huber_weight
 
 ROUNDS = 4
 """Greatest number of Gauss-Newton steps for a breakaway time."""
@@ -43,29 +43,28 @@ def optimise_breakaway_times(
     The method is Gauss-Newton with one step length per segment: a step that raises the cost of its
     segment is undone and shortened.
     """
-    count, m = len(point.free), point.breakaways
-    owners = point.owners
+    count = len(point.free)
     held = point.weighted()
     x = point.origin()
-    residual = held.residuals(x)
-    cost = np.bincount(owners, huber(residual, threshold), m)
-    length = np.ones(m)
-    near = held.near_breakaways(x, residual)
+    near = held.near_breakaways(x, held.residuals(x))
+    residual = near.here
+    cost = near.costs(residual, threshold)
+    length = np.ones(point.breakaways)
     for _ in range(rounds):
         there = x.copy()
         there[count:] += 1e-3
         along = (near.residuals(there) - residual) / 1e-3
         weight = huber_weight(residual, threshold)
-        own = np.bincount(owners, weight * along * along, m)
-        step = -np.bincount(owners, weight * along * residual, m) / np.where(own > 0.0, own, np.inf)
+        own = near.by_segment(weight * along * along)
+        step = -near.by_segment(weight * along * residual) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
         trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
         tried = near.residuals(trial)
-        tried_cost = np.bincount(owners, huber(tried, threshold), m)
+        tried_cost = near.costs(tried, threshold)
         better = tried_cost < cost
         x[count:] = np.where(better, trial[count:], x[count:])
         length = np.where(better, 1.0, 0.25 * length)
-        residual = np.where(better[owners], tried, residual)
+        residual = np.where(better[near.owners], tried, residual)
         cost = np.where(better, tried_cost, cost)
     return replace(point, breakaway_times=point.times(x))
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -19,6 +18,7 @@ from identification.filter.sensitivity import sensitivities
 from identification.filter.tangents import seeded
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array, BoolArray
+from identification.numerics.two_threads import both
 from identification.recording import Model
 
 _FORGOTTEN = math.pi**2 / 3.0
@@ -32,6 +32,9 @@ _LEAST_SHARED = 30000.0
 
 COST_OF_SENSITIVITIES = 3
 """Computing time of a pass with sensitivities, in passes without sensitivities."""
+
+_Place = tuple[bytes, tuple[bytes, ...], Noise]
+"""Parameters, breakaway times and noise of a run."""
 
 _Part = list[tuple[int, slice]]
 """A subset of the segments: pairs of the number of a recording and rows of the table of its
@@ -48,11 +51,13 @@ class Heads:
         tables: Tables of segments that end after these samples, one per recording, shape (m, 4).
         inside: Whether a sample is among these first samples, one array per recording.
         rows: Whether an innovation belongs to one of these first samples, shape (r - m,).
+        halves: Two sets of the segments of about equal computing time.
     """
 
     tables: tuple[Array, ...]
     inside: tuple[BoolArray, ...]
     rows: BoolArray
+    halves: tuple[_Part, _Part]
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +126,8 @@ class Experiment:
             tables.append(table)
             inside.append(mask)
         rows = [mask[m.inside] for m, mask in zip(self.motions, inside, strict=True)]
-        return Heads(tuple(tables), tuple(inside), np.concatenate(rows))
+        halves = _halves(self.motions, tables)
+        return Heads(tuple(tables), tuple(inside), np.concatenate(rows), halves)
 
     @cached_property
     def matching_count(self) -> Array:
@@ -137,25 +143,26 @@ class Experiment:
 class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    Between runs a filter keeps nothing but the number of runs; each run returns copies. A filter is
-    not thread-safe.
+    A filter keeps the result of the last run over whole segments, because searches begin and end
+    where the last run was. Results are read-only copies. A filter is not thread-safe.
 
     Args:
         experiment: The recordings.
 
     Attributes:
         experiment: The recordings.
-        evaluations: Number of runs so far.
+        evaluations: Number of runs so far, without repetitions of the last one.
     """
 
     def __init__(self, experiment: Experiment) -> None:
         self.experiment = experiment
         self.evaluations = 0
+        self._last: tuple[_Place, tuple[Array, Array]] | None = None
         motions = experiment.motions
         self._errors, self._deviations, self._speeds, self._correlated = (
             [np.zeros(len(m.time)) for m in motions] for _ in range(4)
         )
-        self._halves = _halves(motions)
+        self._halves = _halves(motions, [m.table for m in motions])
 
     def run(
         self, p: Array, times: Sequence[Array], noise: Noise, heads: Heads | None = None
@@ -170,19 +177,32 @@ class Filter:
             heads: First samples of the segments; only these samples are filtered and returned. None
                 for whole segments.
         """
+        if heads is not None:
+            tables = heads.tables
+            self._shared(heads.halves, lambda part: self._filter(part, tables, p, times, noise))
+            return self._found(heads.inside)
+        place = (p.tobytes(), tuple(t.tobytes() for t in times), noise)
+        if self._last is None or self._last[0] != place:
+            self._last = place, self._run(p, times, noise)
+        return self._last[1]
+
+    def _run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
+        """Filter whole segments; return the innovations and their standard deviations, rad."""
         motions = self.experiment.motions
-        tables = [m.table for m in motions] if heads is None else heads.tables
-        self.evaluations += 1 if heads is None else 0
-        halves = self._halves if heads is None else (_whole(tables), [])
-        self._shared(halves, lambda part: self._filter(part, tables, p, times, noise))
-        inside = [m.inside for m in motions] if heads is None else heads.inside
+        tables = [m.table for m in motions]
+        self.evaluations += 1
+        self._shared(self._halves, lambda part: self._filter(part, tables, p, times, noise))
+        return self._found([m.inside for m in motions])
+
+    def _found(self, inside: Sequence[BoolArray]) -> tuple[Array, Array]:
+        """Return read-only copies of the last innovations and standard deviations, rad."""
         return _joined(self._errors, inside), _joined(self._deviations, inside)
 
     def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
         """Return the filtered correlated noise of the torque, N m, one array per recording; only
         the values inside segments are meaningful. The arguments are those of :meth:`run`.
         """
-        self.run(p, times, noise)
+        self._run(p, times, noise)
         return [hidden.copy() for hidden in self._correlated]
 
     def sensitivities(
@@ -220,13 +240,10 @@ class Filter:
     def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
         """Do both halves of the work, the second half in another thread unless it is empty."""
         one, other = halves
-        if not other:
-            return work(one)
-        with ThreadPoolExecutor(1) as beside:
-            half = beside.submit(work, other)
+        if other:
+            both(lambda: work(one), lambda: work(other))
+        else:
             work(one)
-        half.result()
-        return None
 
     def _filter(
         self,
@@ -255,31 +272,29 @@ def _levels(m: Motion, noise: Noise) -> Array:
     return np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
 
 
-def _joined(values: Sequence[Array], inside: Sequence[NDArray[np.bool_]]) -> Array:
-    return np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
+def _joined(values: Sequence[Array], inside: Sequence[BoolArray]) -> Array:
+    """Return a read-only copy of the values of the samples that are inside, over all recordings."""
+    joined = np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
+    joined.flags.writeable = False
+    return joined
 
 
-def _whole(tables: Sequence[Array]) -> _Part:
-    """Return all segments of all recordings in one set."""
-    return [(j, slice(0, len(table))) for j, table in enumerate(tables)]
-
-
-def _halves(motions: Sequence[Motion]) -> tuple[_Part, _Part]:
+def _halves(motions: Sequence[Motion], tables: Sequence[Array]) -> tuple[_Part, _Part]:
     """Split the segments into two sets of about equal computing time.
 
     The second set is empty where a second thread would not save time. A segment that does not start
     from rest continues the segment before it, and both stay in one set.
     """
     costs = [
-        [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]]
-        for m in motions
+        [float(np.sum(m.steps[int(a) : int(b)])) for a, b in table[:, : LAST + 1]]
+        for m, table in zip(motions, tables, strict=True)
     ]
     whole = sum(map(sum, costs))
     left = 0.5 * whole if whole > _LEAST_SHARED else math.inf
     parts: tuple[_Part, _Part] = ([], [])
-    for j, (m, cost) in enumerate(zip(motions, costs, strict=True)):
+    for j, (table, cost) in enumerate(zip(tables, costs, strict=True)):
         cut = int(np.searchsorted(np.cumsum(cost), left))
-        while 0 < cut < len(cost) and not m.table[cut, TORQUE_RATE] > 0.0:
+        while 0 < cut < len(cost) and not table[cut, TORQUE_RATE] > 0.0:
             cut += 1
         left -= sum(cost[:cut])
         for part, rows in zip(parts, (slice(0, cut), slice(cut, len(cost))), strict=True):

@@ -318,7 +318,10 @@ class Weighted:
         # The condition is written so that a residual that is not finite counts as affected.
         felt = ~(np.abs(after[inside] - here[inside]) <= _UNFELT)
         samples = int(np.max(experiment.samples[felt], initial=_LEAST_SAMPLES - 1)) + 1
-        return NearBreakaways(self, here, experiment.heads(samples))
+        heads = experiment.heads(samples)
+        rows = np.append(np.flatnonzero(heads.rows), np.arange(inside.stop, len(here)))
+        owners, deviations = self.point.owners[rows], self.deviations[rows]
+        return NearBreakaways(self.point, heads, rows, here[rows], owners, deviations)
 
     def with_best_breakaways(self, threshold: float) -> tuple[Point, bool]:
         """Return the point with each breakaway time at the best place of a grid around it, and
@@ -330,16 +333,13 @@ class Weighted:
         by the Huber cost of its own segment.
         """
         origin, count = self.point.origin(), len(self.point.free)
-        owners = self.point.owners
-        here = self.residuals(origin)
-        near = self.near_breakaways(origin, here)
-        best = np.bincount(owners, huber(here, threshold))
+        near = self.near_breakaways(origin, self.residuals(origin))
         shift = np.zeros(self.point.breakaways)
-        least = best - _LEAST_GAIN
+        least = near.costs(near.here, threshold) - _LEAST_GAIN
         for step in _SHIFTS_S:
             there = origin.copy()
             there[count:] += step / _TIME_SCALE_S
-            cost = np.bincount(owners, huber(near.residuals(there), threshold))
+            cost = near.costs(near.residuals(there), threshold)
             better = cost < least
             least, shift = np.where(better, cost, least), np.where(better, step, shift)
         origin[count:] += shift / _TIME_SCALE_S
@@ -355,25 +355,34 @@ class NearBreakaways:
     thousands.
 
     Attributes:
-        held: Residuals around a point, with constant standard deviations.
-        here: Residuals at the breakaway times of the point, shape (r,).
+        point: The point with these parameters.
         heads: Samples on which the breakaway times have an effect.
+        rows: Affected residuals, those of the samples first and then the ties, shape (q,).
+        here: These residuals at the breakaway times of the point, shape (q,).
+        owners: Number of their segments, shape (q,).
+        deviations: Their standard deviations, constant, shape (q,).
     """
 
-    held: Weighted
-    here: Array
+    point: Point
     heads: Heads
+    rows: NDArray[np.int64]
+    here: Array
+    owners: NDArray[np.int64]
+    deviations: Array
 
     def residuals(self, x: Array) -> Array:
-        """Return the residuals at a free vector with the same parameters, shape (r,)."""
-        point, count = self.held.point, len(self.heads.rows)
-        p, times = point.parameters(x), point.times(x)
-        errors, _ = point.filter.run(p, times, point.noise, self.heads)
-        out = self.here.copy()
-        deviations = self.held.deviations
-        out[:count][self.heads.rows] = errors / deviations[:count][self.heads.rows]
-        out[count:] = point.ties(p, times) / deviations[count:]
-        return out
+        """Return the affected residuals at a free vector with the same parameters, shape (q,)."""
+        p, times = self.point.parameters(x), self.point.times(x)
+        errors, _ = self.point.filter.run(p, times, self.point.noise, self.heads)
+        return np.concatenate([errors, self.point.ties(p, times)]) / self.deviations
+
+    def by_segment(self, values: Array) -> Array:
+        """Return the sum over each segment of one value for each affected residual, shape (m,)."""
+        return np.bincount(self.owners, values, self.point.breakaways)
+
+    def costs(self, residuals: Array, threshold: float) -> Array:
+        """Return the Huber cost of each segment's affected residuals, shape (m,)."""
+        return self.by_segment(huber(residuals, threshold))
 
 
 class Searched(NamedTuple):

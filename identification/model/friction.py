@@ -41,6 +41,19 @@ error of the other parts.
 
 
 @inlined
+def _falling_part(height: float, speed: float, omega_s: float, alpha: float) -> tuple[float, float]:
+    """Return the falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope at
+    ``speed`` >= 0, which is zero at rest.
+    """
+    x = speed / omega_s
+    x = x * x if alpha == 2.0 else x**alpha
+    if x >= NEGLIGIBLE:
+        return 0.0, 0.0
+    part = height * math.exp(-x)
+    return part, -part * alpha * x / speed if speed > 0.0 else 0.0
+
+
+@inlined
 def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float, float]:
     """Return the magnitude of friction, N m, and its slope at ``speed`` >= 0.
 
@@ -57,20 +70,16 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
         height += gear * p[GEAR_RISE]
         value += gear * p[MU_GC]
     if height > 0.0:
-        x = speed / p[OMEGA_SF]
-        x = x * x if p[ALPHA] == 2.0 else x ** p[ALPHA]
-        part = height * math.exp(-x)
+        part, grade = _falling_part(height, speed, p[OMEGA_SF], p[ALPHA])
         value += part
-        if speed > 0.0:
-            slope -= part * p[ALPHA] * x / speed
+        slope += grade
     if moment > 0.0:
         part = 0.0
         slope += moment * p[MU_2]
         if p[LOAD_RISE] > 0.0:
-            x = (speed / p[OMEGA_SL]) ** p[ALPHA]
-            part = moment * p[LOAD_RISE] * math.exp(-x)
-            if speed > 0.0:
-                slope -= part * p[ALPHA] * x / speed
+            height = moment * p[LOAD_RISE]
+            part, grade = _falling_part(height, speed, p[OMEGA_SL], p[ALPHA])
+            slope += grade
         value += moment * (p[MU_C] + p[MU_2] * speed) + part
     return value, slope
 

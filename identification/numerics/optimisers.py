@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from cmaes import CMA
 from scipy import optimize
 
 from identification.numerics.arrays import Array
@@ -72,6 +71,9 @@ def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
     the box.
     """
     bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
+    # Imported late: the library imports scipy.stats, which an identification does not need.
+    from cmaes import CMA
+
     search = CMA(
         np.full(problem.size, 0.5), _FIRST_SIGMA, bounds=bounds, seed=int(rng.integers(1 << 31))
     )

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from identification.numerics.arrays import Array
 
@@ -47,7 +47,15 @@ class Spread:
     def _half(self, variance: float) -> float:
         if not math.isfinite(variance) or variance < 0.0:
             return math.inf
-        return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, self.freedom)) * math.sqrt(variance)
+        return _quantile(self.freedom) * math.sqrt(variance)
+
+
+def _quantile(freedom: float) -> float:
+    """Return the half width of the 90 % interval of Student's distribution of unit scale."""
+    level = 0.5 + 0.5 * CONFIDENCE
+    return float(
+        special.stdtrit(freedom, level) if math.isfinite(freedom) else special.ndtri(level)
+    )
 
 
 def correlation_samples(residual: Array) -> float:

@@ -17,7 +17,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy import stats
+from scipy import special
 
 from identification.estimate.inertia.inertia_equation import influence_on_inertia
 from identification.estimate.inertia.instruments import instruments
@@ -34,7 +34,7 @@ from identification.result import Profile
 
 REACH = (0.8, 1.6, 2.4, 3.2)
 """Distances of the points of a profile from the estimate, in standard deviations."""
-LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
+LEVEL = float(2.0 * special.gammaincinv(0.5, CONFIDENCE))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
 """Drop of half the deviance by a step, below which no further step is taken."""

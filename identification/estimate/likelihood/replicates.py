@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import islice
 
 import numpy as np
@@ -39,6 +40,7 @@ from identification.model.parameters import (
 )
 from identification.numerics.arrays import Array
 from identification.numerics.progress import Progress, silent
+from identification.numerics.two_threads import both
 from identification.recording import Model
 from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
@@ -192,7 +194,10 @@ def _pairs(
         farthest: Step, in standard deviations, above which a replicate is dropped.
     """
     for noise in noises:
-        one, other = (_step(there, loop, share, noise, sign, farthest) for sign in (1.0, -1.0))
+        one, other = both(
+            partial(_step, there, loop, share, noise, 1.0, farthest),
+            partial(_step, there, loop, share, noise, -1.0, farthest),
+        )
         if one is not None and other is not None:
             yield one, other
 
