@@ -67,7 +67,8 @@ stages:
 BENCHES = ("practical", "practical_serial", "odrive_can")
 SPREAD_S = 1.2
 """A press comes at a random moment of this length after the first excitation began."""
-UNKNOWN = "no such run"
+UNKNOWN = "this run is unknown"
+TAKEN = '{"words": "taken"}'
 """Part of the answer until the console has found the run."""
 WATCHED_S = 5.0
 """Length of each part with and without pages."""
@@ -262,7 +263,8 @@ def started(bench: str, count: int, realtime: bool, log: bool) -> Iterator[tuple
             env=console.environment,
         )
         stack.callback(run.wait)
-        stack.callback(run.terminate)
+        # A process that is told to stop begins its next run: it has to be killed.
+        stack.callback(run.kill)
         assert run.stdout is not None
         yield console, map(json.loads, run.stdout)
 
@@ -270,7 +272,7 @@ def started(bench: str, count: int, realtime: bool, log: bool) -> Iterator[tuple
 def latency(bench: str, presses: int, realtime: bool) -> list[str]:
     """Press STOP in many runs, each at a random moment of its motion; return a row of the table."""
     chance = random.Random(0)
-    off, answered, phases, unverified = [], [], Counter[str](), 0
+    off, answered, phases, unverified, unconfirmed = [], [], Counter[str](), 0, 0
     parts: list[list[float]] = [[], [], []]
     with started(bench, presses, realtime, False) as (console, lines):
         for _ in range(presses):
@@ -280,6 +282,7 @@ def latency(bench: str, presses: int, realtime: bool) -> list[str]:
             words = UNKNOWN
             while UNKNOWN in words:
                 pressed, taken, words = console.stop(run)
+            unconfirmed += words != TAKEN
             end = next(lines)
             off.append((end["known_ns"] - pressed) * 1e-6)
             marks = [pressed, end["taken_ns"], end["stood_ns"], end["known_ns"]]
@@ -296,6 +299,7 @@ def latency(bench: str, presses: int, realtime: bool) -> list[str]:
         f"{np.percentile(answered, 99):.0f}",
         *("{:.0f}, {:.0f}".format(*np.percentile(part, (50, 99))) for part in parts),
         str(unverified),
+        str(unconfirmed),
         ", ".join(f"{name} {n}" for name, n in phases.most_common()),
     ]
 
@@ -368,8 +372,8 @@ def main() -> None:
         rows = [latency(b, given.presses, given.realtime) for b in given.bench or BENCHES]
         heads = ["bench", "time", "presses", "p50 ms", "p99 ms", "most ms", "answer p99 ms"]
         heads += ["to the loop p50, p99", "ramp", "off and read back"]
-        heads += ["not off", "phases"]
-        print(table(heads, rows, right=[2, 3, 4, 5, 6, 7, 8, 9, 10]))
+        heads += ["not off", "not confirmed", "phases"]
+        print(table(heads, rows, right=[2, 3, 4, 5, 6, 7, 8, 9, 10, 11]))
         print(f"load of the computer (1 min): {os.getloadavg()[0]:.1f} of {os.cpu_count()} cores")
 
 
