@@ -123,7 +123,9 @@ def latency(
     with started(bench, presses, realtime, False, making, wire) as desk:
         for _ in range(presses):
             run = next(desk.lines)["run"]
-            next(desk.lines)
+            if "phase" not in (begun := next(desk.lines)) or "known_ns" in begun:
+                ended += 1
+                continue
             time.sleep(chance.uniform(0.0, SPREAD_S))
             words = UNKNOWN
             while UNKNOWN in words:
@@ -135,7 +137,8 @@ def latency(
                 continue
             unconfirmed += words != TAKEN
             off.append((end["known_ns"] - pressed) * 1e-6)
-            marks = [pressed, end["taken_ns"], end["stood_ns"], end["known_ns"]]
+            stood = end.get("stood_ns", end["known_ns"])
+            marks = [pressed, end["taken_ns"], stood, end["known_ns"]]
             for part, (begin, finish) in zip(parts, pairwise(marks), strict=True):
                 part.append((finish - begin) * 1e-6)
             answered.append((taken - pressed) * 1e-6)

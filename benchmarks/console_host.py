@@ -90,7 +90,7 @@ def host(bench_name: str, count: int, realtime: bool, log: bool) -> None:
         path.write_text(SEQUENCE)
         sequence = load_located(path, Sequence)
         plan = make_plan(sequence, bench, False)
-        inputs = Inputs(bench, sequence, 0, realtime)
+        inputs = Inputs(bench, sequence, 0, realtime, reset_fault=True)
         for number in range(count):
             folder = Path(name) / str(number)
             marks.clear()

@@ -188,9 +188,7 @@ class Starter:
         except (InputError, OSError) as error:
             raise StartError(str(error)) from error
         if changed:
-            raise StartError(
-                "a file of this run has changed since the dry run; make a new dry run"
-            )
+            raise StartError("a file of this run has changed since the dry run; make a new dry run")
         name = Path(wish.sequence).stem
         folder = self.runs / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}"
         arguments = [*wish.arguments, "--out", str(folder)]
