@@ -92,16 +92,17 @@ class Hub:
         going = [run for run in runs if not run.over]
         own = next((run for run in going if run.folder == page.started), None)
         kept = own or self.runs.get(page.kept or "")
-        if kept is not None and kept.over:
-            page.beyond = self._found if page.beyond is None else page.beyond
+        if kept is None:
+            kept = next(iter(going or runs), None)
+        elif kept.over and page.beyond is not None:
             later = [run for run in runs if run.number > page.beyond]
             kept = next((run for run in later if not run.over), later[0] if later else kept)
-        elif kept is None:
-            kept = next(iter(going or runs), None)
         if own is not None:
             page.started = None
-        if kept is not None and kept.key != page.kept:
-            page.kept, page.beyond = kept.key, None
+        if kept is not None:
+            same = kept.key == page.kept and page.beyond is not None
+            page.beyond = None if not kept.over else page.beyond if same else self._found
+            page.kept = kept.key
         return kept
 
     async def command(

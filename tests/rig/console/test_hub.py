@@ -80,6 +80,14 @@ def test_a_run_that_was_started_from_the_page_is_shown(desk: Desk) -> None:
     assert desk.shown() == "again"
 
 
+def test_a_page_that_is_opened_after_a_run_waits_for_the_next(desk: Desk) -> None:
+    desk.begin("before")
+    desk.end("before")
+    assert desk.shown() == "before"
+    desk.begin("next")
+    assert desk.shown() == "next"
+
+
 def test_a_run_that_was_chosen_is_shown(desk: Desk) -> None:
     desk.begin("one")
     desk.begin("two")
