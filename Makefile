@@ -204,7 +204,10 @@ realtime: $(VENV)/.dev
 console: $(VENV)/.dev
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500)
 	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --realtime
+	$(BIN)/python benchmarks/console.py latency --presses $(or $(PRESSES),500) --wire slcan --wire socketcand --wire dbc --wire serial
+	$(BIN)/python benchmarks/console.py latency --presses 100 --realtime --making
 	$(BIN)/python benchmarks/console.py lateness
+	$(BIN)/python benchmarks/console.py lateness --making
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import click
 
 from rig.cli.entry import BAD_VERDICT, DONE
+from rig.config.sequence import load_acceptance
+from rig.runs.recorded_inputs import GivenFile
 
 if TYPE_CHECKING:
     from rig.config.acceptance import Limit
@@ -35,19 +37,32 @@ def accept_run(
     return found
 
 
+def given_acceptance(file: Path | None) -> GivenFile | None:
+    """Read the file of limits of a run before the joint moves; None if none is given.
+
+    Raises:
+        InputError: The file is missing or not valid.
+    """
+    if file is None:
+        return None
+    load_acceptance(file)
+    return GivenFile.of(file)
+
+
 def accept_at_the_end(folder: Path, file: Path | None, junit_file: Path | None) -> int:
     """Judge a run that has just been completed; return the exit status.
 
-    Nothing is judged where neither a file nor the sequence states limits.
+    Nothing is judged where neither a file nor the sequence states limits; ``file`` replaces the
+    file that the run was given before.
 
     Raises:
         InputError: A file cannot be written.
     """
-    from rig.results.acceptance.limits import limits_for, recorded_limits
+    from rig.results.acceptance.limits import stated_limits
 
-    if file is None and not recorded_limits(folder):
+    limits, source = stated_limits(folder, file)
+    if not limits:
         return DONE
-    limits, source = limits_for(folder, file)
     click.echo(f"acceptance: {len(limits)} limits; this may take a minute")
     try:
         found = accept_run(folder, limits, source, junit_file)

@@ -102,14 +102,18 @@ def identification(command: Any) -> Any:
     )(command)
 
 
-def acceptance(command: Any) -> Any:
-    """Add ``--acceptance`` for a file of limits to a command."""
+def acceptance(default: str) -> Decorator:
+    """Return a decorator that adds ``--acceptance`` for a file of limits.
+
+    Args:
+        default: Limits that count without the option, for its help.
+    """
     return click.option(
         "--acceptance",
         metavar="FILE",
         type=click.Path(path_type=Path, dir_okay=False),
-        help="File of the acceptance limits for a complete run. [default: those of the sequence]",
-    )(command)
+        help=f"File of the acceptance limits for a complete run. [default: {default}]",
+    )
 
 
 def junit(command: Any) -> Any:

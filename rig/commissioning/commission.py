@@ -28,6 +28,8 @@ from rig.wiring.devices import Devices
 from rig.wiring.teardown import SafeState, words_of
 
 MOST_CORRECTIONS: Final = 12
+HOMING: Final = "homing"
+"""Name of the step that is there only where a homing is asked for."""
 STILL: Final = "Nothing moves, and the drive stays off."
 Connect = Callable[[Document[Bench]], AbstractContextManager[Devices]]
 
@@ -100,7 +102,7 @@ def steps_of(setup: Setup) -> Iterator[Step]:
         if home is not None and step.name == before:
             refused = setup.homing_offer.refusal(home.method)
             words = f"Not done: {refused}. {STILL}" if refused else announced(setup, home)
-            yield Step("homing", words, homing, asks=not refused)
+            yield Step(HOMING, words, homing, asks=not refused)
 
 
 @dataclass
@@ -124,6 +126,14 @@ class Commissioning:
     sessions: list[list[StepRecord]] = field(default_factory=list)
     safe: SafeState | None = None
     error: BaseException | None = None
+
+    @property
+    def not_homed(self) -> str:
+        """Sentence on a homing that was asked for and not done; empty if there is none."""
+        for step in self.sessions[-1]:
+            if step.name == HOMING and step.verdict is Verdict.SKIPPED:
+                return f"the homing that --home asks for was not done: {step.words}"
+        return ""
 
     @property
     def untried(self) -> list[str]:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Final
 
 _GAP = "  "
+CHANGED: Final = "changed"
+"""Finding on a constant whose difference exceeds its uncertainty, in every table."""
+NO_CHANGE: Final = "no change"
+"""Finding on a constant whose difference is within its uncertainty."""
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:

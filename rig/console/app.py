@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -192,7 +193,7 @@ class Console:
         typed = str(message.get("typed_bench", ""))
         folder = self._hub.starter.start(str(message.get("shown")), typed)
         assert page is not None
-        page.run = None
+        page.run, page.started = None, Path(os.path.abspath(folder))
         return {"words": f"started; the run folder is {folder}"}
 
     async def _resume(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -206,7 +207,7 @@ class Console:
             )
         self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
         assert page is not None
-        page.run = None
+        page.run, page.started = None, run.folder
         return {"words": "the run continues at its first unfinished stage"}
 
     async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -270,7 +271,10 @@ async def _read_views(socket: WebSocket, page: Page) -> None:
         except (WebSocketDisconnect, ValueError, KeyError, TypeError):
             return
         run, window_s, pixels = message.get("run"), message.get("window_s"), message.get("pixels")
-        page.run = run if isinstance(run, str) else None
+        chosen = run if isinstance(run, str) else None
+        if chosen is None and page.run is not None:
+            page.kept = None
+        page.run = chosen
         if isinstance(window_s, int | float) and 0 <= window_s <= _LONGEST_WINDOW_S:
             page.window_s = float(window_s)
         if type(pixels) is int and 0 < pixels <= 4096:

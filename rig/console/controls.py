@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field
+from pathlib import Path
 
 
 @dataclass
@@ -15,7 +16,10 @@ class Page:
         may: Whether it has the token of this start.
         key: Value that identifies it in commands.
         last: Number of its last command.
-        run: The run that it shows; None for the newest.
+        run: The run that was chosen on it; None for none.
+        kept: The run that it shows where none was chosen.
+        beyond: Count of the runs that were known when that run had ended; None before.
+        started: Folder of the run that was started or continued from it, until the run is found.
         window_s: Width of its charts, s; 0 for the whole run.
         pixels: Width of its charts, pixels.
     """
@@ -25,6 +29,9 @@ class Page:
     key: str = field(default_factory=lambda: secrets.token_hex(16))
     last: int = 0
     run: str | None = None
+    kept: str | None = None
+    beyond: int | None = None
+    started: Path | None = None
     window_s: float = 30.0
     pixels: int = 400
 

@@ -44,6 +44,7 @@ class Followed:
     Args:
         path: Its control socket.
         about: Description that the run sent.
+        number: Count of the runs that were found, this one included.
 
     Attributes:
         status: Newest state that the run reported; None before the first report.
@@ -58,8 +59,9 @@ class Followed:
         trouble: Why the recording cannot be read; None if it can.
     """
 
-    def __init__(self, path: str, about: Mapping[str, Any]) -> None:
+    def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:
         self.path = path
+        self.number = number
         self.about = about
         self.key: str = about["run"]
         self.folder = Path(about["folder"])

@@ -52,7 +52,7 @@ class Hub:
         self._by_path: dict[str, Followed] = {}
         self._ignored: set[str] = set()
         self._looked_s = 0.0
-        self._noted = 0
+        self._noted = self._found = 0
 
     async def follow(self) -> None:
         """Follow the runs until the task is cancelled."""
@@ -80,13 +80,30 @@ class Hub:
         return "live runs of your user on any bench"
 
     def run_of(self, page: Page) -> Followed | None:
-        """Return the run that a page shows: the run that the user chose, else the newest run in
-        progress, else the newest run.
+        """Return the run that a page shows: the run that the user chose, else the one that was
+        started from the page, else the newest run in progress, else the newest run.
+
+        A page keeps its run until a run is found that began after its end: a run that begins on
+        another bench must not take the place of the run that STOP is meant for.
         """
         if page.run in self.runs:
             return self.runs[page.run]
-        runs = list(self.runs.values())
-        return next((run for run in reversed(runs) if not run.over), runs[-1] if runs else None)
+        runs = list(self.runs.values())[::-1]
+        going = [run for run in runs if not run.over]
+        own = next((run for run in going if run.folder == page.started), None)
+        kept = own or self.runs.get(page.kept or "")
+        if kept is None:
+            kept = next(iter(going or runs), None)
+        elif kept.over and page.beyond is not None:
+            later = [run for run in runs if run.number > page.beyond]
+            kept = next((run for run in later if not run.over), later[0] if later else kept)
+        if own is not None:
+            page.started = None
+        if kept is not None:
+            same = kept.key == page.kept and page.beyond is not None
+            page.beyond = None if not kept.over else page.beyond if same else self._found
+            page.kept = kept.key
+        return kept
 
     async def command(
         self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""
@@ -148,7 +165,8 @@ class Hub:
             if about.get("version") != VERSION or (self._only and about["bench"] not in self._only):
                 self._ignored.add(path)
                 return
-            known = self._by_path[path] = Followed(path, about)
+            self._found += 1
+            known = self._by_path[path] = Followed(path, about, self._found)
             self.runs[known.key] = known
         elif known is not None and isinstance(message.get("status"), dict):
             known.hear(message["status"])

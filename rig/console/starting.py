@@ -41,6 +41,7 @@ class Wish:
         operator: Who runs it; empty for nobody.
         realtime: Whether a simulated bench is held to real time.
         yes: Whether the prompts of a simulated bench are answered as planned.
+        acceptance: Path of a file of limits; empty for those of the sequence.
     """
 
     bench: str
@@ -48,6 +49,7 @@ class Wish:
     operator: str = ""
     realtime: bool = True
     yes: bool = False
+    acceptance: str = ""
 
     @staticmethod
     def of(message: Mapping[str, Any]) -> Wish:
@@ -60,14 +62,20 @@ class Wish:
             wish = Wish(**message)
         except TypeError as error:
             raise StartError(f"the request does not describe a run: {error}") from error
-        texts = (wish.bench, wish.sequence, wish.operator)
+        texts = (wish.bench, wish.sequence, wish.operator, wish.acceptance)
         if not all(isinstance(text, str) and len(text) < 500 for text in texts):
-            raise StartError("bench, sequence and operator must be short texts")
+            raise StartError("bench, sequence, operator and file of limits must be short texts")
         if not isinstance(wish.realtime, bool) or not isinstance(wish.yes, bool):
             raise StartError("realtime and yes must be true or false")
-        if wish.sequence.startswith("-") or wish.bench.startswith("-"):
-            raise StartError("the name of a bench or sequence must not begin with a minus")
+        if any(text.startswith("-") for text in (wish.sequence, wish.bench, wish.acceptance)):
+            raise StartError("the name of a bench or of a file must not begin with a minus")
         return wish
+
+    @property
+    def arguments(self) -> list[str]:
+        """Arguments that the dry run and the run have in common."""
+        limits = ["--acceptance", self.acceptance] if self.acceptance else []
+        return ["run", self.sequence, "--bench", self.bench, "--console", *limits]
 
 
 @dataclass(frozen=True)
@@ -76,13 +84,13 @@ class Shown:
 
     Attributes:
         wish: The run.
-        digests: SHA-256 of bench and sequence file.
+        digests: SHA-256 of bench file, sequence file and file of limits.
         real: Whether the bench is a real one.
         name: Name of the bench.
     """
 
     wish: Wish
-    digests: tuple[str, str]
+    digests: tuple[str, ...]
     real: bool
     name: str
 
@@ -128,10 +136,10 @@ class Starter:
             digests = _digests(wish)
         except (InputError, OSError) as error:
             return _refused(str(error))
-        arguments = ["run", wish.sequence, "--bench", wish.bench, "--dry-run", "--console"]
         child = await asyncio.create_subprocess_exec(
             *self.command,
-            *arguments,
+            *wish.arguments,
+            "--dry-run",
             *(["--yes"] if wish.yes else []),
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
@@ -180,12 +188,10 @@ class Starter:
         except (InputError, OSError) as error:
             raise StartError(str(error)) from error
         if changed:
-            raise StartError(
-                "the bench or sequence file has changed since the dry run; make a new dry run"
-            )
+            raise StartError("a file of this run has changed since the dry run; make a new dry run")
         name = Path(wish.sequence).stem
         folder = self.runs / f"{utc_now():%Y%m%dT%H%M%SZ}-{name}"
-        arguments = ["run", wish.sequence, "--bench", wish.bench, "--console", "--out", str(folder)]
+        arguments = [*wish.arguments, "--out", str(folder)]
         if not shown.real:
             arguments += ["--realtime"] * wish.realtime + ["--yes"] * wish.yes
         if wish.operator.strip():
@@ -237,8 +243,9 @@ class Starter:
         self._children.append((child, Path(name)))
 
 
-def _digests(wish: Wish) -> tuple[str, str]:
-    """Return the SHA-256 of the bench file and of the sequence file.
+def _digests(wish: Wish) -> tuple[str, ...]:
+    """Return the SHA-256 of the bench file, of the sequence file and, if there is one, of the file
+    of limits.
 
     Raises:
         InputError: There is no such file.
@@ -247,6 +254,7 @@ def _digests(wish: Wish) -> tuple[str, str]:
     return (
         sha256_file(resolve(wish.bench, "benches")),
         sha256_file(resolve(wish.sequence, "sequences")),
+        *((sha256_file(Path(wish.acceptance)),) if wish.acceptance else ()),
     )
 
 

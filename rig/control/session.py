@@ -27,10 +27,11 @@ from rig.control.sequencer import Outcome, Sequencer
 from rig.planning.feedforward import Feedforward
 from rig.planning.plan import Plan, stage_records
 from rig.planning.reference import Reference
-from rig.runs.recorded_inputs import input_entry
+from rig.runs.recorded_inputs import GivenFile, input_entry
 from rig.runs.recorder import Recorder, open_recorder
 from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
 from rig.runs.run_record import (
+    ACCEPTANCE_INPUT,
     BENCH_ATTACHMENT,
     FEEDFORWARD_INPUT,
     SEQUENCE_ATTACHMENT,
@@ -65,6 +66,8 @@ class Inputs:
         feedforward: Model of the feed-forward torque that the drive adds; None for none.
         resumed: ``run.json`` of a stopped run to continue at its first unfinished stage; None for a
             new run.
+        acceptance: File of the limits by which the complete run is judged; None for those of the
+            sequence.
     """
 
     bench: Document[Bench]
@@ -76,6 +79,7 @@ class Inputs:
     reset_fault: bool = False
     feedforward: Feedforward | None = None
     resumed: RunRecord | None = None
+    acceptance: GivenFile | None = None
 
     def files(self) -> dict[str, bytes]:
         """Return the content of both files by the names of their attachments."""
@@ -153,6 +157,8 @@ def execute(
     wall = RealClock()
     began_ns = wall.now_ns()
     record = inputs.resumed or new_record(inputs, plan)
+    if inputs.acceptance is not None:
+        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     _warn(plan, record, devices, operator)
@@ -324,6 +330,8 @@ def _head(
         )
     if inputs.feedforward is not None:
         recorder.attach(FEEDFORWARD_INPUT, MEDIA_JSON, Path(inputs.feedforward.source).read_bytes())
+    if inputs.acceptance is not None:
+        recorder.attach(ACCEPTANCE_INPUT, MEDIA_YAML, inputs.acceptance.content)
     recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
     recorder.attach("run.json", MEDIA_JSON, json.dumps(dataclasses.asdict(record)).encode())
 

@@ -54,11 +54,11 @@ def commission_document(
     result: Commissioning, bench: Loaded[Bench], operator: str | None, new_file: str
 ) -> Document:
     """Return the protocol as a document."""
-    good = result.ending.value == "done"
+    good = result.ending.value == "done" and not result.not_homed
     drive = "the drive was never energised" if result.safe is None else result.safe.message
     headline = Headline(
         "Every step was good" if good and not result.untried else _headline(result),
-        f"{result.words or 'All steps are done.'} {drive[0].upper()}{drive[1:]}.",
+        f"{_words(result)} {drive[0].upper()}{drive[1:]}.",
         "good" if good else "found",
     )
     summary = Section("Commissioning", (headline, *_changes(result, new_file)))
@@ -73,7 +73,15 @@ def commission_document(
     return Document(f"Commissioning of {bench.value.name}", subtitle, (summary,), tuple(sections))
 
 
+def _words(result: Commissioning) -> str:
+    if result.ending.value == "done" and result.not_homed:
+        return f"{result.not_homed[0].upper()}{result.not_homed[1:]}."
+    return result.words or "All steps are done."
+
+
 def _headline(result: Commissioning) -> str:
+    if result.ending.value == "done" and result.not_homed:
+        return "Not as asked for: no homing"
     if result.ending.value == "done":
         return f"Good; not tried: {', '.join(result.untried)}"
     return f"Not finished: {result.ending.value}"

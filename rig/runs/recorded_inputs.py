@@ -4,11 +4,41 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Self
 
+from rig.common.errors import InputError
 from rig.common.input_files import is_file
-from rig.common.provenance import sha256_file
+from rig.common.provenance import sha256, sha256_file
 from rig.common.text import stored_path, valid
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import first_attachment
+from rig.runs.run_record import ACCEPTANCE_INPUT, RunRecord
+
+
+@dataclass(frozen=True)
+class GivenFile:
+    """A file that a run was given beside bench and sequence.
+
+    Attributes:
+        entry: Its entry in ``run.json``: path and SHA-256.
+        content: Its bytes.
+    """
+
+    entry: Mapping[str, str]
+    content: bytes
+
+    @classmethod
+    def of(cls, path: Path) -> Self:
+        """Read a file.
+
+        Raises:
+            OSError: It cannot be read.
+        """
+        content = path.read_bytes()
+        return cls(input_entry(path, sha256(content)), content)
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
@@ -34,6 +64,27 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     candidates = (base / path for base in (Path(), *folder.absolute().parents))
     return next(
         (candidate for candidate in candidates if _is_file(candidate, entry["sha256"])), path
+    )
+
+
+def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
+    """Return the file of limits that a run was given last, from its recordings; None if it was
+    given none.
+
+    Raises:
+        InputError: No recording contains the file.
+    """
+    entry = record.inputs.get(ACCEPTANCE_INPUT)
+    if entry is None:
+        return None
+    for part in reversed(record.parts):
+        with suppress(DamageError, OSError):
+            content = first_attachment(folder / part.file, ACCEPTANCE_INPUT)
+            if sha256(content) == entry["sha256"]:
+                return GivenFile(entry, content)
+    raise InputError(
+        f"{folder}: no recording of this run contains the limits that it was given "
+        f"({entry['file']}); give them with --acceptance FILE"
     )
 
 

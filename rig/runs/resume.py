@@ -14,7 +14,13 @@ from rig.runs.recorded_inputs import recorded_input
 from rig.runs.recover import mend
 from rig.runs.run import discard, first_unfinished
 from rig.runs.run_file import read_record
-from rig.runs.run_record import BENCH_ATTACHMENT, DIED, SEQUENCE_ATTACHMENT, RunRecord
+from rig.runs.run_record import (
+    ACCEPTANCE_INPUT,
+    BENCH_ATTACHMENT,
+    DIED,
+    SEQUENCE_ATTACHMENT,
+    RunRecord,
+)
 
 _ATTACHED = {BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT}
 
@@ -61,7 +67,7 @@ def prepare(folder: Path) -> Resumption:
         )
     bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
     sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
-    for name in sorted(set(record.inputs) - _ATTACHED):
+    for name in sorted(set(record.inputs) - _ATTACHED - {ACCEPTANCE_INPUT}):
         _unchanged(folder, record, name)
     discard(record, stage)
     return Resumption(

@@ -18,6 +18,8 @@ FEEDFORWARD_INPUT = "feedforward.json"
 """Name of the identification from which the torque offsets of the drive were computed, as input of
 a run and as attachment.
 """
+ACCEPTANCE_INPUT = "acceptance.yaml"
+"""Name of the file of limits given with ``--acceptance``, as input of a run and as attachment."""
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)

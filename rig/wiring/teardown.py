@@ -12,7 +12,10 @@ from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.common.errors import StorageError
 
 BRAKING_TIMEOUT_S = 1.0
-STATE_CYCLES = 20
+STATE_INTERVAL_S = 0.005
+"""Time between two reads of the state while the drive brakes: the power stays on for up to this
+long after the shaft stands, whatever the control cycle is.
+"""
 DISABLE_ATTEMPTS = 2
 
 
@@ -159,10 +162,11 @@ def _wait_for_standstill(
     """Keep the bus alive until the drive has stopped, the time is over, or the operator asks for a
     stop again.
     """
+    between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
-        if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
+        if cycle % between == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
             return
         watch()
 

@@ -252,12 +252,23 @@ def test_a_drive_that_cannot_home_keeps_the_present_ways(
     Path("lean.eds").write_text("\n".join(text))
     variant(here, *SLOW, ("servo: {node: 1,", "servo: {node: 1, eds: lean.eds,"))
     ended, record = commissioned("--home", "37", "--angle", "1")
-    assert ended == 0
+    assert ended == 1
     shown = capsys.readouterr().out
     assert "object 6098h is not in the device's EDS; the zero is typed in instead" in shown
     step = step_of(record)
     assert (step["verdict"], step["consent"]) == ("not tried", "")
     assert load_bench("bench.commissioned.yaml").value.servo.offset_deg == 1.0
+
+
+def test_a_method_that_the_drive_does_not_offer_is_a_bad_verdict(
+    here: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended, record = commissioned("--home", "99", "--angle", "0")
+    assert (ended, record["state"], step_of(record)["verdict"]) == (1, "done", "not tried")
+    shown = capsys.readouterr()
+    assert "--home asks for was not done: method 99 is not offered" in shown.err
+    assert "Not as asked for: no homing" in shown.out
+    assert "every step was good" not in shown.out.lower()
 
 
 def test_an_offer_is_said_and_not_taken_by_itself(

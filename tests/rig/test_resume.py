@@ -269,3 +269,52 @@ def test_an_overdue_calibration(
     else:
         assert "calibrations[0].due: calibration L-2 of lever is overdue" in error
         assert not Path("out").exists()
+
+
+def limits(name: str, *lines: str) -> str:
+    path = Path(name)
+    path.write_text("\n".join(("acceptance: 1", "limits:", *(f"  - {line}" for line in lines))))
+    return str(path)
+
+
+def judged() -> tuple[str, bool, list[str]]:
+    """Return origin of the limits, verdict and limits of the certificate."""
+    found = json.loads(Path("out/acceptance.json").read_text())
+    return (
+        Path(found["limits"]).name,
+        found["verdict"] == "accepted",
+        [check["limit"] for check in found["checks"][1:]],
+    )
+
+
+def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        given = limits("given.yaml", "lost samples < 1", "current worst < 1 mA")
+        assert start("--acceptance", given) == 3
+    assert not Path("out/acceptance.json").exists()
+    # The recording holds the limits.
+    Path(given).unlink()
+    assert status(["resume", "out", "--yes", "--junit", "out.xml"]) == 1
+    expected = ("given.yaml", False, ["lost samples < 1", "current worst < 1 mA"])
+    assert judged() == expected
+    assert 'failures="1"' in Path("out.xml").read_text()
+    assert status(["runs", "accept", "out"]) == 1
+    assert judged() == expected
+
+
+def test_a_run_is_resumed_with_limits_of_its_own(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped_in_b(monkeypatch)
+    wrong = limits("wrong.yaml", "Mx: 1..2")
+    assert status(["resume", "out", "--yes", "--acceptance", wrong]) == 2
+    assert "wrong.yaml:3:5" in capsys.readouterr().err
+    assert len(read_record(Path("out")).parts) == 1
+    given = limits("given.yaml", "lost samples < 1")
+    assert status(["resume", "out", "--yes", "--acceptance", given]) == 0
+    assert judged() == ("given.yaml", True, ["lost samples < 1"])
+    assert status(["runs", "accept", "out"]) == 0
+    assert judged() == ("given.yaml", True, ["lost samples < 1"])

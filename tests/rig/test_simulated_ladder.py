@@ -74,7 +74,7 @@ def test_the_fits_to_the_simulated_angle_are_printed_and_recorded(
     assert free["constants"]["torque_constant"]["prior_relative_std"] == pytest.approx(0.2)
     assert free["constants"]["resistance"]["prior_relative_std"] == pytest.approx(0.3)
     row = next(line for line in table if line.startswith(TRANSMITTED) and " free " in line)
-    assert f"{100.0 * drive['relative_change']:+.1f} % moved" in row
+    assert f"{100.0 * drive['relative_change']:+.1f} % changed" in row
     assert f"{1e3 * free['validate_mae']['value']:.3g}" in row
     for rung in record["ladder"]:
         assert 0.0 < rung["angle_mae"]["value"] <= rung["angle_rms"]["value"]

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.clock import NS
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.common.errors import StorageError
@@ -193,27 +194,30 @@ def test_a_first_disable_that_was_interrupted_is_done_again() -> None:
 def test_hurry_ends_the_braking_at_once() -> None:
     servo, asked = Servo({}), iter([False, False, True])
     safe(servo, hurry=lambda: next(asked))
-    assert servo.order == ["quick_stop", "state", "watch", "watch", "disable", "state"]
+    assert servo.order == ["quick_stop", *["state", "watch"] * 2, "disable", "state"]
 
 
 def test_braking_ends_after_its_time_out() -> None:
     servo = Servo({})
     safe(servo)
-    assert servo.order == ["quick_stop", *["state", *["watch"] * 20] * 5, "disable", "state"]
+    assert servo.order == ["quick_stop", *["state", "watch"] * 100, "disable", "state"]
 
 
-def test_braking_ends_where_the_drive_is_found_to_have_stopped() -> None:
+@pytest.mark.parametrize("cycle_ms", [1, 2, 4, 10])
+def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None:
     servo = Servo({})
     watch = servo.watch
 
     def stopped() -> None:
         watch()
-        if servo.order.count("watch") == 30:
+        if servo.order.count("watch") == 31:
             servo.power = OFF
 
     servo.watch = stopped  # type: ignore[method-assign]
-    assert safe(servo).verified
-    assert servo.order.count("watch") == 40
+    found = make_safe(servo, stopped, cycle_ms * NS // 1000, brake=True, hurry=lambda: False)
+    assert found.verified
+    after_ms = (servo.order.count("watch") - 31) * cycle_ms
+    assert after_ms < 5
 
 
 def test_limits_go_back_only_into_a_drive_that_is_verified_off() -> None:

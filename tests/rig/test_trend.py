@@ -21,6 +21,7 @@ from rig.results.catalogue.compare import (
 from rig.results.catalogue.figures import courses as drawn
 from rig.results.catalogue.trend import FALSE_ALARMS, alarms, courses, histories
 from rig.results.catalogue.trend_document import trend_document, trend_record
+from rig.results.document import Table
 from rig.results.html import page
 from rig.results.terminal import text
 from rig.runs.catalogue.entry import Constant, Details, Entry, Head
@@ -178,7 +179,7 @@ def compared(*found: Details) -> list[Compared]:
     ]
 
 
-def test_what_moved_by_more_than_its_uncertainty_is_marked() -> None:
+def test_what_changed_by_more_than_its_uncertainty_is_marked() -> None:
     shares = np.zeros(len(TRUE))
     shares[:2] = 1.3 * SHARE, 1.5 * SHARE
     runs = compared(details(np.zeros(len(TRUE))), details(shares, 2))
@@ -187,7 +188,10 @@ def test_what_moved_by_more_than_its_uncertainty_is_marked() -> None:
     assert [name for name, each in found.items() if each.moved] == ["Ms"]
     document = compare_document(runs)
     shown = text(document)
-    assert shown.count("MOVED") == 1
+    tables = (b for s in document.sections for b in s.blocks if isinstance(b, Table))
+    findings = {row[0]: row[-1] for t in tables if t.header[-1] == "finding" for row in t.rows}
+    assert findings.pop("Ms") == "changed"
+    assert set(findings.values()) == {"no change"}
     assert "the servo was replaced: drive, serial 1 before, drive, serial 2 now" in shown
     assert "Figures" in page(document)
     assert compare_record(runs)["compared"][0]["constants"]["Ms"]["moved"] is True

@@ -18,7 +18,7 @@ from drivers.mock.mistakes import MISTAKES
 from rig.cli import options as shared
 from rig.cli.aftermath import STATUS
 from rig.cli.crash import note_drive, noting_folder
-from rig.cli.entry import DEVICE_FAILED
+from rig.cli.entry import BAD_VERDICT, DEVICE_FAILED
 from rig.commissioning.commission import Commissioning, commission
 from rig.commissioning.interview import AutomaticInterview, Interview, TypedInterview
 from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest
@@ -35,6 +35,7 @@ from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
 from rig.results.terminal import text as shown
 from rig.runs.recorder import open_recorder
 from rig.runs.run import create_folder, part_file, require_unused
+from rig.runs.run_record import Ending
 from rig.terminal.prompt import Prompt, at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
@@ -133,7 +134,8 @@ def command(
     protocol, recording and the corrections as a patch.
 
     With --home the drive sets its zero itself (CiA 402 homing), where its EDS file and the drive
-    have the objects for it.
+    have the objects for it. If the drive does not offer the method, the other steps are done, and
+    the exit status is 1.
 
     \b
     Example:
@@ -225,8 +227,17 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
     if result.error is not None:
         note_drive(result.error, "never energised" if result.safe is None else result.safe.message)
         raise result.error
-    unsure = result.safe is not None and not result.safe.verified
-    return (STATUS[result.ending] or DEVICE_FAILED) if unsure else STATUS[result.ending], record
+    return _status(result), record
+
+
+def _status(result: Commissioning) -> int:
+    """Return the exit status; a homing that was asked for and not done is a bad verdict."""
+    if result.safe is not None and not result.safe.verified:
+        return STATUS[result.ending] or DEVICE_FAILED
+    if result.ending is Ending.DONE and result.not_homed:
+        click.echo(f"rig commission: {result.not_homed}", err=True)
+        return BAD_VERDICT
+    return STATUS[result.ending]
 
 
 def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from rig.cli import options as shared
-from rig.cli.accepting import accept_at_the_end
+from rig.cli.accepting import accept_at_the_end, given_acceptance
 from rig.cli.aftermath import conclude
 from rig.cli.entry import DONE
 from rig.common.errors import InputError
@@ -23,7 +23,7 @@ from rig.control.session import Inputs, execute
 from rig.planning.feedforward import load_feedforward
 from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
-from rig.runs.recorded_inputs import recorded_input
+from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
 from rig.runs.run import bench_constants
 from rig.runs.run_record import FEEDFORWARD_INPUT
@@ -45,6 +45,8 @@ from rig.wiring.preflight import require_startable
     "has then tripped."
 )
 @shared.in_console
+@shared.acceptance("those of the run")
+@shared.junit
 @shared.record_file("Also write run.json to this file.")
 def command(
     run: Path,
@@ -54,6 +56,8 @@ def command(
     first_pass: bool | None,
     reset_fault: bool,
     in_console: bool,
+    acceptance: Path | None,
+    junit_file: Path | None,
     json_file: Path | None,
 ) -> int:
     """Continue RUN at its first unfinished stage, after a crash, a stop or a trip, in the same run
@@ -61,13 +65,17 @@ def command(
 
     A recording whose writer died is repaired first. The unfinished stage is repeated from its
     beginning; its earlier samples stay in the recording but are not used. Bench and sequence files
-    must be those of the run. Ctrl-C has the same effect as in `rig run`.
+    must be those of the run. The complete run is judged by the limits of --acceptance, else by
+    those of the file that `rig run` was given, else by those of the sequence. Ctrl-C has the same
+    effect as in `rig run`.
 
     \b
     Example:
       rig resume runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    require_file(junit_file, "--junit")
+    given = given_acceptance(acceptance)
     until_the_end(hold_folder(run, "rig resume"))
     try:
         resumed = prepare(run)
@@ -97,11 +105,13 @@ def command(
         reset,
         feedforward,
         record,
+        given or recorded_acceptance(run, record),
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
-    return _carry_out(inputs, plan, run, yes, in_console, json_file)
+    status = _carry_out(inputs, plan, run, yes, in_console, json_file)
+    return accept_at_the_end(run, acceptance, junit_file) if status == DONE else status
 
 
 def _carry_out(
@@ -131,5 +141,4 @@ def _carry_out(
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 devices = observed(devices, control, progress)
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
-        status = conclude(folder, outcome, inputs.reference, json_file, screen)
-    return accept_at_the_end(run, None, None) if status == DONE else status
+        return conclude(folder, outcome, inputs.reference, json_file, screen)

@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from rig.cli import options as shared
-from rig.cli.accepting import accept_at_the_end
+from rig.cli.accepting import accept_at_the_end, given_acceptance
 from rig.cli.aftermath import STATUS, conclude
 from rig.cli.crash import noting_folder
 from rig.cli.entry import BAD_VERDICT, DONE
@@ -19,7 +19,7 @@ from rig.common.places import require_file, require_folder, write_asked
 from rig.common.provenance import utc_now
 from rig.config.bench import Bench, load_bench
 from rig.config.configuration import Document
-from rig.config.sequence import load_acceptance, load_sequence
+from rig.config.sequence import load_sequence
 from rig.control.attendance import connected, require_attendance
 from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
@@ -89,7 +89,7 @@ from rig.wiring.preflight import require_startable
     "the bench file]",
 )
 @shared.in_console
-@shared.acceptance
+@shared.acceptance("those of the sequence")
 @shared.junit
 @shared.record_file("Also write run.json, or the result of --dry-run, to this file.")
 def command(**options: Any) -> int:
@@ -145,8 +145,6 @@ def _run(options: _Options) -> int:
     """Check everything that can be checked before any motion, then run; return the exit status."""
     require_file(options.json_file, "--json")
     require_file(options.junit_file, "--junit")
-    if options.acceptance is not None:
-        load_acceptance(options.acceptance)
     bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
     click.echo(bench_line(bench))
     constants = bench_constants(bench.value)
@@ -173,6 +171,7 @@ def _run(options: _Options) -> int:
         reference,
         options.reset_fault,
         feedforward,
+        acceptance=given_acceptance(options.acceptance),
     )
     injector = (
         None

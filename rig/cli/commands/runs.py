@@ -257,7 +257,7 @@ def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> 
 
 @command.command("accept")
 @click.argument("run", type=click.Path(path_type=Path))
-@shared.acceptance
+@shared.acceptance("those of the run")
 @shared.junit
 @shared.result_file
 def accept(
@@ -265,7 +265,8 @@ def accept(
 ) -> int:
     """Compare a finished RUN with acceptance limits, and write its certificate.
 
-    The limits are those of --acceptance, else those of the recorded sequence. If the limits need
+    The limits are those of --acceptance, else those of the file that the run was given, else those
+    of the recorded sequence. If the limits need
     identified parameters or a diagnosis, RUN is identified or diagnosed, unless it has a result.
     The command writes acceptance.json, certificate.html and certificate.pdf into the run folder,
     and seals the folder. The exit status is 1 if a limit is not met.

@@ -176,10 +176,11 @@ function showJudged() {
   const run = state.run && state.status?.ended ? recorded.of(state.about?.folder) : null;
   const line = at("judged");
   line.hidden = !run || !run.pages.length;
-  const known = JSON.stringify(run && [run.folder, run.verdict, run.pages]);
+  const none = state.live?.closed ? "not judged" : "not judged yet";
+  const known = JSON.stringify(run && [run.folder, run.verdict, run.pages, none]);
   if (line.hidden || line.dataset.known === known) return;
   line.dataset.known = known;
-  line.replaceChildren(`Verdict: ${run.verdict === "-" ? "none" : run.verdict}. Pages: `,
+  line.replaceChildren(`Verdict: ${run.verdict === "-" ? none : run.verdict}. Pages: `,
     ...recorded.links(run));
 }
 

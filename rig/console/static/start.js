@@ -28,6 +28,7 @@ export function setUpStart(link, state, say) {
       operator: at("start-operator").value.trim(),
       realtime: at("start-realtime").checked,
       yes: at("start-yes").checked,
+      acceptance: at("start-acceptance").value.trim(),
     });
     at("dry-run").disabled = false;
     if (!answer.ok) {

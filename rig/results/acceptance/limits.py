@@ -11,33 +11,50 @@ from pathlib import Path
 from rig.common.errors import InputError
 from rig.common.yaml_tree import DocumentError, parse
 from rig.config.acceptance import Limit, limits_of
-from rig.config.configuration import validated
-from rig.config.sequence import Sequence, load_acceptance
+from rig.config.configuration import located_text, validated
+from rig.config.sequence import AcceptanceFile, Sequence, load_acceptance
 from rig.runs.mcap.records import DamageError
 from rig.runs.mcap.stream import first_attachment
+from rig.runs.recorded_inputs import recorded_acceptance
+from rig.runs.run_file import read_record
 from rig.runs.run_record import RECORDING_FILE, SEQUENCE_ATTACHMENT
 
 _OF_THE_SEQUENCE = "sequence"
 
 
 def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin: the given file, else the recorded sequence.
+    """Return the limits for a run and their origin; see :func:`stated_limits`.
 
     Raises:
-        InputError: The file is not valid; or there is none, and the sequence states no limits.
+        InputError: No limits are stated, or they cannot be read.
     """
-    if file is not None:
-        return limits_of(load_acceptance(file).value.limits), str(file)
-    limits = recorded_limits(folder)
+    limits, source = stated_limits(folder, file)
     if not limits:
         raise InputError(
             f"{folder}: the sequence of this run states no `acceptance`; give the limits with "
             "--acceptance FILE"
         )
-    return limits, _OF_THE_SEQUENCE
+    return limits, source
 
 
-def recorded_limits(folder: Path) -> tuple[Limit, ...]:
+def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
+    """Return the limits for a run and their origin: the given file, else the file that the run was
+    given, else the recorded sequence, which may state none.
+
+    Raises:
+        InputError: A file is not valid, or cannot be read.
+    """
+    if file is not None:
+        return limits_of(load_acceptance(file).value.limits), str(file)
+    given = recorded_acceptance(folder, read_record(folder))
+    if given is None:
+        return _limits_of_the_sequence(folder), _OF_THE_SEQUENCE
+    name = given.entry["file"]
+    text = given.content.decode("utf-8", "replace")
+    return limits_of(located_text(Path(name), text, AcceptanceFile).value.limits), name
+
+
+def _limits_of_the_sequence(folder: Path) -> tuple[Limit, ...]:
     """Return the acceptance limits in the sequence that is attached to a run's recording.
 
     Raises:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.common.errors import InputError
-from rig.common.tables import interval, number
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.results.catalogue.figures import side_by_side
 from rig.results.catalogue.show import FIGURE, stored_picture
 from rig.results.catalogue.words import begun, head_record, masses, operators, verdict
@@ -164,7 +164,7 @@ def _table(found: Sequence[Difference]) -> Table:
 
 def _row(each: Difference) -> tuple[str, ...]:
     other = each.other
-    verdicts = {True: "MOVED", False: "", None: "not known"}
+    verdicts = {True: CHANGED, False: NO_CHANGE, None: "not known"}
     return (
         each.name,
         number(each.first.value),
@@ -181,7 +181,7 @@ def _row(each: Difference) -> tuple[str, ...]:
 def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Iterator[Note]:
     moved = [each.name for each in found if each.moved]
     known = sum(each.moved is not None for each in found)
-    words = f"changed by more than their uncertainty: {', '.join(moved) or 'none'}"
+    words = f"{CHANGED} by more than their uncertainty: {', '.join(moved) or 'none'}"
     yield Note(words)
     yield Note(
         f"without any change, {0.1 * known:.2g} of {known} constants exceed their uncertainty "

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from identification.numerics.change import LEAST_RUNS
-from rig.common.tables import interval, number
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.results.catalogue.figures import courses as drawn
 from rig.results.catalogue.trend import FALSE_ALARMS, Course, History, alarms
 from rig.results.catalogue.words import head_record
@@ -91,12 +91,12 @@ def _verdict(history: History) -> Verdict:
         return Verdict("not tested", words, "open")
     if found:
         return Verdict(
-            "changed", f"{', '.join(found)} changed beyond the scatter of the runs.", "found"
+            CHANGED, f"{', '.join(found)} changed beyond the scatter of the runs.", "found"
         )
     known = [course.name for course in history.courses]
     which = f"{known[0]} did not change" if len(known) == 1 else "No constant changed"
     words = f"{which} beyond the scatter of the runs and their intervals."
-    return Verdict("no change", words, "good")
+    return Verdict(NO_CHANGE, words, "good")
 
 
 def _row(course: Course) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from identification.estimate.prediction.constants import PER_VOLT, Constant
 from identification.estimate.prediction.simulated_ladder import SimulatedRung
 from identification.model.ladder import SIMULATED
 from identification.model.units import LINEAR
-from rig.common.tables import interval, number
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number
 from rig.results.document import Table
 
 _WORDS = {
@@ -78,7 +78,7 @@ def _constant_line(c: Constant, friction: str) -> str:
     return (
         f"{friction}: {_WORDS[c.name]} {number(c.declared, 4)} declared{prior}; "
         f"{number(c.value, 4)} {interval(c.low, c.high)} {c.unit} found, "
-        f"{100.0 * c.change:+.1f} %: {'moved' if c.moved else 'not moved beyond its interval'}"
+        f"{100.0 * c.change:+.1f} %: {CHANGED if c.moved else NO_CHANGE}"
     )
 
 
@@ -87,7 +87,7 @@ def _changes(found: Sequence[Constant], names: Sequence[str]) -> list[str]:
     return [
         "-"
         if n not in by_name
-        else f"{100.0 * by_name[n].change:+.1f} %{' moved' if by_name[n].moved else ''}"
+        else f"{100.0 * by_name[n].change:+.1f} %{f' {CHANGED}' if by_name[n].moved else ''}"
         for n in names
     ]
 

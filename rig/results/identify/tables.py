@@ -12,7 +12,7 @@ from identification.estimate.transfer import Transfer
 from identification.model.ladder import LADDER
 from identification.recording import Recording
 from identification.result import Fit, Identification
-from rig.common.tables import interval, number, percent
+from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
 from rig.results.document import Table
 
 COMPARISON_NOTE = (
@@ -203,12 +203,12 @@ def transfer_table(found: Transfer) -> Table:
             number(m.difference, 3),
             "-" if m.joint is None else f"+- {number(m.joint, 3)}",
             m.unit,
-            {None: "not identifiable on both", False: "no", True: "yes"}[m.moved],
+            {None: "not identifiable on both", False: NO_CHANGE, True: CHANGED}[m.moved],
         )
         for m in found.parameters
     )
     return Table(
-        ("parameter", "here", "there", "difference", "90 %", "unit", "moved"), rows, (1, 2, 3, 4)
+        ("parameter", "here", "there", "difference", "90 %", "unit", "finding"), rows, (1, 2, 3, 4)
     )
 
 

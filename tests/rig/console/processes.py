@@ -20,6 +20,11 @@ from .sockets import Peer, short_folder
 PATIENT = """
 import dataclasses
 import sys
+import rig.terminal.control_messages as messages
+
+folders = messages.socket_folders
+# Runs of this computer that are no part of the test are neither seen nor stopped.
+messages.socket_folders = lambda: folders()[:1]
 import rig.planning.plan
 import rig.cli.commands.console as console
 import rig.console.made

@@ -73,6 +73,24 @@ def test_each_dry_run_is_good_for_one_start(sequence: Path, tmp_path: Path) -> N
             starter.start(key, "")
 
 
+def test_a_file_of_limits_is_part_of_what_was_shown(sequence: Path, tmp_path: Path) -> None:
+    limits = tmp_path / "limits.yaml"
+    limits.write_text("acceptance: 1\nlimits: [lost samples < 1]\n")
+    starter = Starter(["practical"], tmp_path / "runs", ECHO)
+    wish = Wish("practical", str(sequence), acceptance=str(limits))
+    found = shown(starter, wish)
+    assert f"--acceptance {limits}" in found["words"]
+    starter.start(found["shown"], "")
+    given = arguments(starter)
+    assert given[given.index("--acceptance") + 1] == str(limits)
+    found = shown(starter, wish)
+    limits.write_text("acceptance: 1\nlimits: [lost samples < 1000]\n")
+    with pytest.raises(StartError, match="changed since the dry run"):
+        starter.start(found["shown"], "")
+    limits.unlink()
+    assert shown(starter, wish)["shown"] is None
+
+
 def test_a_changed_file_needs_another_dry_run(sequence: Path, tmp_path: Path) -> None:
     starter = Starter(["practical"], tmp_path / "runs", ECHO)
     found = shown(starter, Wish("practical", str(sequence)))

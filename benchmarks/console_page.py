@@ -1,0 +1,121 @@
+"""A console that ``benchmarks/console.py`` has started, as pages in a browser use it."""
+
+from __future__ import annotations
+
+import base64
+import http.client
+import json
+import os
+import queue
+import re
+import select
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+
+
+class Console:
+    """A console that was started, as a page sees it.
+
+    Args:
+        runtime: Folder of the control sockets.
+        runs: Folder of the recorded runs.
+        environment: Variables of its own environment, and of the runs'.
+    """
+
+    def __init__(self, runtime: str, runs: str, environment: Mapping[str, str]) -> None:
+        self.environment = {**os.environ, **environment, "XDG_RUNTIME_DIR": runtime}
+        entry = "from rig.cli.entry import main; main()"
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", entry, "console", "--port", "0", "--runs", runs],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=self.environment,
+        )
+        assert self.process.stdout is not None
+        address = [self.process.stdout.readline() for _ in range(2)][1].split()[-1]
+        self.port = int(re.search(r":(\d+)/", address)[1])  # type: ignore[index]
+        self.token = address.partition("#token=")[2]
+        self._number = 0
+
+    def stop(self, run: str) -> tuple[int, int, str]:
+        """Press STOP; return when it was pressed and when that was answered, ns, and the answer."""
+        pressed = time.monotonic_ns()
+        words = self._post("/command", {"page": "", "run": run, "command": "stop"})
+        return pressed, time.monotonic_ns(), words
+
+    def _post(self, path: str, body: Mapping[str, object], timeout_s: float = 10.0) -> str:
+        self._number += 1
+        host = f"127.0.0.1:{self.port}"
+        connection = http.client.HTTPConnection(host, timeout=timeout_s)
+        heads = {
+            "Origin": f"http://{host}",
+            "Authorization": f"Bearer {self.token}",
+            "Content-Type": "application/json",
+        }
+        connection.request("POST", path, json.dumps({**body, "number": self._number}), heads)
+        words = connection.getresponse().read().decode()
+        connection.close()
+        return words
+
+    def watch(
+        self,
+        ending: threading.Event,
+        counts: list[int],
+        token: str = "",
+        keys: queue.Queue[str] | None = None,
+    ) -> None:
+        """Read all that a page is sent until the event; add its bytes to ``counts``, and put the
+        key of the page into ``keys``.
+        """
+        host = f"127.0.0.1:{self.port}"
+        with socket.create_connection(("127.0.0.1", self.port)) as page:
+            key = base64.b64encode(os.urandom(16)).decode()
+            page.sendall(
+                f"GET /live HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\n"
+                f"Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+                f"Sec-WebSocket-Key: {key}\r\n\r\n".encode()
+            )
+            page.recv(4096)
+            for message in ({"token": token}, {"window_s": 30, "pixels": 500}):
+                page.sendall(_frame(json.dumps(message).encode()))
+            count, said = 0, b""
+            while not ending.is_set():
+                if select.select([page], [], [], 0.5)[0]:
+                    data = page.recv(1 << 16)
+                    count += len(data)
+                    if keys is not None:
+                        said += data
+                        if (found := re.search(rb'"page": "([^"]+)"', said)) is not None:
+                            keys.put(found[1].decode())
+                            keys = None
+        counts.append(count)
+
+    def make(self, runs: list[str], ending: threading.Event, made: list[float]) -> None:
+        """Have comparisons of runs made, one after the other, until the event; add the seconds that
+        each took to ``made``.
+        """
+        keys: queue.Queue[str] = queue.Queue()
+        reading = threading.Thread(target=self.watch, args=(ending, [], self.token, keys))
+        reading.start()
+        key = keys.get()
+        while not ending.is_set():
+            began = time.monotonic()
+            # A console that is being ended closes the connection.
+            with suppress(OSError, http.client.HTTPException):
+                words = self._post("/compare", {"page": key, "runs": runs}, 200.0)
+                if "/made/" not in words:
+                    raise SystemExit(f"no page was made: {words}")
+                made.append(time.monotonic() - began)
+        reading.join()
+
+
+def _frame(data: bytes) -> bytes:
+    """Return a text frame of a client, RFC 6455, masked with zeros."""
+    head = bytes([0x81, 0x80 | len(data)]) if len(data) < 126 else b"\x81\xfe"
+    head += len(data).to_bytes(2) if len(data) >= 126 else b""
+    return head + bytes(4) + data
