@@ -33,7 +33,7 @@ help:
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
-	@echo "make makes     drives of nine makes and three other modes: Figure 10, and every fault in every phase"
+	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
@@ -159,6 +159,7 @@ fault-matrix: $(VENV)/.dev
 makes: $(VENV)/.dev
 	$(BIN)/python -m tests.long.makes figure10
 	$(BIN)/python -m tests.long.makes faults
+	$(BIN)/python -m tests.long.makes homing
 
 kill: $(VENV)/.dev
 	$(BIN)/python -m tests.long.kill
