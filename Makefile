@@ -9,7 +9,7 @@ DEMO := runs/demo
 # These worlds cover every part of every axis at least once; a test checks it.
 PROVE_WORLDS := --plant mujoco --rigs 12 --seed 443
 
-.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes units console proofs
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix watch-clients moments pairs terminal realtime fuzz mutants plan-study long clean prove-worlds cluster power-map makes masters units console proofs
 .DEFAULT_GOAL := help
 
 help:
@@ -37,7 +37,8 @@ help:
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
-	@echo "make makes     drives of nine makes and three other modes: Figure 10, and every fault in every phase"
+	@echo "make makes     drives of nine makes and three other modes: Figure 10; every fault in every phase, and in a homing"
+	@echo "make masters   a second, independent CANopen master drives the simulated drives of the makes (needs Node)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
 	@echo "make watch-clients  Foxglove's own client reads a run live (needs Node); PLOTJUGGLER=its source: its parser too"
@@ -174,6 +175,10 @@ fault-matrix: $(VENV)/.dev
 makes: $(VENV)/.dev
 	$(BIN)/python -m tests.long.makes figure10
 	$(BIN)/python -m tests.long.makes faults
+	$(BIN)/python -m tests.long.makes homing
+
+masters: $(VENV)/.dev
+	$(BIN)/python -m tests.long.second_master
 
 kill: $(VENV)/.dev
 	$(BIN)/python -m tests.long.kill

@@ -52,7 +52,8 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
         MAX_CURRENT: limits.current_A / scales.current_unit_A,
         FOLLOWING_WINDOW: WINDOW_OFF if window is None else window / abs(count),
         QUICK_STOP_OPTION: limits.quick_stop_option,
-        QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2 / speed,
+        QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2
+        / scales.joint_acceleration_unit_rad_s2,
     }
     # The deceleration is no limit, so that it is rounded to the nearest.
     return {
@@ -83,7 +84,9 @@ def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLim
         current_A=held(MAX_CURRENT, scales.current_unit_A),
         following_error_rad=None if window == WINDOW_OFF else held(FOLLOWING_WINDOW, abs(count)),
         quick_stop_option=values.get(QUICK_STOP_OPTION, NO_OPTION),
-        quick_stop_deceleration_rad_s2=held(QUICK_STOP_DECELERATION, speed),
+        quick_stop_deceleration_rad_s2=held(
+            QUICK_STOP_DECELERATION, scales.joint_acceleration_unit_rad_s2
+        ),
     )
 
 
@@ -91,7 +94,12 @@ def steps(scales: ServoScales) -> LimitSteps:
     """Return one unit of each object, at the joint."""
     count, speed = abs(scales.joint_rad_per_count), scales.joint_speed_unit_rad_s
     return LimitSteps(
-        count, speed, scales.joint_torque_unit_N_m, scales.current_unit_A, count, speed
+        count,
+        speed,
+        scales.joint_torque_unit_N_m,
+        scales.current_unit_A,
+        count,
+        scales.joint_acceleration_unit_rad_s2,
     )
 
 

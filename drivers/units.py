@@ -28,8 +28,10 @@ class ServoScales:
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
         current_sign: -1 where the drive's current has the opposite sign of its torque, else 1.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
-            for one count per second.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh; None for one count per
+            second.
+        acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah;
+            None for one unit of the speed per second.
         voltage_object: Object of the mean motor voltage; None where it is not known.
         voltage_unit_V: Unit of that object, V.
         temperature_object: Object of the drive's temperature; None where it is not known.
@@ -58,6 +60,7 @@ class ServoScales:
     offset_rad: float = 0.0
     current_sign: int = 1
     velocity_unit_rad_s: float | None = None
+    acceleration_unit_rad_s2: float | None = None
     voltage_object: ObjectAddress | None = None
     voltage_unit_V: float = 0.01
     temperature_object: ObjectAddress | None = None
@@ -128,6 +131,16 @@ class ServoScales:
     def motor_speed_unit_rad_s(self) -> float:
         """Motor speed of one velocity unit, without sign."""
         return self.velocity_unit_rad_s or self.count_rad
+
+    @property
+    def motor_acceleration_unit_rad_s2(self) -> float:
+        """Motor acceleration of one acceleration unit, without sign."""
+        return self.acceleration_unit_rad_s2 or self.motor_speed_unit_rad_s
+
+    @property
+    def joint_acceleration_unit_rad_s2(self) -> float:
+        """Joint acceleration of one acceleration unit, without sign."""
+        return self.motor_acceleration_unit_rad_s2 / self.gear_ratio
 
     @property
     def count_rad(self) -> float:

@@ -46,6 +46,14 @@ def _speed(data: DeviceData) -> str:
     return {"rpm": "rpm", "counts_per_s": "counts/s"}.get(data.velocity_unit or "", "")
 
 
+def _acceleration(data: DeviceData) -> str:
+    if data.acceleration_unit_counts_per_s2 is not None:
+        return f"{data.acceleration_unit_counts_per_s2:g} counts/s^2"
+    if data.acceleration_unit_turns_per_s2 is not None:
+        return f"{data.acceleration_unit_turns_per_s2:g} turns/s^2"
+    return f"{_speed(data)}/s".replace("/s/s", "/s^2") if _speed(data) else ""
+
+
 def page() -> str:
     """Return the page."""
     rows = [
@@ -55,13 +63,22 @@ def page() -> str:
             f"{data.vendor_id:X}h"
             + "".join(f", {index:04X}h:{sub:02X}h" for index, sub in data.has),
             _speed(data),
+            _acceleration(data),
             _objects(data),
             data.source,
         )
         for name, data in devices().items()
         if name != SIMULATED
     ]
-    head = ("`servo.device`", "drives", "told by", "speeds in", "objects", "source")
+    head = (
+        "`servo.device`",
+        "drives",
+        "told by",
+        "speeds in",
+        "accelerations in",
+        "objects",
+        "source",
+    )
     remarks = [
         f"- {data.name}: {remark}." for data in devices().values() for remark in data.remarks
     ]

@@ -146,7 +146,8 @@ def settings(
                 )
             yield address, value
         if channel.describes(*ACCELERATION):
-            yield ACCELERATION, max(1, round(order.acceleration_rad_s2 / unit))
+            units = order.acceleration_rad_s2 / scales.joint_acceleration_unit_rad_s2
+            yield ACCELERATION, max(1, round(units))
     yield OFFSET, scales.counts(order.home_rad)
     yield METHOD, order.method
 

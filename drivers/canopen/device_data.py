@@ -43,8 +43,11 @@ class DeviceData(BaseModel):
         vendor_id: 1018h:01h.
         product_codes: 1018h:02h of its products; none where the vendor and ``has`` suffice.
         has: Objects by which it is told from other families of the vendor.
-        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h.
+        velocity_unit: Unit of 606Ch and 607Fh and, per second, of the accelerations.
         velocity_unit_counts_per_s: The same for other units, in counts per second.
+        acceleration_unit_counts_per_s2: Another unit of the accelerations (6083h, 6084h, 6085h,
+            609Ah), in counts per second squared.
+        acceleration_unit_turns_per_s2: The same in motor turns per second squared.
         current_object: Object of the motor current.
         current_unit_A: Current of one unit of it.
         supply_object: Object of the supply voltage.
@@ -70,6 +73,8 @@ class DeviceData(BaseModel):
     has: tuple[Address, ...] = ()
     velocity_unit: VelocityUnit | None = None
     velocity_unit_counts_per_s: _Unit | None = None
+    acceleration_unit_counts_per_s2: _Unit | None = None
+    acceleration_unit_turns_per_s2: _Unit | None = None
     current_object: Address | None = None
     current_unit_A: _Unit | None = None
     supply_object: Address | None = None
@@ -89,6 +94,9 @@ class DeviceData(BaseModel):
     def _stated_once(self) -> Self:
         if self.velocity_unit is not None and self.velocity_unit_counts_per_s is not None:
             raise ValueError("velocity_unit and velocity_unit_counts_per_s are both set")
+        acceleration = (self.acceleration_unit_counts_per_s2, self.acceleration_unit_turns_per_s2)
+        if None not in acceleration:
+            raise ValueError("the unit of the acceleration is stated twice")
         for kind in ("current_unit_A", "supply_unit_V", "temperature_unit_C", "voltage_unit_V"):
             of = f"{kind.rsplit('_', 2)[0]}_object"
             if (getattr(self, kind) is None) is not (getattr(self, of) is None):

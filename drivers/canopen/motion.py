@@ -364,7 +364,8 @@ class ProfilePosition(Motion):
         if not math.isnan(limits.speed_rad_s):
             yield PROFILE_SPEED, math.floor(limits.speed_rad_s / unit + 1e-6)
             for address in (PROFILE_ACCELERATION, PROFILE_DECELERATION):
-                yield address, max(1, round(self._acceleration / unit))
+                units = self._acceleration / self._scales.joint_acceleration_unit_rad_s2
+                yield address, max(1, round(units))
 
     def reset(self) -> None:
         """Clear the state of the motion; the next set-point is not announced as new."""

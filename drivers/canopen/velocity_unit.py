@@ -1,9 +1,11 @@
-"""Checks the unit of the speed of a CiA 402 drive, and states the setting for the bench file."""
+"""Checks the units of speed and acceleration of a CiA 402 drive, and states the setting for the
+bench file.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Final
 
 from drivers.errors import ConfigurationError
@@ -13,6 +15,8 @@ from drivers.units import ServoScales
 
 UNIT: Final[ObjectAddress] = (0x60A9, 0)
 """SI unit of the velocity (CiA 402-2): power of ten, numerator, denominator, reserved."""
+ACCELERATION_UNIT: Final[ObjectAddress] = (0x60AA, 0)
+"""SI unit of the acceleration (CiA 402-2), likewise."""
 RPM: Final = 2.0 * math.pi / 60.0
 """Speed of one turn per minute, rad/s."""
 _NUMERATORS: Final[Mapping[int, float]] = {
@@ -23,6 +27,9 @@ _NUMERATORS: Final[Mapping[int, float]] = {
 """Codes of CiA 303-2: radian, degree, revolution."""
 _DENOMINATORS: Final[Mapping[int, float]] = {0x03: 1.0, 0x47: 60.0, 0x48: 3600.0}
 """Codes of the time units: second, minute, hour."""
+_RPM_CODE: Final = 0xC0
+_SQUARE_SECOND: Final = 0x57
+"""Codes in 60AAh: revolutions per minute, and the square second."""
 _POWERS: Final = (-3, -2, -1, 1, 2, 3)
 """Powers of ten of the decimal multiples that are recognised."""
 _SAME: Final = 0.01
@@ -46,19 +53,45 @@ def decode(word: int) -> float | None:
     return numerator / denominator * 10.0 ** (power - 256 if power > 127 else power)
 
 
+def decode_acceleration(word: int) -> float | None:
+    """Return the motor acceleration of one unit, rad/s^2, as object 60AAh states it; None for units
+    without SI meaning.
+    """
+    if word >> 8 & 0xFF == _SQUARE_SECOND:
+        return decode(word & ~0xFF00 | 0x0300)
+    if word >> 16 & 0xFF == _RPM_CODE:
+        found = decode(word & ~0xFF0000 | 0xB40000)
+        return None if found is None else found / 60.0
+    return None
+
+
 def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[ConfigurationError]:
-    """Yield an error if the unit differs from that of the bench file."""
-    word = optional(channel.read, *UNIT) if channel.describes(*UNIT) else None
-    told = None if word is None else decode(word & 0xFFFFFFFF)
-    if word is None or told is None:
-        return
+    """Yield an error for each unit that differs from that of the bench file."""
+    word, told = _stated(channel, UNIT, decode)
     unit = scales.motor_speed_unit_rad_s
-    if abs(told - unit) > _SAME * told:
+    if told is not None and abs(told - unit) > _SAME * told:
         yield ConfigurationError(
-            f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s "
-            f"({word & 0xFFFFFFFF:08X}h), the bench file states {unit:.6g} rad/s: "
-            f"{_words(told, scales, exact=True)}"
+            f"unit of the speed, 60A9h: the drive states {told:.6g} rad/s ({word:08X}h), the bench "
+            f"file states {unit:.6g} rad/s: {_words(told, scales, exact=True)}"
         )
+    word, told = _stated(channel, ACCELERATION_UNIT, decode_acceleration)
+    unit = scales.motor_acceleration_unit_rad_s2
+    if told is not None and abs(told - unit) > _SAME * told:
+        yield ConfigurationError(
+            f"unit of the acceleration, 60AAh: the drive states {told:.6g} rad/s^2 ({word:08X}h), "
+            f"the bench file states {unit:.6g} rad/s^2: set servo.acceleration_unit_rad_s2: "
+            f"{told:.6g}"
+        )
+
+
+def _stated(
+    channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
+) -> tuple[int, float | None]:
+    """Return the value of an object of a unit, and the unit; None where it states none."""
+    word = optional(channel.read, *address) if channel.describes(*address) else None
+    if word is None:
+        return 0, None
+    return word & 0xFFFFFFFF, meaning(word & 0xFFFFFFFF)
 
 
 def remedy(scales: ServoScales, factor: float) -> str:

@@ -92,8 +92,8 @@ class QuickStop(IntEnum):
 class SimulatedDrive(SimulatedNode):
     """A position servo, in cyclic synchronous position mode unless ``traits`` offer others.
 
-    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h are counts per second
-    (squared), unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
+    Positions are motor encoder counts; speeds and accelerations are counts per second (squared)
+    unless ``traits`` say otherwise; 6078h is the mean current since the last SYNC, per
     mille of 6075h. 60B2h (per mille of 6076h) adds torque to the position loop's output while
     targets are followed, but not in ramps. The power stage is on only in the states of
     :data:`POWERED`.
@@ -102,8 +102,7 @@ class SimulatedDrive(SimulatedNode):
         traits: What it differs in from other drives.
         power_state: State of the power drive system.
         entered: Function that is called with each new state at the time of the change.
-        speed_unit: Counts per second of one unit of 606Ch, 607Fh, 6084h and 6085h; see
-            :meth:`use_speed_unit`.
+        speed_unit: Counts per second of one unit of 606Ch and 607Fh; see :meth:`use_speed_unit`.
         deaf_to: Orders that the drive ignores.
         homing: Homing, and the zero that it has set.
         current_sign: Sign of 6077h and 6078h for a torque that drives the count up.
@@ -149,6 +148,7 @@ class SimulatedDrive(SimulatedNode):
             self._values,
             self._counts_per_rad,
             self.speed_unit,
+            self.traits.acceleration_unit(counts_per_turn),
             1.0 / self._per_mille_torque_A,
         )
         self.homing = self._mover.homing
@@ -156,8 +156,7 @@ class SimulatedDrive(SimulatedNode):
         # A drive without 60C2h measures the time between targets.
         self._told_period = key(0x60C2, 1) in self.objects.entries
         self._followed_ns = 0
-        self._flags = 0
-        objects = self.objects
+        self._flags, objects = 0, self.objects
         objects.checks[0x6060] = self._check_mode
         objects.checks[0x605A] = _check_quick_stop
         objects.checks[0x6098] = check_method
@@ -179,7 +178,7 @@ class SimulatedDrive(SimulatedNode):
             values[_ON_ABORT] = 0  # a drive without the object has no such reaction
         self._own.restore(values, self._rated_current_mA * 1e-3)
         for index in (0x6084, 0x6085):
-            values[key(index)] = round(values[key(index)] / self.speed_unit)
+            values[key(index)] = round(values[key(index)] / self._mover.acceleration_unit)
         values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
         values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
         values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
@@ -194,6 +193,7 @@ class SimulatedDrive(SimulatedNode):
         for address in (key(0x607F), key(0x6084), key(0x6085)):
             if values[address] != _NO_LIMIT:
                 values[address] = round(values[address] * self.speed_unit / counts_per_s)
+        self._mover.acceleration_unit *= counts_per_s / self.speed_unit
         self.speed_unit = self._mover.speed_unit = counts_per_s
 
     def halt(self) -> None:
@@ -319,7 +319,7 @@ class SimulatedDrive(SimulatedNode):
                 self._brake(self.objects.integer(0x6085))
 
     def _brake(self, units: int) -> None:
-        deceleration = units * self.speed_unit
+        deceleration = units * self._mover.acceleration_unit
         now = self._clock.now_ns()
         speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
         self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)

@@ -53,6 +53,7 @@ class Homing:
         values: The drive's dictionary.
         counts_per_rad: Motor counts per radian of the motor.
         speed_unit: Returns the unit of the drive's speeds, counts/s.
+        acceleration_unit: Returns the unit of its accelerations, counts/s^2.
 
     Attributes:
         shift: Drive position less the motor's counts.
@@ -68,12 +69,14 @@ class Homing:
         values: dict[int, int],
         counts_per_rad: float,
         speed_unit: Callable[[], float],
+        acceleration_unit: Callable[[], float],
     ) -> None:
         self.shift = 0
         self.switches_deg: tuple[float, float] | None = (-20.0, 20.0)
         self.endless = self.jammed = False
         self._sampler, self._clock, self._values = sampler, clock, values
         self._counts_per_rad, self._speed_unit = counts_per_rad, speed_unit
+        self._acceleration_unit = acceleration_unit
         self._gear = sampler.machine.constants.motor.gear_ratio
         self._timer = Timer(clock, self._advance)
         self._bits = REACHED
@@ -143,7 +146,7 @@ class Homing:
             self._set_zero(reading.motor_counts)
         speed = -self._values[_ZERO] if self._found else self._values[_SEARCH]
         wanted = 0.0 if self._home else side * speed * self._speed_unit()
-        change = self._values[_ACCELERATION] * self._speed_unit() * _STEP_NS / NS
+        change = self._values[_ACCELERATION] * self._acceleration_unit() * _STEP_NS / NS
         self._speed += min(max(wanted - self._speed, -change), change)
         if self._home and self._speed == 0.0:
             self._halt(REACHED | ATTAINED)

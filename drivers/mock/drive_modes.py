@@ -42,6 +42,7 @@ class Mover:
         values: The drive's dictionary.
         counts_per_rad: Motor counts per radian of the motor.
         speed_unit: Unit of the drive's speeds, counts/s.
+        acceleration_unit: Unit of the drive's accelerations, counts/s^2.
         current_A: Motor current of one unit of torque.
 
     Attributes:
@@ -55,6 +56,7 @@ class Mover:
         values: dict[int, int],
         counts_per_rad: float,
         speed_unit: float,
+        acceleration_unit: float,
         current_A: float,
     ) -> None:
         self.demand = 0.0
@@ -64,9 +66,16 @@ class Mover:
         self._clock = clock
         self._values = values
         self._counts_per_rad = counts_per_rad
-        self.speed_unit = speed_unit
+        self.speed_unit, self.acceleration_unit = speed_unit, acceleration_unit
         self._current_A = current_A
-        self.homing = Homing(sampler, clock, values, counts_per_rad, lambda: self.speed_unit)
+        self.homing = Homing(
+            sampler,
+            clock,
+            values,
+            counts_per_rad,
+            lambda: self.speed_unit,
+            lambda: self.acceleration_unit,
+        )
         self._gear = self._machine.constants.motor.gear_ratio
         self._profile = Timer(clock, self._advance_profile)
         self._speed = 0.0
@@ -167,10 +176,10 @@ class Mover:
     def _advance_profile(self) -> None:
         """Take one step of a profile with constant accelerations to the set-point."""
         self._sampler.advance(self._clock.now_ns())
-        values, unit, dt = self._values, self.speed_unit, _PROFILE_NS / NS
-        acceleration = values[_PROFILE_ACCELERATION] * unit
-        deceleration = values[_PROFILE_DECELERATION] * unit
-        greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * unit
+        values, dt = self._values, _PROFILE_NS / NS
+        acceleration = values[_PROFILE_ACCELERATION] * self.acceleration_unit
+        deceleration = values[_PROFILE_DECELERATION] * self.acceleration_unit
+        greatest = min(values[_PROFILE_SPEED], values[_MAX_SPEED]) * self.speed_unit
         left = self._goal - self.demand
         # The speed from which whole steps of the deceleration end at the set-point.
         half = deceleration * dt / 2.0

@@ -66,6 +66,7 @@ MAKES: Final[Mapping[str, Traits]] = {
         | {0x1013, 0x6007, 0x603F, 0x605A, 0x6065, 0x6072, 0x6073, 0x6075, 0x6076}
         | {0x6078, 0x6079, 0x60C2},
         rpm=True,
+        acceleration_turns_s2=1.0,
     ),
     "Schunk": Traits(
         0,
@@ -92,12 +93,14 @@ MAKES: Final[Mapping[str, Traits]] = {
             Shown((0x2202, 0), "h", temperature_C, 1.0),
         ),
         speed_counts_per_s=0.1,
+        acceleration_counts_s2=10.0,
     ),
     "Technosoft": Traits(
         0x1A3,
         0x1AB46E5,
         _OWN | {0x1013, 0x6073, 0x6075, 0x6076, 0x6078, 0x6079},
         speed_counts_per_s=1000.0 / 65536.0,
+        acceleration_counts_s2=1000.0**2 / 65536.0,
     ),
 }
 """Make to what it differs in."""

@@ -61,6 +61,9 @@ class Traits:
         own: Objects that it has besides.
         rpm: Whether its speeds are in revolutions per minute.
         speed_counts_per_s: Unit of its speeds otherwise.
+        acceleration_counts_s2: Unit of its accelerations, where it is not one of its speeds per
+            second.
+        acceleration_turns_s2: The same, in motor turns.
         rated_torque_unit_N_m: Unit of 6076h.
         modes: 6502h.
         shown: Addresses of the objects that it shows to its bus; None for all.
@@ -72,6 +75,8 @@ class Traits:
     own: tuple[Shown, ...] = ()
     rpm: bool = False
     speed_counts_per_s: float = 1.0
+    acceleration_counts_s2: float | None = None
+    acceleration_turns_s2: float | None = None
     rated_torque_unit_N_m: float = 1e-3
     modes: int = PP | HM | CSP | CSV | CST
     shown: Container[tuple[int, int]] | None = None
@@ -79,6 +84,12 @@ class Traits:
     def speed_unit(self, counts_per_turn: float) -> float:
         """Return the unit of its speeds, counts per second."""
         return counts_per_turn / 60.0 if self.rpm else self.speed_counts_per_s
+
+    def acceleration_unit(self, counts_per_turn: float) -> float:
+        """Return the unit of its accelerations, counts per second squared."""
+        if self.acceleration_turns_s2 is not None:
+            return counts_per_turn * self.acceleration_turns_s2
+        return self.acceleration_counts_s2 or self.speed_unit(counts_per_turn)
 
 
 @dataclass

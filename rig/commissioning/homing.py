@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping
+from contextlib import suppress
 from typing import Final
 
 from drivers.clock import NS
 from drivers.errors import DeviceError
 from drivers.homing import HomingOrder, HomingState, method_words
+from drivers.interfaces import ServoState
 from rig.commissioning.record import SkippedError, StepRecord, WrongError
 from rig.commissioning.setup import FASTEST_DEG_S, HomeRequest, Setup
 from rig.commissioning.still import ZERO_TOLERANCE_DEG
@@ -16,6 +19,7 @@ from rig.common.sample import Sample
 from rig.control.cycle import TripError
 from rig.control.motion_words import Change
 from rig.control.readings import take_readings
+from rig.control.safety import Check, Trip
 from rig.planning.limits import Limits
 from rig.terminal.stop_button import OperatorStopError
 
@@ -31,6 +35,8 @@ MOVED_DEG: Final = 0.2
 NEAR_DEG: Final = 1.0
 """Largest distance from the home position at the end of a homing with motion: it brakes there."""
 ZERO_DEG_S: Final = 1.0
+FASTER: Final = 3.0
+"""Ratio of the speed from which a change of the drive's position is a new zero, to its limit."""
 ACCELERATION_S: Final = 0.2
 """Time in which the speed is reached."""
 UNSET: Final = (
@@ -39,18 +45,32 @@ UNSET: Final = (
 )
 
 
+_LOOK_FOR: Final[Mapping[Check, str]] = {
+    Check.ANGLE: "look for a switch that does not close within the limits of the bench",
+    Check.SAMPLE_AGE: "check the cable, its plugs and the load of the bus",
+    Check.LATENESS: "look for other programs that load this computer",
+    Check.DRIVE_STATE: "read the drive's error code (603Fh) and remove its cause",
+    Check.SPEED: "look at the drive's gains and at the unit of its speeds",
+    Check.CURRENT: "look for a joint that is blocked, and an end stop before the switch",
+    Check.TORQUE: "look for a joint that is blocked, and an end stop before the switch",
+    Check.DISAGREEMENT: "check the joint encoder, its cable and its coupling",
+}
+"""Check that failed to what to look for; the rest have words of their own."""
+_ORDINARY: Final = "look for a fault of the drive (603Fh)"
+
+
 def announced(setup: Setup, home: HomeRequest) -> str:
     """Return what moves and what is under power."""
     what = f"The drive homes by method {home.method} ({method_words(home.method)})"
-    if home.in_place:
-        return f"{what}: it is energised, and the joint stands still."
-    again = "" if home.home_deg is not None else ", and once more with the offset that was found"
     alone = ""
     if setup.devices.servo.watch_s is None or not setup.devices.link.has_watchdog:
+        goes_on = "it STAYS UNDER POWER" if home.in_place else "THE HOMING GOES ON to its end"
         alone = (
-            " This drive has no watchdog: if this program dies or the cable is lost, THE HOMING "
-            "GOES ON to its end."
+            f" This drive has no watchdog: if this program dies or the cable is lost, {goes_on}."
         )
+    if home.in_place:
+        return f"{what}: it is energised, and the joint stands still.{alone}"
+    again = "" if home.home_deg is not None else ", and once more with the offset that was found"
     return (
         f"{what}: THE JOINT TURNS BY ITSELF at up to {0.5 * FASTEST_DEG_S:g} deg/s, as far as the "
         f"limits of the bench allow{again}.{alone}"
@@ -128,19 +148,73 @@ def _homed(
         with setup.homing(order, step):
             _attend(setup, home, search)
     except WrongError as wrong:
-        raise WrongError(f"{wrong}. {UNSET}") from wrong
+        raise WrongError(f"{wrong}. {UNSET}{_left_on(setup, home)}") from wrong
     except TripError as tripped:
         raise WrongError(
-            f"homing by method {home.method} ended: {tripped.trip.found}; look for a switch that "
-            f"does not close within the limits of the bench, a joint that is blocked, and a fault "
-            f"of the drive (603Fh). {UNSET}"
+            f"homing by method {home.method} ended: {tripped.trip.found}{_fault(setup, tripped)}; "
+            f"{_LOOK_FOR.get(tripped.trip.check, _ORDINARY)}. {UNSET}{_left_on(setup, home)}"
         ) from tripped
     except DeviceError as error:
-        raise WrongError(f"homing by method {home.method} ended: {error}. {UNSET}") from error
+        raise WrongError(
+            f"homing by method {home.method} ended: {error}. {UNSET}{_left_on(setup, home)}"
+        ) from error
     except OperatorStopError as stopped:
-        raise OperatorStopError(f"{stopped}; the homing was ended. {UNSET}") from stopped
+        raise OperatorStopError(
+            f"{stopped}; the homing was ended. {UNSET}{_left_on(setup, home)}"
+        ) from stopped
     taken = take_readings(setup.devices, setup.bench.machine.gear_ratio)
     return taken.motor_encoder_at_joint_rad, taken.joint_encoder_rad
+
+
+def _fault(setup: Setup, tripped: TripError) -> str:
+    """Return the fault of a drive that left its state; empty where it tells none."""
+    if tripped.trip.check is Check.DRIVE_STATE:
+        with suppress(DeviceError):
+            if setup.devices.servo.state() is ServoState.FAULT:
+                return f" ({setup.devices.servo.fault()})"
+    return ""
+
+
+def _left_on(setup: Setup, home: HomeRequest) -> str:
+    """Return what a drive without a watchdog may be doing if its power could not be read back."""
+    safe = setup.safe
+    if safe is None or safe.verified or safe.watched:
+        return ""
+    doing = "hold under power" if home.in_place else "BE TURNING"
+    return f". The drive has no watchdog and may still {doing}: switch the main supply off now"
+
+
+class _Travels:
+    """Compares the travel of the joint by the drive with that by the joint encoder.
+
+    Before the zero is set the drive's angle has no meaning, but its changes have. A change in one
+    cycle that is faster than the limits allow is the new zero, and no travel.
+
+    Args:
+        setup: The bench; units, signs and ratio are proven by motion before.
+        begun: Sample at the start.
+    """
+
+    def __init__(self, setup: Setup, begun: Sample) -> None:
+        self._ratio = setup.bench.machine.gear_ratio
+        self._fastest = FASTER * setup.limits.speed
+        self._limit = setup.limits.encoder_disagreement
+        self._begun = self._last = begun
+        self._travel = 0.0
+
+    def require_same(self, sample: Sample) -> None:
+        """Take the sample of a cycle.
+
+        Raises:
+            TripError: The travels differ.
+        """
+        change = (sample.motor_angle - self._last.motor_angle) / self._ratio
+        if abs(change) <= self._fastest * (sample.time - self._last.time):
+            self._travel += change
+        self._last = sample
+        apart = abs(sample.angle - self._begun.angle - self._travel)
+        if apart > self._limit:
+            raise TripError(Trip(Check.DISAGREEMENT, apart, self._limit, "rad", sample.time))
 
 
 def _limits(setup: Setup, home: HomeRequest) -> Limits:
@@ -172,10 +246,13 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
     if allowed_s is None:
         allowed_s = IN_PLACE_LIMIT_S if home.in_place else SPARE_S + 2.0 * way / search
     servo.start_homing()
+    travels = _Travels(setup, begun)
     started, state, sample = clock.now_ns(), HomingState.RUNNING, begun
     while state is HomingState.RUNNING:
         sample = cycle.attend(limits)
         _require_still(home, begun, sample)
+        if not home.in_place:
+            travels.require_same(sample)
         took_s = (clock.now_ns() - started) / NS
         if took_s >= SETTLE_S:
             state = servo.homing_state()

@@ -81,11 +81,14 @@ class ServoSection(Schema):
             thousandth of it (6075h).
         rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
             of it (6076h).
-        velocity_unit: Unit of 606Ch, 607Fh and, per second, 6085h; checked against 60A9h where the
-            drive has it, and against the position as soon as the joint moves. Null if
-            `velocity_unit_rad_s` or the maker's data state the unit.
+        velocity_unit: Unit of 606Ch and 607Fh; checked against 60A9h where the drive has it, and
+            against the position as soon as the joint moves. Null if `velocity_unit_rad_s` or the
+            maker's data state the unit.
         velocity_unit_rad_s: Motor speed of one unit of 606Ch, for other units. If neither this key
             nor the maker's data state it, the unit is one count per second.
+        acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah;
+            checked against 60AAh where the drive has it. If neither this key nor the maker's data
+            state it, the unit is one unit of the speed per second.
         voltage_object: Index and subindex of the motor voltage; CiA 402 has none.
         voltage_unit_V: Voltage of one unit of `voltage_object`; 0.01 unless stated.
         temperature_object: Index and subindex of the drive's temperature; CiA 402 has none.
@@ -130,6 +133,7 @@ class ServoSection(Schema):
     rated_torque_N_m: Positive = 0.45
     velocity_unit: Literal["counts_per_s", "rpm"] | None = None
     velocity_unit_rad_s: Positive | None = None
+    acceleration_unit_rad_s2: Positive | None = None
     voltage_object: ObjectAddress | None = None
     voltage_unit_V: Positive | None = None
     temperature_object: ObjectAddress | None = None
@@ -212,6 +216,23 @@ class ServoSection(Schema):
         if counts_per_s is not None:
             return counts_per_s * 2.0 * math.pi / self.counts_per_motor_turn
         return RPM if data.velocity_unit == "rpm" else None
+
+    def motor_acceleration_unit_rad_s2(self, data: DeviceData | None) -> float | None:
+        """Return the motor acceleration of one unit of 6085h, rad/s^2; None for one unit of the
+        speed per second.
+
+        Args:
+            data: What is known of the drive.
+        """
+        if self.acceleration_unit_rad_s2 is not None or data is None:
+            return self.acceleration_unit_rad_s2
+        if data.acceleration_unit_counts_per_s2 is not None:
+            turns = data.acceleration_unit_counts_per_s2 / self.counts_per_motor_turn
+        elif data.acceleration_unit_turns_per_s2 is not None:
+            turns = data.acceleration_unit_turns_per_s2
+        else:
+            return None
+        return 2.0 * math.pi * turns
 
 
 class EncoderSection(Schema):

@@ -255,7 +255,9 @@ class Cycle:
             self._start_grid(now_ns)
         # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
-            self._exchange(self._target, 0)
+            sample = self._exchange(self._target, 0)
+            if self.units is not None:
+                self.units.take_braking(sample, self._torque)
 
     def attend(self, limits: Limits) -> Sample:
         """Run one cycle without a command, while the drive moves by itself; return its sample.

@@ -183,8 +183,30 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     return _rough_speed(factor, servo)
 
 
+def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
+    """Return a contradiction of the speed as the whole motion shows it, with the samples until the
+    joint stood still; the given one where the whole motion does not show it.
+    """
+    factor = speed_factor(motion, least=0.0)
+    if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
+        return found
+    if len(np.unique(motion.motor)) > ROUGH_COUNTS:
+        return wrong_speed(factor, servo)
+    return _rough_speed(factor, servo)
+
+
 def _rough_speed(factor: float, servo: Servo) -> Contradiction:
-    return wrong_speed(servo.nearest_speed_factor(factor, INSTANT_SPREAD), servo, rough=True)
+    """Return what a rough factor means: a common unit, and beside it a power of ten that is nearer
+    to the factor.
+    """
+    common = servo.nearest_speed_factor(factor, INSTANT_SPREAD)
+    decimal = servo.nearest_speed_factor(factor, 1.0)
+    nearer = min(common, decimal) > 0.0 and _apart(decimal, factor) < _apart(common, factor)
+    return wrong_speed(common, servo, rough=True, other=decimal if nearer else None)
+
+
+def _apart(first: float, second: float) -> float:
+    return abs(math.log(first / second))
 
 
 def _same(factor: float, band: tuple[float, float]) -> bool:

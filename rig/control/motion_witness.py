@@ -12,8 +12,8 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import Servo
 from rig.common.sample import Sample
 from rig.control.motion_factors import Motion
-from rig.control.motion_proof import Proof, hint, prove
-from rig.control.motion_words import RATIO_TOLERANCE, Contradiction
+from rig.control.motion_proof import Proof, hint, prove, surer
+from rig.control.motion_words import RATIO_TOLERANCE, SPEED, Contradiction
 from rig.wiring.devices import Nominal
 
 MOST: Final = 20_000
@@ -32,13 +32,24 @@ class MotionWitness:
         self._servo = servo
         self._nominal = nominal
         self._rows = np.empty((MOST, 7))
-        self._count = 0
+        self._count = self._braking = 0
+        self._said, self._of = "", (False, False)
 
     def take(self, sample: Sample, motor_torque: float) -> None:
         """Store a sample, and the motor torque that the drive reports with it, N m."""
-        if self._count == MOST or not sample.fresh:
-            return
-        self._rows[self._count] = (
+        self._braking = 0
+        self._count += self._store(sample, motor_torque)
+
+    def take_braking(self, sample: Sample, motor_torque: float) -> None:
+        """Store a sample while the drive brakes: it only makes the factor of the speed surer."""
+        self._braking += self._store(sample, motor_torque)
+
+    def _store(self, sample: Sample, motor_torque: float) -> bool:
+        """Store a sample after the others; returns False for one that is not used."""
+        at = self._count + self._braking
+        if at == MOST or not sample.fresh:
+            return False
+        self._rows[at] = (
             sample.time,
             sample.motor_angle / self._nominal.gear_ratio,
             sample.angle,
@@ -47,7 +58,7 @@ class MotionWitness:
             sample.voltage,
             motor_torque,
         )
-        self._count += 1
+        return True
 
     @property
     def motion(self) -> Motion:
@@ -76,7 +87,11 @@ class MotionWitness:
         """Return the contradiction that explains a trip or a fault, or None; see
         :func:`rig.control.motion_proof.hint`.
         """
-        return hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
+        found = hint(self.motion, self._nominal, self._servo, too_fast, too_strong)
+        if found is None or found.what != SPEED or not self._braking:
+            return found
+        motion = Motion.of(self._rows[: self._count + self._braking])
+        return surer(found, motion, self._servo)
 
     def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
         """Return the explanation of a trip (``too_fast``: of the reported speed, ``too_strong``: of
@@ -87,4 +102,13 @@ class MotionWitness:
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
             # An error of the explanation must not prevent the stop.
             return ""
-        return "" if found is None else f"; {found.words}"
+        self._said = "" if found is None else f"; {found.words}"
+        self._of = (too_fast, too_strong)
+        return self._said
+
+    def after_braking(self, message: str) -> str:
+        """Return a message with the last explanation as it is once the drive has braked."""
+        said = self._said
+        if not said or said not in message:
+            return message
+        return message.replace(said, self.explanation(*self._of))

@@ -74,26 +74,37 @@ class Contradiction:
         factor: Found value over the one that was expected.
         words: Finding and remedy, for the operator.
         changes: Values to set in the bench file; empty if the bench or the drive must be changed.
+        rough: Whether few counts show it.
     """
 
     what: str
     factor: float
     words: str
     changes: tuple[Change, ...] = ()
+    rough: bool = False
+
+    @property
+    def above(self) -> bool:
+        """Whether the found value is above the expected one."""
+        return self.factor > 1.0
 
 
-def wrong_speed(factor: float, servo: Servo, rough: bool = False) -> Contradiction:
+def wrong_speed(
+    factor: float, servo: Servo, rough: bool = False, other: float | None = None
+) -> Contradiction:
     """Return what a reported speed of ``factor`` times the true one means; ``rough`` if few counts
-    show it.
+    show it, and then perhaps ``other``.
     """
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
         f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
+    if other is not None:
+        words += f"; or it is {other:.4g} times: {servo.speed_remedy(other)}"
     if rough:
         words += "; few counts show this factor, so compare the unit with the manual of the drive"
     changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
-    return Contradiction(SPEED, factor, words, changes)
+    return Contradiction(SPEED, factor, words, changes, rough)
 
 
 def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:

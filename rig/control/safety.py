@@ -49,7 +49,7 @@ _REMEDY = {
     Check.TORQUE: "look for jamming or a weight above the plan, then run again",
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
     Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in "
-    "the bench file",
+    "the bench file; a drive that was homed may lose its zero with its supply: home it again then",
     Check.TEMPERATURE: "let the motor cool, then run again",
     Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run "
     "again",

@@ -97,6 +97,8 @@ class Sequencer:
             hurry=lambda: self._stop.presses_now() > presses,
             watched=self._devices.link.has_watchdog,
         )
+        if self._cycle.units is not None:
+            message = self._cycle.units.after_braking(message)
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
         outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip, error)

@@ -64,6 +64,7 @@ def servo_scales(
         offset_rad=math.radians(servo.offset_deg),
         current_sign=servo.current_sign,
         velocity_unit_rad_s=servo.motor_speed_unit_rad_s(data),
+        acceleration_unit_rad_s2=servo.motor_acceleration_unit_rad_s2(data),
         torque_constant_N_m_A=machine.torque_constant_N_m_A,
         known_objects=tuple(known),
         vendor_id=_vendor(servo, data),

@@ -45,6 +45,8 @@ def test_the_simulated_make_has_the_units_that_its_maker_is_known_for(make: str)
     if not traits.rpm:
         counts = data.velocity_unit_counts_per_s or 1.0
         assert traits.speed_counts_per_s == pytest.approx(counts)
+    assert traits.acceleration_counts_s2 == data.acceleration_unit_counts_per_s2
+    assert traits.acceleration_turns_s2 == data.acceleration_unit_turns_per_s2
 
 
 def test_families_of_one_vendor_differ_by_their_objects(tmp_path: Path) -> None:

@@ -203,14 +203,20 @@ def scales_of(make: str) -> ServoScales:
             current_object=(0x30D1, 2),
             rated_torque_object_unit_N_m=1e-6,
         )
+    acceleration = {
+        "Copley": 10 * counts_per_s,
+        "Technosoft": counts_per_s * 1e6 / 65536,
+        "Faulhaber": 2 * math.pi,
+    }.get(make)
+    scales = dataclasses.replace(SCALES, acceleration_unit_rad_s2=acceleration)
     if make == "Copley":
         own = (0x2201, 0)
         unit = 0.1 * counts_per_s
         return dataclasses.replace(
-            SCALES, velocity_unit_rad_s=unit, supply_object=own, supply_unit_V=0.1
+            scales, velocity_unit_rad_s=unit, supply_object=own, supply_unit_V=0.1
         )
     unit = {"Technosoft": counts_per_s * 1000 / 65536, "Faulhaber": rpm, "Nanotec": rpm}.get(make)
-    return dataclasses.replace(SCALES, velocity_unit_rad_s=unit)
+    return dataclasses.replace(scales, velocity_unit_rad_s=unit)
 
 
 @pytest.mark.parametrize("make", [make for make in LACKS if make != "EPOS2"])

@@ -30,6 +30,8 @@ MODES: Mapping[str, str] = {
 """Mode to its keys of the bench file; the simulated drive offers all."""
 _DEAF_S = 1.6
 """A drive that hears nothing of the host, and has no watchdog, is on until an order passes."""
+_SDO_S = 0.2
+"""Time that the host waits for the answer of the drive before it takes the power off."""
 _ALONE: Mapping[str, Case] = {
     "60 kg instead of none": Case(
         (fault("operator", "wrong_weight", value=60.0),),
@@ -63,6 +65,10 @@ def _unwatched(name: str, phase: str, must: Must) -> Must:
         return replace(must, within_s=_DEAF_S)
     if name == "control loop hangs 0.5 s" and must.within_s is not None:
         return replace(must, within_s=0.7)
+    if name == "clock steps 1 s back" and must.within_s is not None:
+        return replace(must, within_s=1.0 + BRAKE_S)  # the control loop pauses for that time
+    if name == "SDO time-out" and must.within_s:
+        return replace(must, within_s=must.within_s + _SDO_S)  # on while the host waits for it
     if name == "host's heartbeat lost" and phase == "hold":
         return Must(4, "8130h", WATCH_S)  # the drive tells it, and does nothing
     return must
@@ -80,7 +86,7 @@ def cases(make: str) -> Mapping[str, Case]:
     lacks = MAKES[make].lacks if make in MAKES else frozenset()
     if 0x603F in lacks:
         told = found["drive fault"]
-        nameless = Must(4, "no code 603Fh", 0.0)
+        nameless = Must(4, "no fault code", 0.0)
         found["drive fault"] = replace(
             told, by_phase={**told.by_phase, **at("prompt prepare", nameless)}
         )

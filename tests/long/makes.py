@@ -2,6 +2,7 @@
 
 python -m tests.long.makes figure10 [MAKE|MAKE:serial|MODE ...]  the nine parameters of each
 python -m tests.long.makes faults [--some] [MAKE|MODE ...]  every fault, or some, in every phase
+python -m tests.long.makes homing [MAKE|MAKE:serial ...]  every fault while the drive homes
 
 Each make is simulated with the objects and units of its maker; csv, cst and pp are the simulated
 drive in these modes. Over the serial line of the EPOS4 run the objects of three makes; only maxon's
@@ -13,10 +14,12 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
+import re
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,10 +29,14 @@ from rig.cli.entry import status
 from rig.common.tables import number, table
 from rig.config.bench import load_bench
 from rig.config.packaged import names, resolve
+from rig.control.cycle import Cycle
 from rig.runs.truth import true_parameters
 
 from . import fault_matrix
 from .fault_cases import PHASES, STATES, Transport
+from .fault_cases_homing import BUS_ONLY, HOST, HomingCase
+from .fault_cases_homing import CASES as HOMING
+from .fault_cases_homing import run as home
 from .fault_cases_makes import MODES, cases
 
 BASELINES = ("practical", "practical_serial")
@@ -37,6 +44,9 @@ BASELINES = ("practical", "practical_serial")
 OWN_FRAMES = ("odrive_can", "mit_mini")
 """Packaged benches of drives with frames of their own."""
 SERIAL = ("EPOS4:serial", "Elmo:serial", "Trinamic:serial")
+HOMES = tuple(make for make, traits in MAKES.items() if 0x607C not in traits.lacks)
+"""Makes with a home offset; the others are refused a homing."""
+HOMES_SERIAL = ("Elmo:serial", "Trinamic:serial")
 SOME = (
     "one frame lost",
     "the drive's frames lost, 40 of them",
@@ -144,7 +154,25 @@ def report(found: Mapping[str, Mapping[str, dict[str, Any]]], truth: Mapping[str
     cells = len(rows) * len(found)
     print(f"* truth outside the 90 % interval: {missed} of {cells}")
     print(f"intervals apart from those of the simulated drive: {apart} of {pairs}")
+    print(
+        "difference from the simulated drive on CAN, over the root of the sum of the squared "
+        "standard errors:"
+    )
+    others = [label for label in found if label != BASELINES[0]]
+    base = found[BASELINES[0]]
+    apart_by = [[n, *(_apart(found[o][n], base[n]) for o in others)] for n in truth]
+    print(table(["parameter", *others], apart_by, right=range(1, 1 + len(others))))
     return 1 if apart > 0.05 * pairs else 0
+
+
+def _apart(one: Mapping[str, Any], other: Mapping[str, Any]) -> str:
+    """Return the difference of two values over the root of the sum of their squared standard
+    errors; of a 90 % interval, the half width is 1.645 standard errors.
+    """
+    if one["value"] is None or other["value"] is None:
+        return "-"
+    errors = [(item["high"] - item["low"]) / 2.0 / 1.645 for item in (one, other)]
+    return f"{(one['value'] - other['value']) / math.hypot(*errors):.1f}"
 
 
 def faults(makes: list[str], some: bool) -> int:
@@ -166,7 +194,7 @@ def faults(makes: list[str], some: bool) -> int:
             for state in STATES:
                 rows, must = fault_matrix.state_rows(state, Transport(bench, {}))
                 if state == "switch_on_disabled" and make in MAKES and 0x603F in MAKES[make].lacks:
-                    must = replace(must, words="no code 603Fh")
+                    must = replace(must, words="no fault code")
                 cell = fault_matrix.run_rows(rows, must, bench, folder / state)
                 for problem in cell.problems:
                     found.append(f"{make}: fault in {state}: {problem}")
@@ -178,6 +206,43 @@ def faults(makes: list[str], some: bool) -> int:
     return 1 if problems else 0
 
 
+def homing_bench(folder: Path, label: str) -> str:
+    """Write the bench of a make for homing, at a quarter of the cycles; returns its path."""
+    make, _, serial = label.partition(":")
+    path = write_bench(folder, make, BASELINES[1 if serial else 0])
+    text = re.sub(r"(?m)^cycle_Hz: \d+", "cycle_Hz: 250", path.read_text())
+    path.write_text(re.sub(r"sample_age_ms: \d+", "sample_age_ms: 20", text))
+    return str(path)
+
+
+def homing_cases() -> Iterator[tuple[str, int, HomingCase, Callable[[Cycle], None] | None]]:
+    """Yield name, method, case, and what the host does in it."""
+    for name, case in HOMING.items():
+        yield from ((name, method, case, None) for method in case.methods)
+    for name, (act, case) in HOST.items():
+        yield from ((name, method, case, act) for method in case.methods)
+
+
+def homing(makes: list[str]) -> int:
+    """Home with every fault and each make; 1 where one ends otherwise than it must."""
+    problems, count = 0, 0
+    with tempfile.TemporaryDirectory() as name:
+        for label in makes:
+            began, folder, found = time.monotonic(), Path(name) / label, 0
+            bench = homing_bench(folder, label)
+            for fault, method, case, act in homing_cases():
+                if ":" in label and fault in BUS_ONLY:
+                    continue
+                for problem in home(case, method, bench, folder / f"{fault} {method}", act):
+                    print(f"  {label}: {fault}, method {method}: {problem}", flush=True)
+                    found += 1
+                count += 1
+            print(f"{label}: {found} problems, {time.monotonic() - began:.0f} s", flush=True)
+            problems += found
+    print(f"{count} homings on {len(makes)} drives, {problems} problems")
+    return 1 if problems else 0
+
+
 def main() -> int:
     """Do what the first word says with the makes that follow, or with all."""
     what, *words = sys.argv[1:]
@@ -185,6 +250,8 @@ def main() -> int:
     makes = named or [*MAKES, *MODES]
     if what == "figure10":
         return figure10(named or [*makes, *SERIAL, *OWN_FRAMES])
+    if what == "homing":
+        return homing(named or [*HOMES, *HOMES_SERIAL])
     return faults(makes, "--some" in words)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from rig.control.motion_factors import Motion, travels
-from rig.control.motion_proof import hint, prove
+from rig.control.motion_proof import hint, prove, surer
 from rig.control.motion_words import Change
 from rig.wiring.devices import Nominal
 
@@ -276,3 +276,30 @@ def test_the_speed_of_one_sample_against_one_count(speed: float, found: float | 
     assert (None if explained is None else explained.factor) == (
         None if found is None else pytest.approx(found)
     )
+
+
+def test_the_motion_until_standstill_makes_a_rough_factor_surer() -> None:
+    moved = np.linspace(0.0, 1e-3, 60)
+    peak = early(moved[:8], moved[:8], 90.0 * np.gradient(moved, 1e-3)[:8])
+    rough = hint(peak, NOMINAL, Remedies())  # type: ignore[arg-type]
+    assert rough is not None
+    assert rough.rough
+    whole = early(moved, moved, 10.0 * np.gradient(moved, 1e-3))
+    found = surer(rough, whole, Remedies())  # type: ignore[arg-type]
+    assert not found.rough
+    assert found.factor == pytest.approx(10.0, rel=0.02)
+    still = early(moved, moved, np.gradient(moved, 1e-3))
+    assert surer(rough, still, Remedies()) is rough  # type: ignore[arg-type]
+
+
+def test_a_rough_factor_names_a_power_of_ten_that_is_nearer_than_the_common_unit() -> None:
+    class Drive(Remedies):
+        def nearest_speed_factor(self, factor: float, spread: float) -> float:
+            return 68.0 if 68.0 / spread <= factor <= 68.0 * spread else 10.0
+
+    moved = np.linspace(0.0, 1e-4, 8)
+    for factor, words in ((12.0, "unit 68; or it is 10 times: unit 10"), (60.0, "unit 68; few")):
+        few = early(moved, moved, factor * np.gradient(moved, 1e-3))
+        found = hint(few, NOMINAL, Drive())  # type: ignore[arg-type]
+        assert found is not None
+        assert words in found.words

@@ -297,7 +297,8 @@ WORDS = {
     ),
     Check.DISAGREEMENT: (
         "encoder against drive",
-        "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
+        "check the coupling, and sign, counts and offset of encoder and drive in the bench file; "
+        "a drive that was homed may lose its zero with its supply: home it again then",
     ),
     Check.TEMPERATURE: ("motor temperature", "let the motor cool, then run again"),
     Check.SUPPLY: (

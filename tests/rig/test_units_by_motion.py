@@ -35,6 +35,8 @@ def test_a_drawn_bench(tmp_path: Path, mistake: str | None) -> None:
         ("sign", 3000, "epos_serial"),
         (TENFOLD, 0, "epos_serial"),
         (TENFOLD, 6, "mock"),
+        (TENFOLD, 808, "epos_serial"),
+        (TENFOLD, 822, "epos_serial"),
     ],
 )
 def test_a_mistake_is_found_on_every_transport(
