@@ -55,8 +55,9 @@ def validated_effects(
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
-    The effect with the least reduction is dropped first, and the others are fitted again without
-    it. The first of its open rivals that reduces the error significantly takes its place.
+    The effect that reduces the error least is dropped first, and the other effects are fitted again
+    without it. Of its rivals, the first that reduces the error significantly replaces it. Finally,
+    the recordings set aside decide between each remaining effect and its rivals.
 
     Args:
         found: The search.
@@ -101,11 +102,11 @@ def validated_effects(
 def _with_rivals_judged(
     case: _Case, joint: Joint, taken: Round, steps: list[Step]
 ) -> tuple[Joint, Round]:
-    """Return fit and round of an effect whose rivals are also judged by recordings set aside, where
-    these are decisive.
+    """Return fit and round of an effect after a comparison with its rivals by the errors on the
+    recordings set aside.
 
-    A rival that the fit does not reject, and whose error is significantly smaller there, takes the
-    effect's place.
+    A rival with a significantly larger error is rejected. A rival that the fit does not reject
+    replaces the effect if its error is significantly smaller.
     """
     seen = _seen_aside(case, joint, taken.name)
     if seen is None:
@@ -141,8 +142,10 @@ def _with_rivals_judged(
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array, list[str]]) -> Array:
-    """Return the residual of another fit over the noise of ``joint``, which may be lower
-    (:func:`with_lower_noise`).
+    """Return the residual of another fit in units of the noise of ``joint``.
+
+    The noises of the two fits differ if one of them was estimated again
+    (:func:`identification.diagnosis.fit.noise.with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
     stack, out = seen[0], seen[1].copy()
@@ -173,8 +176,8 @@ def dropped_effects(found: Search) -> tuple[str, ...]:
     """
     kept = {e.term.name for e in found.final.effects}
     return tuple(
-        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}; "
-        f"it must be less by at least {RULES.rejected:.2f} standard errors"
+        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}, "
+        f"and an identified effect must reduce it by at least {RULES.rejected:.2f} standard errors"
         for s in found.steps
         if s.action == DROPPED and s.name not in kept
     )
@@ -200,8 +203,8 @@ def _step(
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
-    change = "less" if worth >= 0.0 else "larger"
-    note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
+    change = "smaller" if worth >= 0.0 else "larger"
+    note = f"on {judges} it makes the error {change} by {abs(worth):.1f} standard errors"
     return Step(action, name, None, gain, note)
 
 
@@ -227,11 +230,11 @@ def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
 
 
 def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
-    """Return by how many standard errors, over blocks of time, an effect reduces the error in the
-    equations by which it is judged.
+    """Return by how many standard errors an effect reduces the error in the equations by which it
+    is judged; the standard error is computed from blocks of time.
     """
     names = judging_equations(joint, effect.term)
-    # An unknown start gives a fit freedom on these recordings; both fits get the same.
+    # An unknown initial state is fitted to these recordings too, in the same way for both fits.
     unseen = [
         found
         for j, starts in ((joint, ()), (without, (effect,)))
@@ -253,10 +256,10 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
 
 
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
-    """Whether an effect changes the prediction of recordings.
+    """Whether an effect changes the prediction of recordings set aside.
 
-    It may be unknown there, as a phase that each recording has to itself, and the constants fitted
-    to these recordings alone can absorb it.
+    It does not if its value there is unknown, such as a phase that differs between recordings, or
+    if the parameters that are fitted to these recordings compensate it.
     """
     columns = stack.columns(effect.term, effect.shape).values()
     change = judged_rows(stack, left[0] - left[1], names)
@@ -276,9 +279,9 @@ def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
 def folds(joint: Joint) -> Array:
     """Return the number of the cross-validation part of each row.
 
-    Parts are recordings. If one recording alone determines a parameter, as the only loaded one
-    does, parts are made of blocks of time instead. If a part still determines a parameter alone,
-    its rows are in no part (-1), since the others cannot predict them.
+    Parts are recordings. If one recording alone determines a parameter, such as the only loaded
+    recording, parts are made of blocks of time instead. If a part of blocks alone determines a
+    parameter, its rows are in no part (-1), because the other parts cannot predict them.
     """
     stack = joint.stack
     squares = parameter_derivatives(joint) ** 2
