@@ -363,7 +363,9 @@ def _missing(
     rng: np.random.Generator,
     name: str,
 ) -> bool:
-    """Whether anything is missing in one equation, by the same test as for the whole model."""
+    """Whether one equation has a significant mismatch, by the tests of :func:`_missing_test` on the
+    rows of this equation.
+    """
     judged = len(joint.equations)
     if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
         return True
