@@ -18,14 +18,12 @@ _RATES = {
     "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
     "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias "
     f"group",
-    "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
-    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in "
-    f"the alias group",
+    "top1_left": f"one effect, remaining strength {STRONG:g} or more: named first",
+    "alias_group_left": f"one effect, remaining strength {STRONG:g} or more: in the alias group",
     "top1_all": "one effect, any strength: named first",
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
-    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both "
-    f"named",
+    "both_named_left": f"two effects, remaining strength {STRONG:g} or more: both named",
     "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "no injected effect: false alarms",
@@ -201,10 +199,9 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
             )
     if result["absorbed"]:
         lines.append(
-            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave "
-            f"less than that over "
-            f"the noise once the nominal constants are fitted again: trials "
-            f"{', '.join(map(str, result['absorbed']))}."
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} have a "
+            f"remaining strength below {STRONG:g} after a new fit of the nominal parameters: "
+            f"trials {', '.join(map(str, result['absorbed']))}."
         )
     if result["most_frequent_class"] is not None:
         lines.append(
