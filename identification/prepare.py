@@ -370,8 +370,8 @@ def _unresolved(velocity: Array, rate: float) -> BoolArray:
     """Mark samples where three-point and seven-point differences disagree: the rate does not
     resolve the motion there.
 
-    Used on exact channels, where nothing is filtered: near breakaway and stop the speed changes
-    within microseconds.
+    This test is used for exact channels, which are not filtered: near breakaway and stop their
+    speed changes within microseconds.
     """
     fine = derivative(velocity, 1.0 / rate)
     steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))

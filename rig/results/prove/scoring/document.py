@@ -29,7 +29,7 @@ _RATES = {
     "false_alarms": "no injected effect: false alarms",
     "outside": "outside the catalogue: reported as such",
     "refused": "could not be diagnosed",
-    "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
+    "worse_than_baseline": "held-out error greater than the nominal model's by more than the noise",
     "intervals": "parameters of effects within their interval",
 }
 _METHODS = {
@@ -188,14 +188,14 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
         f"named with confidence."
     ]
     for key, words in (
-        ("oracle_fraction", "what a model with the true effects gains"),
-        ("floor_fraction", "the distance to the noise floor"),
+        ("oracle_fraction", "the decrease with the true effects"),
+        ("floor_fraction", "the decrease down to the noise floor"),
     ):
         gain = result[key]
         if gain["median"] is not None:
             lines.append(
-                f"The diagnosis gained {percent(100.0 * gain['median'])} of {words} "
-                f"in the error on recordings set aside (median of {gain['of']} trials)."
+                f"The diagnosis decreases the error on recordings set aside by "
+                f"{percent(100.0 * gain['median'])} of {words} (median of {gain['of']} trials)."
             )
     if result["absorbed"]:
         lines.append(
