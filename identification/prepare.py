@@ -118,7 +118,7 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def finer_joint(recording: Recording) -> bool:
-    """Whether the joint encoder was recorded and is finer than the motor's at the joint."""
+    """Whether the joint encoder was recorded and is finer than the motor encoder at the joint."""
     joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
     if joint is None or motor is None:
         return joint is not None

@@ -24,7 +24,7 @@ _TURN, _SIZE = math.radians(0.05), 2.5e-5
 """Steps of numerical derivatives, rad and m; about the error of valve and encoder."""
 _SPREAD_PER_MAD = 1.4826
 _THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over the noise's."""
+"""Standard deviation of third differences of white noise, over that of the noise."""
 
 
 @dataclass(frozen=True)

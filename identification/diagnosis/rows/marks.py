@@ -31,7 +31,7 @@ BEYOND_FILTER = 3.0
 distinguished from motion just above the cut-off.
 """
 THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over the noise's."""
+"""Standard deviation of third differences of white noise, over that of the noise."""
 LEAST_REST_S = 0.02
 """Least duration of a rest; shorter ones are not distinguished from a slow passage through zero."""
 
@@ -109,7 +109,7 @@ def _swing(series: Array, reach: int) -> Array:
 
 
 def reversals(sense: Array) -> BoolArray:
-    """Mark samples whose direction differs from the previous sample's."""
+    """Mark samples whose direction differs from that of the previous sample."""
     return np.concatenate(([False], sense[1:] != sense[:-1]))
 
 

@@ -1,4 +1,4 @@
-"""Computes the residuals of recordings set aside, and by how much one fit reduces another's."""
+"""Computes the residuals of recordings set aside, and by how much one fit reduces that of another."""
 
 from __future__ import annotations
 
@@ -127,7 +127,7 @@ def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[s
 
 def decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
     """Return :func:`studentised_reduction`; 0 in a single block, or if the two mean squares differ
-    by less than the noise's is known to.
+    by less than the uncertainty of the mean square of the noise.
     """
     rows = judged_rows(stack, np.stack(left, axis=1), names)
     low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))

@@ -29,7 +29,7 @@ from identification.prepare import drive_channel
 from identification.recording import Bench
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
-"""Ratio of the mean-square mismatch to the noise's, up to which a mismatch is faint: an
+"""Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint: an
 unidentified effect may cause the part that counts as noise
 (`excess`).
 """
@@ -173,8 +173,9 @@ def _equations_of_effects(found: Search) -> set[str]:
 def _judged_equation(found: Search) -> _Excess:
     """Return the equation with the greatest mismatch beyond the noise.
 
-    An equation other than the torque's in which no accepted effect acts is not it: its mismatch
-    has a cause of its own, which is reported beside the identified effects.
+    Only the torque equation and the equations in which an accepted effect acts are compared, if
+    there is a mismatch in one of them. A mismatch in another equation has a cause of its own, which
+    is reported beside the identified effects.
     """
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     acting = _equations_of_effects(found) | {"torque"}
@@ -199,7 +200,8 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
     Args:
         joint: Fit of the nominal model.
         judges: Excess of each of its equations.
-        least: Ratio of the mean-square mismatch to the noise's, from which it is beyond the noise.
+        least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
+            noise.
     """
     equations = {e.name: e for e in joint.equations}
     return any(
@@ -360,7 +362,7 @@ def confidence_of(
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         p_after: p-value of the test whether anything more is missing.
-        before: Mean-square mismatch of that equation over the noise's, without the effect.
+        before: Mean-square mismatch of that equation over that of the noise, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.
     """
