@@ -1,4 +1,4 @@
-"""Computes the residuals of recordings set aside, and by how much one fit reduces that of another."""
+"""Computes the residuals of recordings set aside, and compares those of two fits."""
 
 from __future__ import annotations
 
