@@ -129,8 +129,8 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque
     constant).
 
-    It comes from the torque channel, else from the current, else from the voltage: I = (U - Ke
-    omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
+    The torque comes from the torque channel, else from the current, else from the voltage: I = (U -
+    Ke omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
     ending at its time is shifted by half a period.
 
     Raises:

@@ -134,8 +134,8 @@ def _burn(recording: Recording, index: int) -> Burn:
     lowest = float(np.min(pressure))
     if not lowest > 0.0:
         raise RecordingError(
-            f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and "
-            f"only while it burns"
+            f"{recording.name}: pressure falls to {lowest:g} Pa; state the absolute pressure, in "
+            f"Pa, and only the time in which the gas generator burns"
         )
     measured = recording.channels["angle"]
     areas, shifts = (

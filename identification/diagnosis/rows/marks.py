@@ -75,7 +75,7 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
     """Mark moving samples whose friction is not a function of the filtered speed.
 
     This is so where the speed varies by more than its own size, since the shaft slips and nearly
-    sticks within the filter's window. It is also so where the speed varies faster than the filter
+    sticks within the filter's window. The same holds where the speed varies faster than the filter
     resolves, as with a drive that hunts on falling friction at up to 100 Hz: mean friction is not
     friction at the mean speed.
 

@@ -168,13 +168,13 @@ def size_p_value(joint: Joint, only: str = "") -> float:
     """Return the p-value of the hypothesis that the mean-square mismatch is at most `excess`
     times that of the noise.
 
-    It covers all equations, or only the equation named ``only``.
+    The test covers all equations, or only the equation named ``only``.
 
-    It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
-    detected by its size. Rows are clipped at `outlier` times the noise, so that a few
-    outliers do not count as a mismatch; a row counts as half an observation, as neighbours share
-    the filter. If outliers recur in many blocks, as after every reversal with presliding, the
-    number of these blocks is tested.
+    The test needs no candidate: a mismatch that resembles neither an effect nor a smooth function
+    is detected by its size. Rows are clipped at `outlier` times the noise, so that a few outliers
+    do not count as a mismatch; a row counts as half an observation, as neighbours share the filter.
+    If outliers recur in many blocks, as after every reversal with presliding, the number of these
+    blocks is tested.
     """
     chances = []
     for equation in joint.equations:

@@ -258,8 +258,8 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
     """Whether an effect changes the prediction of recordings set aside.
 
-    It does not if its value there is unknown, such as a phase that differs between recordings, or
-    if the parameters that are fitted to these recordings compensate it.
+    An effect does not change it if its value there is unknown, such as a phase that differs between
+    recordings, or if the parameters that are fitted to these recordings compensate it.
     """
     columns = stack.columns(effect.term, effect.shape).values()
     change = judged_rows(stack, left[0] - left[1], names)
