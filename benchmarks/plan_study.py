@@ -193,7 +193,7 @@ def main() -> None:
         "proposed, %",
         "gain",
         "promised",
-        "widest then, %",
+        "widest by the proposal, %",
         "gain of the widest",
         "true inside",
         "errors, %",

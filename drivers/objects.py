@@ -74,8 +74,8 @@ class PdoLayout:
         every: Period of the exchange in cycles.
         slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
             for inputs with slack.
-        mean: Object that is a mean over the cycle, which a transport without SYNC brings to the
-            instant of the position; None where there is none.
+        mean: Object that is a mean over the cycle, which a transport without SYNC interpolates at
+            the instant of the position; None where there is none.
     """
 
     number: int

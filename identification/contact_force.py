@@ -15,9 +15,9 @@ from identification.signals import resample
 def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
-    It is the `load_force` channel if there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq.
-    10 from the `pressure` channel, zero where p_g is below p_c0; otherwise the force of the weight,
-    eq. 17.
+    The force is the `load_force` channel if there is one; in a hot firing (p_g - p_c0) A_s(theta_r)
+    of eq. 10 from the `pressure` channel, zero where p_g is below p_c0; otherwise the force of the
+    weight, eq. 17.
 
     Args:
         recording: The recording.

@@ -118,7 +118,7 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def finer_joint(recording: Recording) -> bool:
-    """Whether the joint encoder was recorded and is finer than the motor's at the joint."""
+    """Whether the joint encoder was recorded and is finer than the motor encoder at the joint."""
     joint, motor = (recording.channels.get(name) for name in ("angle", "motor_angle"))
     if joint is None or motor is None:
         return joint is not None
@@ -129,8 +129,8 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque
     constant).
 
-    It comes from the torque channel, else from the current, else from the voltage: I = (U - Ke
-    omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
+    The torque comes from the torque channel, else from the current, else from the voltage: I = (U -
+    Ke omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
     ending at its time is shifted by half a period.
 
     Raises:
@@ -370,8 +370,8 @@ def _unresolved(velocity: Array, rate: float) -> BoolArray:
     """Mark samples where three-point and seven-point differences disagree: the rate does not
     resolve the motion there.
 
-    Used on exact channels, where nothing is filtered: near breakaway and stop the speed changes
-    within microseconds.
+    This test is used for exact channels, which are not filtered: near breakaway and stop their
+    speed changes within microseconds.
     """
     fine = derivative(velocity, 1.0 / rate)
     steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))

@@ -220,8 +220,8 @@ class Recording:
         """Check shapes, names and time.
 
         Raises:
-            RecordingError: A channel is unknown, its length differs from the time's, or time does
-                not increase.
+            RecordingError: A channel is unknown, its length differs from that of the time, or time
+                does not increase.
         """
         if "time" not in self.channels:
             raise RecordingError(f"{self.name}: no channel 'time'")

@@ -10,7 +10,7 @@ _INTRO = """\
 # Makers' drives
 
 Facts on drives where they differ from CiA 402, as far as their makers publish them. The facts are
-in `drivers/canopen/devices/*.yaml`. They apply to a drive whose EDS file states the vendor
+in `drivers/canopen/devices/*.yaml`. The data apply to a drive whose EDS file states the vendor
 (1018h:01h) and, where a vendor has several families, the objects of the third column. Keys under
 `servo` in the bench file have priority; `servo.device: none` switches the data off, and a name of
 the first column selects the data of another drive.

@@ -43,7 +43,7 @@ def hexadecimal(identifier: int) -> str:
 
 
 class FramePort(Protocol):
-    """An open bus. Its methods raise nothing but OSError, also after :meth:`shutdown`."""
+    """An open bus. The methods of a port raise nothing but OSError, also after :meth:`shutdown`."""
 
     def transmit(self, identifier: int, data: bytes) -> None:
         """Send a frame; the flags of the identifier choose its format as in :class:`RawFrame`.

@@ -21,9 +21,9 @@ _START_S: Final = 2.0
 class SlcanPort:
     """A CAN adapter that speaks the LAWICEL protocol; a :class:`~drivers.can.port.FramePort`.
 
-    It replaces python-can's ``slcan``, which has three defects: a write to a blocked line never
-    returns, a read without data takes a millisecond, and a byte outside ASCII stops all further
-    reading.
+    This port replaces python-can's ``slcan``, which has three defects: a write to a blocked line
+    never returns, a read without data takes a millisecond, and a byte outside ASCII stops all
+    further reading.
 
     A garbled line is dropped and counted, and later frames are read. This is safer than an error:
     one frame is lost, which the link treats as any other lost frame (stale sample, no answer, no

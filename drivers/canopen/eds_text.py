@@ -56,7 +56,8 @@ def sections(text: str) -> Mapping[str, Section]:
     """Return the sections by their names in upper case; lines that belong to no section are
     skipped.
 
-    They are kept, because a program that connects repeatedly reads the same few files each time.
+    The sections are kept, because a program that connects repeatedly reads the same few files each
+    time.
     """
     found: dict[str, Section] = {}
     current: Section | None = None

@@ -375,8 +375,8 @@ class ProfilePosition(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the set-point. It is announced as new in every other exchange, after the drive has
-        accepted the last one.
+        """Stage the set-point. The set-point is announced as new in every other exchange, after the
+        drive has accepted the last one.
         """
         if word == cia402.ENABLE_OPERATION:
             if channel.cycle != self._staged_in:

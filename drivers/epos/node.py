@@ -77,10 +77,10 @@ class EposSerialNode(ObjectAccess):
     are read in turn, one per cycle, the slower ones in every other turn. The time stamp 1013h is
     not read; the host's time of the cycle's first request replaces it.
 
-    The position is read one object before the current, so the current's mean ends too late. It is
-    replaced by the mean that ends with the position, assuming a constant current within a cycle.
-    The position is used as read; its delay after the time stamp is the same in every cycle, except
-    for doubled bytes.
+    The position is read one object before the current, so the current's mean ends too late. The
+    mean of the current is replaced by the mean that ends with the position, assuming a constant
+    current within a cycle. The position is used as read; its delay after the time stamp is the same
+    in every cycle, except for doubled bytes.
 
     Attributes:
         node_id: 1 to 127.

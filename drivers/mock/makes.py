@@ -3,7 +3,8 @@ and those that they have instead, in their units.
 
 A simulated drive that is given such a description shows only its objects. The lists are those of
 files of the makers, shortened to what a servo uses; those of Nanotec, Copley and Technosoft follow
-their manuals. They are written apart from the drivers' data on makes, so that one tests the other.
+their manuals. The lists are written apart from the drivers' data on makes, so that one tests the
+other.
 """
 
 from __future__ import annotations
@@ -114,8 +115,8 @@ _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file of a make: the simulated drive's without what it lacks, and
-    with what it has besides.
+    """Return the text of the EDS file of a make: that of the simulated drive, without the objects
+    that the make lacks, and with its additional objects.
     """
     traits = MAKES[make]
     kept, keep = [], True

@@ -56,7 +56,7 @@ def signals(
         supply: Supply voltage, V.
         known: Torque of a weight that turns with the joint, less its inertia torque, N m.
         known_inertia: Inertia of that weight about the joint, kg m^2.
-        run_start: Time from the first recording's start to this one's, s.
+        run_start: Time from the start of the first recording to the start of this one, s.
         number: Number of the recording, from 1.
     """
     one = np.ones(len(time))

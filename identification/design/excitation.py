@@ -40,8 +40,8 @@ class Excitation:
     def fade(self) -> float:
         """Time in which a proposal's sines fade in and out, s.
 
-        It is short because the joint creeps or nearly stops during a fade, where the filter may
-        diverge.
+        The time is short because the joint creeps or nearly stops during a fade, where the filter
+        may diverge.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
         longest = min(1.0, _LONGEST_RAMP * self.seconds)

@@ -62,8 +62,8 @@ class Information:
         """Return the effective information for an estimate whose error weights the scores by
         ``weights``, shape (9,).
 
-        It is reduced by the ratio of the scores' observed scatter to their scatter in the noise
-        model, if that exceeds one.
+        The information is reduced by the ratio of the scores' observed scatter to their scatter in
+        the noise model, if that exceeds one.
         """
         ratio = float(weights @ self.scatter @ weights) / max(
             float(weights @ self.power @ weights), 1e-300
@@ -96,9 +96,9 @@ class Intervals:
 def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> Information:
     """Return the information of one stage, from simulated runs that are replicates of one another.
 
-    It is :data:`NOTHING` where a run has too few breakaways or the filter does not follow it. It is
-    relative to the values, so that the matrices are well scaled; static limits take the place of
-    the rises.
+    The information is :data:`NOTHING` where a run has too few breakaways or the filter does not
+    follow it. The information is relative to the values, so that the matrices are well scaled;
+    static limits take the place of the rises.
 
     Args:
         stage: Command and weight of the stage.

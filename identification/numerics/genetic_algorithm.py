@@ -74,7 +74,7 @@ class GeneticAlgorithm:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
         rng: Source of all randomness.
-        settings: Population, operators and number of generations; None for the paper's.
+        settings: Population, operators and number of generations; None for those of the paper.
 
     Raises:
         ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.

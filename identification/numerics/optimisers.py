@@ -1,8 +1,8 @@
 """General optimisers over the unit cube, all with one interface, for the comparison of methods.
 
-Each optimiser may use :data:`BUDGET` evaluations, and may stop earlier by its own rule. Its start
-points do not depend on the solution. It uses the costs or residuals of the problem and nothing
-else.
+Each optimiser may use :data:`BUDGET` evaluations, and may stop earlier by its own rule. The start
+points of an optimiser do not depend on the solution. An optimiser uses the costs or residuals of
+the problem and nothing else.
 """
 
 from __future__ import annotations

@@ -76,7 +76,9 @@ def pooled(parts: Iterable[Sums]) -> Sums:
 
 
 def compare(prepared: Prepared, response: Response) -> Sums:
-    """Return the sums of squared errors of a response; both torques pass the recording's filter.
+    """Return the sums of squared errors of a simulated response against its recording.
+
+    Simulated and measured torque are filtered to the same bandwidth before they are compared.
 
     Raises:
         RecordingError: The recording has no angle.

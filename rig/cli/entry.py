@@ -138,7 +138,7 @@ class LazyGroup(click.Group):
             raise _HiddenError(error) from error
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """List the subcommands from the table, importing none."""
+        """List the subcommands of :data:`COMMANDS` without an import of their modules."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
 

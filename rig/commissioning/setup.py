@@ -27,7 +27,7 @@ from rig.wiring.drive_limits import require_within_own, require_written
 from rig.wiring.teardown import SafeState, give_back, make_safe
 
 FASTEST_DEG_S: Final = 12.0
-"""Default limit on the joint speed, deg/s; at most a quarter of the bench's."""
+"""Default limit on the joint speed, deg/s; at most a quarter of the limit of the bench."""
 SPEED_SHARE: Final = 0.25
 TORQUE_SHARE: Final = 0.6
 """Share of the bench's torque and current limits that a commissioning uses."""

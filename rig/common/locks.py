@@ -1,9 +1,9 @@
 """Advisory locks, with the name of their holder, for exclusive use of benches and run folders.
 
-A lock is an ``flock`` of the operating system. It ends when the last process that has the file open
-ends, however that happens; a suspended process keeps it, and so does a child that inherits the
-descriptor. The content of the file names the holder. It is used only for messages, so that damaged
-content does no harm.
+A lock is an ``flock`` of the operating system. The lock ends when the last process that has the
+file open ends, however that happens; a suspended process keeps it, and so does a child that
+inherits the descriptor. The content of the file names the holder. The content is used only for
+messages, so that damaged content does no harm.
 
 The lock files of benches remain, empty while not held. The file in a run folder is removed by its
 holder; a process that locks it then checks that the name still refers to the same file.

@@ -113,8 +113,8 @@ class StageSection(Schema):
             return self
         if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
             raise ValueError(
-                f"{' and '.join(sorted(given))} fade tones in and out; a ramp has none: leave it "
-                f"out"
+                f"{' and '.join(sorted(given))} fade tones in and out, and a ramp has no tones: "
+                f"leave {'it' if len(given) == 1 else 'them'} out"
             )
         if self.ramp.moving_s > self.duration_s:
             raise ValueError(

@@ -1,7 +1,8 @@
 """Pages that are made of recorded runs when they are asked for: comparisons and trends.
 
-`rig runs compare` and `rig runs trend` make them, in a process of their own with a low priority: a
-page is the same as from the command line, and neither the loop of a run nor STOP waits for it.
+`rig runs compare` and `rig runs trend` make the pages, in a process of their own with a low
+priority: a page is the same as from the command line, and neither the loop of a run nor STOP waits
+for it.
 """
 
 from __future__ import annotations

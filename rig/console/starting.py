@@ -124,7 +124,7 @@ class Starter:
             what the terminal shows; ``status``, the exit status; ``real`` and ``bench``.
 
         Raises:
-            StartError: The bench is not one of this console's, or the dry run takes too long.
+            StartError: The bench is not a bench of this console, or the dry run takes too long.
         """
         if wish.bench not in self.benches:
             raise StartError(

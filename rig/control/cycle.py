@@ -263,7 +263,7 @@ class Cycle:
         """Run one cycle without a command, while the drive moves by itself; return its sample.
 
         Args:
-            limits: What the sample is held against; the latch has no part in it.
+            limits: Limits that the sample is compared with, without the latch.
 
         Raises:
             TripError: The sample is outside a limit.

@@ -69,7 +69,8 @@ def observed(devices: Devices, control: ControlSocket | None, progress: RunProgr
 def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
     """Return the description of a run for a program that attaches to it, as JSON values.
 
-    The planned masses are not in it: the operator is to type what the scales show.
+    The description does not contain the planned masses, because the operator must type the mass
+    that the scales show.
     """
     bench = inputs.bench.value
     return {

@@ -301,7 +301,7 @@ def fault_injector(
     """
     schedule = load_faults(path)
     if not bench.value.simulated:
-        text = "faults can only be brought about on a simulated bench; set bus.interface to mock"
+        text = "faults can only be injected on a simulated bench; set bus.interface to mock"
         raise InputError(bench.problem(("bus", "interface"), text))
     schedule.require(
         (("rows", number), why)

@@ -100,12 +100,12 @@ def aligned(
         return {
             **channels,
             "angle": np.interp(time, taken[new], angle[new]),
-        }, f"{words}; brought onto the drive's time"
+        }, f"{words}; interpolated at the drive's time stamps"
     instants, counted, filled = _without_holes(taken[new], angle[new])
     inside = (instants >= time[0]) & (instants <= time[-1])
     instants, counted = instants[inside], counted[inside]
     out = {name: _at(instants, time, values, name in averaged) for name, values in channels.items()}
-    words += "; the drive's samples brought onto the encoder's time"
+    words += "; the drive's samples interpolated at the encoder's time stamps"
     if filled:
         words += f", {filled} angles interpolated that were overwritten before they were read"
     return {**out, "time": instants, "angle": counted}, words

@@ -35,7 +35,7 @@ class Recorder:
 
     Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
-    They never decrease: messages from a clock that was set back get the latest time before it.
+    Log times never decrease: messages from a clock that was set back get the latest time before it.
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.

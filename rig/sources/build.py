@@ -270,7 +270,7 @@ def _apart(name: str, channels: dict[str, Array]) -> str:
         if other != name and not np.any(known & np.isfinite(values)):
             return (
                 f"; it has no row in common with `{other}`: the two channels belong to "
-                "different topics, so bring both to one time base first"
+                "different topics; interpolate both at the time stamps of one of them first"
             )
     return ""
 

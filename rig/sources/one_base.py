@@ -97,13 +97,14 @@ def _interpolated(
         if not np.all(np.isfinite(one.stamps)) or np.any(steps < 0):
             row = int(np.argmax(~(steps >= 0))) + 1
             raise StampsError(
-                f"the stamps of {one.name} run backwards or are missing at its row {row + 1}, so "
-                f"that other time bases cannot be brought to it; use columns of one time base"
+                f"the time stamps of {one.name} run backwards or are missing at its row {row + 1}, "
+                f"so that columns cannot be interpolated between time bases; use columns of one "
+                f"time base"
             )
     if len(stamps) < 2:
         raise StampsError(
-            f"`{name}` has {len(stamps)} samples in {base.name}; two are needed to bring it to "
-            f"the stamps of {wanted.name}"
+            f"`{name}` has {len(stamps)} samples in {base.name}; at least two are needed to "
+            f"interpolate it at the time stamps of {wanted.name}"
         )
     first = np.concatenate(([True], np.diff(stamps) > 0))
     stamps, samples = stamps[first], samples[first]

@@ -31,7 +31,7 @@ class ShareBar:
         self._bar.close()
 
     def __call__(self, what: str, share: float) -> None:
-        """Show ``what`` at ``share`` (0 to 1) of it."""
+        """Show the work ``what`` and the share of it that is done, 0 to 1."""
         if self._bar.disable:
             return
         now = time.monotonic()

@@ -1,9 +1,9 @@
 """The control socket of a run: where `rig console` reads the run's state and sends commands.
 
-The run owns it, in a folder that only its user can enter. Datagrams wait in the operating system,
-which bounds their number, until the control loop takes them between two cycles; a sender that is
-too fast, frozen or gone does not hold the loop up, and an answer that its receiver does not take is
-dropped. No thread is used.
+The run creates the socket in a folder that only the user of the run can enter. Datagrams wait in
+the operating system, which bounds their number, until the control loop takes them between two
+cycles; a sender that is too fast, frozen or gone does not hold the loop up, and an answer that its
+receiver does not take is dropped. No thread is used.
 """
 
 from __future__ import annotations

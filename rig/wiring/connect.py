@@ -272,7 +272,7 @@ def _simulated_dbc(
     """Return the simulated bench of a DBC drive, and the host's clock.
 
     Raises:
-        InputError: Faults are to be injected into a drive that brings none about.
+        InputError: Faults are to be injected into a simulated drive that cannot show any.
     """
     encoder = document.value.encoder
     assert isinstance(encoder, EncoderSection)

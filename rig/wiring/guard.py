@@ -123,8 +123,8 @@ class Guard:
             self._taken = True
             words = self._await_report(_TAKEOVER_S)
             raise LinkError(
-                f"the control loop did not run for {silent_ns / NS:.2f} s, and the guardian "
-                f"stopped: {words}"
+                f"the control loop did not run for {silent_ns / NS:.2f} s, so that the guardian "
+                f"stopped the drive: {words}"
             )
         self._fed_ns = now
         self._write(b"\n")

@@ -1,18 +1,18 @@
 """The guardian: a process that de-energises a drive without a watchdog if its program dies or
 hangs.
 
-It is started with the open port before the drive is enabled. JSON lines on its standard input state
-how to reach the drive, where to write its report, and whether the drive is under power (``armed``).
-While armed, every line, even an empty one, is a sign of life of the control loop. It acts in two
-cases:
+The guardian is started with the open port before the drive is enabled. JSON lines on its standard
+input state how to reach the drive, where to write its report, and whether the drive is under power
+(``armed``). While armed, every line, even an empty one, is a sign of life of the control loop. The
+guardian acts in two cases:
 
 - the input ends while the drive is armed: the other program is gone;
-- no line comes for ``limit_s``: the other program hangs, or was suspended. It first writes ``took
-  over`` to the standard output, so that the other program, should it wake, does not use the port;
-  then a line that reports what was done.
+- no line comes for ``limit_s``: the other program hangs, or was suspended. The guardian first
+  writes ``took over`` to the standard output, so that the other program, should it wake, does not
+  use the port; then a line that reports what was done.
 
-It brakes the drive, takes the power off, reads 6041h back, and writes its report next to the
-recording. Its own output never blocks it.
+Then the guardian brakes the drive, takes the power off, reads 6041h back, and writes its report
+next to the recording. Its own output never blocks it.
 """
 
 from __future__ import annotations

@@ -158,7 +158,8 @@ def tidy(text: str, columns: int) -> Iterator[str]:
         if len(line) > columns and STATUS_LINE.search(line):
             yield f"a status line of {len(line)} characters on {columns} columns: {line[:100]!r}"
         # What the shell writes after the end stands behind the ^C that its terminal has echoed.
-        line = re.sub(r"^(\^C)+(?=status \d)", "", line).replace("the guardian stopped: ", "")
+        line = re.sub(r"^(\^C)+(?=status \d)", "", line)
+        line = line.replace("the guardian stopped the drive: ", "")
         for start in STARTS:
             for found in re.finditer(start, line):
                 if line[: found.start()].strip() not in ("", "warning:", "^C"):

@@ -73,7 +73,7 @@ def test_the_finer_motor_encoder_keeps_the_drives_time() -> None:
         "motor_angle": np.floor(1e5 * np.sin(rows)) * 1e-3,
     }
     found, words = aligned(channels, stamps, MEANS, 100.0)
-    assert "brought onto the drive's time" in words
+    assert "interpolated at the drive's time stamps" in words
     assert found["motor_angle"] is channels["motor_angle"]
     assert np.max(np.abs(found["angle"] - np.sin(rows))[1:-1]) < 5e-5
     assert np.max(np.abs(channels["angle"] - np.sin(rows))) > 7e-4

@@ -283,7 +283,7 @@ def test_refined_values_take_the_place_of_the_search_s(
     assert record["parameters"]["mu_s"] == 0.053
     assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
     assert record["warnings"][-2:] == [
-        "refined: hm",
+        "nominal parameters fitted again: hm",
         "mu_s is not determined by these recordings; the corrected model sets it equal to mu_c",
     ]
 
@@ -374,7 +374,7 @@ def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
         == 0
     )
     record = json.loads(file.read_text())
-    assert "not refined: no motion" in record["warnings"]
+    assert "the nominal parameters were not fitted again: no motion" in record["warnings"]
     assert record["parameters"]["Mc"] == PLAIN.parameters["Mc"]
 
 

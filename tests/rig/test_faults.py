@@ -276,7 +276,7 @@ def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str
         str(path),
     ]
     assert status(arguments) == 2
-    assert "only be brought about on a simulated bench" in capsys.readouterr().err
+    assert "only be injected on a simulated bench" in capsys.readouterr().err
 
 
 def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -235,7 +235,7 @@ def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(
     with pytest.raises(LinkError) as caught:
         guard.feed()
     assert str(caught.value) == (
-        "the control loop did not run for 2.00 s, and the guardian stopped: "
+        "the control loop did not run for 2.00 s, so that the guardian stopped the drive: "
         "the drive is de-energised (read back: switch on disabled)"
     )
     guard.feed()
@@ -284,7 +284,7 @@ def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(
             time.wait(0.5)
 
     time.meanwhile = speak
-    with pytest.raises(LinkError, match="and the guardian stopped: the drive is \ufffd off"):
+    with pytest.raises(LinkError, match="the guardian stopped the drive: the drive is \ufffd off"):
         guard.feed()
     assert time.waits == [0.0, 3.0, 2.5, 2.0]
 

@@ -28,7 +28,7 @@ _LEAST_GAIN: Final = 1
 
 
 class MitMotor(CanDrive):
-    """The motor. It sends nothing until it receives a frame."""
+    """The motor. The motor sends nothing until it receives a frame."""
 
     lost_code: ClassVar[int] = COMMUNICATION_LOST
 

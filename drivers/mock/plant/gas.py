@@ -114,7 +114,8 @@ def solve_stage(
     guess: float,
     g: Vector,
 ) -> tuple[float, float]:
-    """Solve an implicit stage: from ``mass`` and ``volume``, ``h`` s at the rates at its end.
+    """Solve an implicit stage: a step of ``h`` s from ``mass`` and ``volume``, with the rates at
+    the end of the step.
 
     (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no term h q on the
     left. The difference of both sides is convex in p and negative at 0, so that it has one positive

@@ -21,7 +21,7 @@ class LawicelAdapter:
     :class:`~drivers.mock.wires.serial_line.Station`.
 
     The adapter handles only data frames with 11-bit identifiers, which the simulated devices use.
-    It does not answer settings, because hosts do not wait for an answer.
+    The adapter does not answer settings, because hosts do not wait for an answer.
 
     Args:
         bus: The bus on the other side of the adapter; the adapter is the host of the bus.

@@ -23,8 +23,8 @@ class Quantity:
 class Entry:
     """One row of the catalogue, in words.
 
-    Its computation is in :mod:`identification.diagnosis.terms`, for the gas generator in
-    :mod:`identification.diagnosis.gas.terms`.
+    The computation of an effect is in :mod:`identification.diagnosis.terms`, for the gas generator
+    in :mod:`identification.diagnosis.gas.terms`.
 
     Attributes:
         name: Stable name.

@@ -1,4 +1,6 @@
-"""Evaluates the nominal model at given values of its parameters, without a fit."""
+"""Evaluates the nominal model at given values of its parameters, such as those of ``rig identify``,
+in the form of a fit.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,14 @@ from identification.recording import Array
 
 
 def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[str, float]) -> Joint:
-    """Return the nominal model at given values.
+    """Return the nominal model at given values of its parameters, with the residual of every
+    equation.
 
     Args:
         views: The fitted recordings.
         unit: Unit of the torque.
-        like: A fit of the nominal model to the same recordings, whose noise and blocks are used.
+        like: A fit of the nominal model to the same recordings; its noise and its blocks of rows
+            are used.
         values: Name to value; the other nominal parameters keep their fitted values.
     """
     known = {n: v for n, v in values.items() if n in like.nominal.values}
@@ -31,10 +35,10 @@ def nominal_at(views: Sequence[View], unit: str, like: Joint, values: Mapping[st
 
 
 def _remaining(equation: Equation, given: Sequence[str]) -> Array:
-    """Return an equation's residual with its remaining parameters refitted.
+    """Return an equation's residual after a linear fit of its parameters that are not given.
 
-    In the torque equation the given values are held; the rotor's share of the inertia is refitted.
-    All parameters of the other equations are refitted: they are constants of their own.
+    In the torque equation only the rotor's share of the inertia is fitted. In every other equation
+    all parameters are fitted, because they are not parameters of the torque equation.
     """
     held = given if equation.name == "torque" else ()
     other = equation.tangent[:, [name not in held for name in equation.names]]

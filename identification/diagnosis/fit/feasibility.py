@@ -21,7 +21,7 @@ from identification.recording import Array
 def predicted_and_attained(
     stack: Stack, effects: Sequence[Added], residual: Array
 ) -> tuple[float, float]:
-    """Return the predicted and the attained mean-square torque mismatch, over the noise's.
+    """Return the predicted and the attained mean-square torque mismatch, over that of the noise.
 
     Args:
         stack: Stack at the nominal values at the end of the fit.
@@ -43,8 +43,8 @@ def predicted_and_attained(
 
 
 def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
-    """Return the mean-square torque mismatch, over the noise's, of a fit that holds the rises of
-    static over Coulomb friction.
+    """Return the mean-square torque mismatch, over that of the noise, of a fit that holds the rises
+    of static over Coulomb friction.
 
     All other parameters in which the torque is linear are free. The friction of real machines at
     the slowest speeds may require impossible rises, of which the identified effects are not the

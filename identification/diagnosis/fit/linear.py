@@ -163,8 +163,8 @@ def _step_with_following(
     """Return the step of :func:`_nominal_step` for effects whose regressors depend on the nominal
     values.
 
-    Their coefficients change with the step: a ripple relative to a larger current needs a smaller
-    coefficient.
+    The coefficients of such effects change with the step: a ripple relative to a larger current
+    needs a smaller coefficient.
     """
     nominal, step = stack.nominal, np.zeros(len(stack.nominal.free))
     equation = next(e for e in stack.equations if e.name == "torque")

@@ -123,7 +123,7 @@ def _trial_stribeck_speeds(here: Sequence[View]) -> list[float]:
 
 
 def _mean_square(joint: Joint) -> float:
-    """Return the mean-square torque mismatch over the noise's; 0 without torque rows."""
+    """Return the mean-square torque mismatch over that of the noise; 0 without torque rows."""
     rows = joint.residual[joint.stack.part("torque")]
     return float(np.mean(rows**2)) if len(rows) else 0.0
 

@@ -105,7 +105,8 @@ def infeasible_as_fitted(joint: Joint) -> bool:
 def within_limits(views: Sequence[View], unit: str, joint: Joint) -> Joint:
     """Return a fit with its nominal parameters and coefficients refined within their limits.
 
-    Its residual is that of the refined values, not the residual that a linear step predicts.
+    The residual of this fit is that of the refined values, not the residual that a linear step
+    predicts.
 
     Args:
         views: Recordings that were fitted.

@@ -24,7 +24,7 @@ _TURN, _SIZE = math.radians(0.05), 2.5e-5
 """Steps of numerical derivatives, rad and m; about the error of valve and encoder."""
 _SPREAD_PER_MAD = 1.4826
 _THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over the noise's."""
+"""Standard deviation of third differences of white noise, over that of the noise."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ def _burn(recording: Recording, index: int) -> Burn:
     lowest = float(np.min(pressure))
     if not lowest > 0.0:
         raise RecordingError(
-            f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and "
-            f"only while it burns"
+            f"{recording.name}: pressure falls to {lowest:g} Pa; state the absolute pressure, in "
+            f"Pa, and only the time in which the gas generator burns"
         )
     measured = recording.channels["angle"]
     areas, shifts = (

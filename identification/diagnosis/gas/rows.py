@@ -58,7 +58,8 @@ COORDINATES = (
 def stack_of(
     burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None
 ) -> Stack:
-    """Return the stack of a fit's mismatch with everything fitted projected out.
+    """Return the stack of the mismatch of a fit, with the tangent of all fitted parameters
+    projected out.
 
     The rows of the recordings are followed by one row for each prior, in a separate block: so an
     effect is absorbed only as far as the tolerances allow.

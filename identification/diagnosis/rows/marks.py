@@ -31,7 +31,7 @@ BEYOND_FILTER = 3.0
 distinguished from motion just above the cut-off.
 """
 THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise, over the noise's."""
+"""Standard deviation of third differences of white noise, over that of the noise."""
 LEAST_REST_S = 0.02
 """Least duration of a rest; shorter ones are not distinguished from a slow passage through zero."""
 
@@ -75,7 +75,7 @@ def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolA
     """Mark moving samples whose friction is not a function of the filtered speed.
 
     This is so where the speed varies by more than its own size, since the shaft slips and nearly
-    sticks within the filter's window. It is also so where the speed varies faster than the filter
+    sticks within the filter's window. The same holds where the speed varies faster than the filter
     resolves, as with a drive that hunts on falling friction at up to 100 Hz: mean friction is not
     friction at the mean speed.
 
@@ -109,7 +109,7 @@ def _swing(series: Array, reach: int) -> Array:
 
 
 def reversals(sense: Array) -> BoolArray:
-    """Mark samples whose direction differs from the previous sample's."""
+    """Mark samples whose direction differs from that of the previous sample."""
     return np.concatenate(([False], sense[1:] != sense[:-1]))
 
 

@@ -1,7 +1,7 @@
 """Computes the nominal model at the full rate, for regressors and joint refits: torque, friction
 level and tangent.
 
-It uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
+The model uses the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
 """
 
 from __future__ import annotations
@@ -122,8 +122,8 @@ class Nominal:
         """Return the magnitude of the load torque that turns with the joint and loads the gear, N
         m.
 
-        It excludes the weight's inertia torque, which does not load the gear in eq. 9, in the
-        friction ladder or on the bench.
+        The load torque excludes the weight's inertia torque, which does not load the gear in eq. 9,
+        in the friction ladder or on the bench.
         """
         return _borne(view, self.undeclared)
 

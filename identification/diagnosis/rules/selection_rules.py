@@ -17,12 +17,12 @@ class SelectionRules:
         level: Significance level of the tests whether anything is missing, or anything more. Basis:
             alarms at most 1 %; sign flips within blocks of time give the level by construction
             (D4, D5).
-        tested_from: Ratio of an equation's mean-square mismatch to the noise's, from which it is
-            tested. Basis: some hundred independent rows give the noise's mean square to about a
+        tested_from: Ratio of an equation's mean-square mismatch to that of the noise, from which it
+            is tested. Basis: some hundred independent rows give the noise's mean square to about a
             tenth (decisions 36, 43).
-        excess: Ratio of the mean-square mismatch to the noise's, up to which an underestimated
-            noise may be the cause, and below which a mismatch counts as explained. Basis: chosen on
-            development trials: the noise is estimated above the bandwidth.
+        excess: Ratio of the mean-square mismatch to that of the noise, up to which an
+            underestimated noise may be the cause, and below which a mismatch counts as explained.
+            Basis: chosen on development trials: the noise is estimated above the bandwidth.
         accuracy: Share of the greatest torque or voltage within which a mismatch may be an error of
             its sensor. Basis: current sensors and converters of drives are linear to 0.1 to 1 %;
             this is a fifth of the best.
@@ -48,7 +48,8 @@ class SelectionRules:
         rival_share: Least score of a finalist, over the best score. Basis: a joint fit raises a
             score by at most `gain_ratio`.
         gain_ratio: Greatest ratio of the gain in a joint fit to the gain predicted by an effect's
-            regressors. Basis: chosen: a larger gain comes from other parameters than the effect's.
+            regressors. Basis: chosen: a larger gain comes from parameters other than those of the
+            effect.
         most_effects: Greatest number of effects that are identified together. Basis: one more than
             the proofs inject.
         rejected: Standard errors by which a rival must be worse to be rejected, and by which an
@@ -100,7 +101,7 @@ class SelectionRules:
             outside its plausible range. Basis: the one-sided 5 % of `rejected`.
         own_coordinate: Ratio of the share of an effect's own coordinate to the best share, from
             which the own one is reported. Basis: chosen on development trials.
-        recording: Ratio of a recording's mean-square mismatch to the noise's, from which the
+        recording: Ratio of a recording's mean-square mismatch to that of the noise, from which the
             mismatch is present in it. Basis: equal to `excess_of_one`.
         alike: Share of an effect's regressor that another explains, from which the two are
             indistinguishable. Basis: the definition of an alias group.

@@ -1,8 +1,8 @@
 """Computes which effects recordings can show, at which least size, and which they cannot
 distinguish.
 
-It is computed from excitation, channels and noise: from the regressors of the effects, with the
-nominal model's tangent projected out. The mismatch is not used.
+The answer is computed from excitation, channels and noise: from the regressors of the effects, with
+the nominal model's tangent projected out. The mismatch is not used.
 """
 
 from __future__ import annotations

@@ -115,7 +115,7 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
 
 def _over_two(score: Array, variance: Array) -> Array:
     """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
-    trial shapes are waves, with two coefficients.
+    trial parameters are waves, with two coefficients.
     """
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T
@@ -166,15 +166,15 @@ def level(equation: Equation) -> float:
 
 def size_p_value(joint: Joint, only: str = "") -> float:
     """Return the p-value of the hypothesis that the mean-square mismatch is at most `excess`
-    times the noise's.
+    times that of the noise.
 
-    It covers all equations, or only the equation named ``only``.
+    The test covers all equations, or only the equation named ``only``.
 
-    It needs no candidate: a mismatch that resembles neither an effect nor a smooth function is
-    detected by its size. Rows are clipped at `outlier` times the noise, so that a few
-    outliers do not count as a mismatch; a row counts as half an observation, as neighbours share
-    the filter. If outliers recur in many blocks, as after every reversal with presliding, the
-    number of these blocks is tested.
+    The test needs no candidate: a mismatch that resembles neither an effect nor a smooth function
+    is detected by its size. Rows are clipped at `outlier` times the noise, so that a few outliers
+    do not count as a mismatch; a row counts as half an observation, as neighbours share the filter.
+    If outliers recur in many blocks, as after every reversal with presliding, the number of these
+    blocks is tested.
     """
     chances = []
     for equation in joint.equations:
@@ -193,8 +193,8 @@ def size_p_value(joint: Joint, only: str = "") -> float:
 
 
 def _beyond(powers: Array, limit: float) -> float:
-    """Return the probability of at least this mean square if the noise's were ``limit``; 1 without
-    rows.
+    """Return the probability of at least this mean square if that of the noise were ``limit``; 1
+    without rows.
     """
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0

@@ -1,10 +1,10 @@
 """Baseline methods for comparison with the diagnosis: greedy selection by BIC, and sparse
 regression, on the nominal model's mismatch.
 
-Both use the same data as the search: the same equations, whitened rows with the nominal tangent
-projected out, and the same regressors at the same trial parameters, with the physical signs of
-their coefficients. They lack the search's block-wise tests, joint refits of the nonlinear
-parameters, test of adequacy, and rivals.
+Both methods use the same data as the search: the same equations, whitened rows with the nominal
+tangent projected out, and the same regressors at the same trial parameters, with the physical signs
+of their coefficients. The baseline methods lack the search's block-wise tests, joint refits of the
+nonlinear parameters, test of adequacy, and rivals.
 
 Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
 461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
@@ -176,8 +176,8 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
 def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
     """Return the sum of squares that each group explains.
 
-    It is 0 if the group is collinear with the selected groups, or a coefficient has an unphysical
-    sign.
+    The sum is 0 if the group is collinear with the selected groups, or a coefficient has an
+    unphysical sign.
     """
     gains = np.zeros(len(groups))
     widths = np.array([g.columns.stop - g.columns.start for g in groups])

@@ -57,9 +57,10 @@ def validated_effects(
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
-    The effect with the least reduction is dropped first, and the others are fitted again without
-    it. The first of its open rivals that reduces the error significantly takes its place. Then
-    an effect beside another one is dropped if the interval of its size holds zero.
+    The effect that reduces the error least is dropped first, and the other effects are fitted again
+    without it. Of its rivals, the first that reduces the error significantly replaces it. Then an
+    effect beside another one is dropped if the interval of its size holds zero. Finally, the
+    recordings set aside decide between each remaining effect and its rivals.
 
     Args:
         found: The search.
@@ -151,11 +152,11 @@ def _unseen_share(case: _Case, joint: Joint) -> float | None:
 def _with_rivals_judged(
     case: _Case, joint: Joint, taken: Round, steps: list[Step]
 ) -> tuple[Joint, Round]:
-    """Return fit and round of an effect whose rivals are also judged by recordings set aside, where
-    these are decisive.
+    """Return fit and round of an effect after a comparison with its rivals by the errors on the
+    recordings set aside.
 
-    A rival that the fit does not reject, and whose error is significantly smaller there, takes the
-    effect's place.
+    A rival with a significantly larger error is rejected. A rival that the fit does not reject
+    replaces the effect if its error is significantly smaller.
     """
     seen = _seen_aside(case, joint, taken.name)
     if seen is None:
@@ -191,8 +192,10 @@ def _with_rivals_judged(
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array:
-    """Return the residual of another fit over the noise of ``joint``, which may differ
-    (:func:`with_lower_noise`).
+    """Return the residual of another fit in units of the noise of ``joint``.
+
+    The noises of the two fits differ if one of them was estimated again
+    (:func:`identification.diagnosis.fit.noise.with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
     stack, out = seen[0], seen[1].copy()
@@ -247,10 +250,11 @@ def _step(
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
-    change = "less" if worth >= 0.0 else "larger"
-    note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
+    change = "smaller" if worth >= 0.0 else "larger"
+    note = f"on {judges} it makes the error {change} by {abs(worth):.1f} standard errors"
     if action == DROPPED:
-        note += f"; it must be less by at least {RULES.rejected:.2f} standard errors"
+        least = f"{RULES.rejected:.2f} standard errors"
+        note += f", and an identified effect must reduce it by at least {least}"
     return Step(action, name, None, gain, note)
 
 
@@ -276,11 +280,11 @@ def _fit_without(case: _Case, joint: Joint, effect: Added) -> Joint:
 
 
 def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -> float:
-    """Return by how many standard errors, over blocks of time, an effect reduces the error in the
-    equations by which it is judged.
+    """Return by how many standard errors an effect reduces the error in the equations by which it
+    is judged; the standard error is computed from blocks of time.
     """
     names = judging_equations(joint, effect.term)
-    # An unknown start gives a fit freedom on these recordings; both fits get the same.
+    # An unknown initial state is fitted to these recordings too, in the same way for both fits.
     unseen = [
         found
         for j, starts in ((joint, ()), (without, (effect,)))
@@ -302,10 +306,10 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
 
 
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
-    """Whether an effect changes the prediction of recordings.
+    """Whether an effect changes the prediction of recordings set aside.
 
-    It may be unknown there, as a phase that each recording has to itself, and the constants fitted
-    to these recordings alone can absorb it.
+    An effect does not change it if its value there is unknown, such as a phase that differs between
+    recordings, or if the parameters that are fitted to these recordings compensate it.
     """
     columns = stack.columns(effect.term, effect.shape).values()
     change = judged_rows(stack, left[0] - left[1], names)
@@ -325,9 +329,9 @@ def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
 def folds(joint: Joint) -> Array:
     """Return the number of the cross-validation part of each row.
 
-    Parts are recordings. If one recording alone determines a parameter, as the only loaded one
-    does, parts are made of blocks of time instead. If a part still determines a parameter alone,
-    its rows are in no part (-1), since the others cannot predict them.
+    Parts are recordings. If one recording alone determines a parameter, such as the only loaded
+    recording, parts are made of blocks of time instead. If a part of blocks alone determines a
+    parameter, its rows are in no part (-1), because the other parts cannot predict them.
     """
     stack = joint.stack
     squares = parameter_derivatives(joint) ** 2

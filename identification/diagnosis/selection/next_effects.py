@@ -89,8 +89,8 @@ def unscored(
     """Return trials of the effects without a score whose size is given by a nonlinear parameter, in
     the equations whose mismatch is beyond the noise.
 
-    Their regressors depend on the nominal values: where these are far from the right ones, as
-    without a Stribeck fall, the score of the right effect may be negative.
+    The regressors of these effects depend on the nominal values: where these are far from the right
+    ones, as without a Stribeck fall, the score of the right effect may be negative.
     """
     names = {c.name for c in scored}
     context = Context(joint.equations[0].views, joint.nominal)

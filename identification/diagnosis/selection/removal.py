@@ -194,8 +194,9 @@ def left_beyond_noise(joint: Joint, term: Term) -> float:
 def judging_equations(joint: Joint, term: Term) -> list[str]:
     """Return the names of the equations by which an effect is judged.
 
-    The breakaway equation gives one value per rest, with the noise of an instant within a sample.
-    It judges only effects that appear in no other equation.
+    The breakaway equation has one row per rest, and its noise is large because the time of the
+    breakaway is known only to within one sample. Therefore the breakaway equation judges only
+    effects that appear in no other equation.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
     return [name for name in names if name != "breakaway" or len(names) == 1]

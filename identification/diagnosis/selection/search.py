@@ -190,7 +190,7 @@ def _missing_test(
     beyond = beyond_noise(joint)
     shown = [t for t in left if t.name in FAST_EFFECTS or beyond & {*judging_equations(joint, t)}]
     trials = tuple(trial_candidates(joint.stack, Context(case.views, joint.nominal), shown))
-    # The name of a generic family starts with its equation's.
+    # The name of a generic family starts with the name of its equation.
     unnamed = tuple(c for c in generic_candidates(joint.stack) if c.name.split(" ")[0] in beyond)
     every = (*trials, *unnamed)
     by_size = max(size_p_value(joint), 1e-12)
@@ -366,11 +366,13 @@ def _missing(
     rng: np.random.Generator,
     name: str,
 ) -> bool:
-    """Whether anything is missing in one equation, by the same test as for the whole model."""
+    """Whether one equation has a significant mismatch, by the tests of :func:`_missing_test` on the
+    rows of this equation.
+    """
     judged = len(joint.equations)
     if 2.0 * judged * size_p_value(joint, name) <= RULES.level:
         return True
-    # The name of a generic family starts with its equation's.
+    # The name of a generic family starts with the name of its equation.
     own = [
         c
         for c in candidates

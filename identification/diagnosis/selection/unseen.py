@@ -1,4 +1,4 @@
-"""Computes the residuals of recordings set aside, and by how much one fit reduces another's."""
+"""Computes the residuals of recordings set aside, and compares those of two fits."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def validation_residual(
 
 
 def _with_own_constants(stack: Stack, rows: Array) -> Array:
-    """Return whitened rows, shape (n, k), without what the constants of equations other than the
-    torque's can explain.
+    """Return whitened rows, shape (n, k), after a linear fit of the parameters of all equations but
+    the torque equation.
     """
     out = rows.copy()
     for equation, basis in zip(stack.equations, stack.basis, strict=True):
@@ -56,8 +56,8 @@ def _with_own_constants(stack: Stack, rows: Array) -> Array:
 
 
 def _without_start_states(stack: Stack, effects: Sequence[Added], left: Array) -> Array:
-    """Return rows without what unknown states of the effects at the start of each recording, such
-    as the winding's temperature, can explain.
+    """Return rows after a fit of the unknown states of the effects at the start of each recording,
+    such as the temperature of the winding.
     """
     owner = np.concatenate([e.owner for e in stack.equations])
     for effect in effects:
@@ -134,7 +134,7 @@ def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[s
 
 def decisive_reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
     """Return :func:`studentised_reduction`; 0 in a single block, or if the two mean squares differ
-    by less than the noise's is known to.
+    by less than the uncertainty of the mean square of the noise.
     """
     rows = judged_rows(stack, np.stack(left, axis=1), names)
     low, high = sorted(float(squares) for squares in np.sum(rows**2, axis=0))

@@ -20,8 +20,8 @@ from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 
 AS_COMPUTED = 1e-3
-"""Greatest difference of a voltage from the control law's, over the greatest voltage, at which it
-counts as computed.
+"""Greatest difference of a voltage from that of the control law, over the greatest voltage, at
+which it counts as computed.
 """
 NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")

@@ -84,8 +84,8 @@ def _gain(view: View, nominal: Nominal) -> Array:
     """Return the ratio of the motor's torque to its mean torque at this current, by the ripple
     identified so far.
 
-    It is 1 if each recording has its own origin: in a validation recording the phase is unknown,
-    and constants that depend on the divided torque would be wrong there.
+    The ratio is 1 if each recording has its own origin: in a validation recording the phase is
+    unknown, and constants that depend on the divided torque would be wrong there.
     """
     if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))

@@ -24,8 +24,8 @@ def sine_cosine(frequency: float, angle: Array) -> Array:
     """Return sin and cos of ``frequency * angle``, shape (2, m), to a few units of 1e-16 below a
     million half turns.
 
-    It has no branches, so that the processor computes several samples at a time; numpy computes one
-    at a time and takes ten times as long.
+    This function has no branches, so that the processor computes several samples at a time; numpy
+    computes one at a time and takes ten times as long.
     """
     out = np.empty((2, len(angle)))
     _fill(frequency, angle, out[0], out[1])

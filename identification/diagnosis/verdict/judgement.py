@@ -27,7 +27,7 @@ from identification.prepare import drive_channel
 from identification.recording import Bench
 
 FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
-"""Ratio of the mean-square mismatch to the noise's, up to which a mismatch is faint: an
+"""Ratio of the mean-square mismatch to that of the noise, up to which a mismatch is faint: an
 unidentified effect may cause the part that counts as noise
 (`excess`).
 """
@@ -125,8 +125,9 @@ def equations_of_effects(found: Search) -> set[str]:
 def _judged_equation(found: Search) -> _Excess:
     """Return the equation with the greatest mismatch beyond the noise.
 
-    An equation other than the torque's in which no accepted effect acts is not it: its mismatch
-    has a cause of its own, which is reported beside the identified effects.
+    Only the torque equation and the equations in which an accepted effect acts are compared, if
+    there is a mismatch in one of them. A mismatch in another equation has a cause of its own, which
+    is reported beside the identified effects.
     """
     judges = [e for e in excess_of(found) if e.equation != "breakaway"]
     acting = equations_of_effects(found) | {"torque"}
@@ -151,7 +152,8 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
     Args:
         joint: Fit of the nominal model.
         judges: Excess of each of its equations.
-        least: Ratio of the mean-square mismatch to the noise's, from which it is beyond the noise.
+        least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
+            noise.
     """
     equations = {e.name: e for e in joint.equations}
     return any(
@@ -325,7 +327,7 @@ def confidence_of(
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         incomplete: Whether more is missing than the effects explain.
-        before: Mean-square mismatch of that equation over the noise's, without the effect.
+        before: Mean-square mismatch of that equation over that of the noise, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.
     """

@@ -70,8 +70,9 @@ def equation_of_half_cycles(
     """Return the inertia's equation for instruments from matching half cycles, a sum over pairs of
     segments.
 
-    A segment contributes by its residuals, and by its sensitivities, which are part of the
-    instruments of other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    Each segment adds two terms to the equation: one by its residuals, and one by its sensitivities,
+    because these are part of the instruments of other segments (Hoeffding, Ann. Math. Statist. 19
+    (1948) 293).
     """
     j = point.free.index(INERTIA)
     first = equation(point, z, jacobian, residual)

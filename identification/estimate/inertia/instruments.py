@@ -125,8 +125,8 @@ def _smoothed(curve: Array) -> Array:
     """Return the original curve and the curve smoothed by Gaussians of 2^0 to 2^7 samples, shape
     (9, n, p).
 
-    All of them are computed with one Fourier transform, because the widest Gaussian has a thousand
-    taps.
+    All these curves are computed with one Fourier transform, because the widest Gaussian has a
+    thousand taps.
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)

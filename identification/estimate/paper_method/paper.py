@@ -118,7 +118,7 @@ def _left_out(model: Model) -> tuple[str, ...]:
     """Return a warning about declared terms that the paper's method does not contain.
 
     Raises:
-        RecordingError: A friction model other than the paper's is declared.
+        RecordingError: A friction model other than that of the paper is declared.
     """
     if model.friction != NOMINAL:
         raise RecordingError(

@@ -67,11 +67,9 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     shares, vectors = np.linalg.eigh(correlation * np.outer(relative, relative))
     vector = vectors[:, -1] / vectors[np.argmax(np.abs(vectors[:, -1])), -1]
     shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
-    changes = [f"{name} by {100.0 * share:+.0f} %" for name, share in shown]
+    changes = [f"{name} by {share:+.2g} %" for name, share in shown]
     where = (
-        f"{shown[0][0]} alone"
-        if len(shown) == 1
-        else "a change of " + ", ".join(changes) + " together"
+        f"{shown[0][0]} alone" if len(shown) == 1 else "a joint change of " + " and ".join(changes)
     )
     upper = np.triu(np.abs(correlation), 1)
     line = (

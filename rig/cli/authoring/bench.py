@@ -166,9 +166,8 @@ QUESTIONS: Final = (
     Question("moment_arm", "Radius at which the load presses on the joint", "m", default=0.095),
     Question(
         "lever_ratio",
-        "Lever ratio, contact force over weight; 1 for a weight that presses straight on that "
-        "radius",
-        why="it scales every working load; 1 where the weight presses straight on the moment arm",
+        "Lever ratio, contact force over weight; 1 if the weight itself is the contact force",
+        why="it scales every working load; 1 if the weight itself is the contact force",
     ),
     Question(
         "weights", "Weights that can be hung, or none", "kg", kind=Numbers(), default=(2.0, 5.0)
@@ -201,8 +200,8 @@ def bench_text(name: str, answers: Answers) -> str:
     if answers["devices"] == "simulated":
         sections["mock"] = _mock(sections, answers["rotor_inertia"])
     head = (
-        f"# Bench {name}, written by `rig new bench`. Every key is explained above it: meaning, "
-        f"unit, default.\n"
+        f"# Bench {name}, written by `rig new bench`. A comment above each key states meaning, "
+        f"unit and default.\n"
         f"# Look at it with `rig check`, which moves nothing; then `rig new sequence` and `rig "
         f"run`.\n"
     )

@@ -206,8 +206,7 @@ def _constants(
             "lever_ratio",
             "Lever ratio, contact force over weight",
             when=loaded,
-            why="it scales every working load; 1 where the weight presses straight on the moment "
-            "arm",
+            why="it scales every working load; 1 if the weight itself is the contact force",
         ),
     )
 

@@ -129,6 +129,32 @@ def shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def assumed(
+    questions: Iterable[Question], given: Mapping[str, Any], answers: Answers, names: Iterable[str]
+) -> str:
+    """Return a note on the named values that no option gave and the defaults replaced; empty if
+    there are none.
+
+    Args:
+        questions: The questions of the file.
+        given: Answers given as options, by name; None for options not given.
+        answers: The answers, defaults included.
+        names: Names of the answers that only a data sheet or a measurement can tell.
+    """
+    wanted = frozenset(names)
+    found = [
+        f"{q.option} {shown(answers[q.name])} {q.unit}".rstrip()
+        for q in questions
+        if q.name in wanted and q.name in answers and given.get(q.name) is None
+    ]
+    if not found:
+        return ""
+    return (
+        f"note: assumed, because no option states it: {', '.join(found)}; compare with the data "
+        "sheet"
+    )
+
+
 def options(questions: Iterable[Question]) -> Callable[[Any], Any]:
     """Return a decorator that gives a command an option for each question."""
 

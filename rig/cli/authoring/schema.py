@@ -1,10 +1,10 @@
 """JSON Schemas of the files that a user writes: for editors, and for programs that make such files.
 
-They are generated from the records into which the program reads the files. A schema refuses unknown
-keys, wrong types and values outside their range. It cannot check relations between values or the
-existence of files, and leaves those to the program. It accepts every file that the program accepts,
-except wrong values under ``defaults`` that every recording overrides, or beside a table whose rows
-all do.
+The schemas are generated from the records into which the program reads the files. A schema refuses
+unknown keys, wrong types and values outside their range. A schema cannot check relations between
+values or the existence of files, and leaves those to the program. A schema accepts every file that
+the program accepts, except wrong values under ``defaults`` that every recording overrides, or
+beside a table whose rows all do.
 """
 
 from __future__ import annotations

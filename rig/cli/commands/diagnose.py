@@ -58,9 +58,9 @@ def command(
     There are four verdicts, all with exit status 0: one or more identified effects; several effects
     that these recordings do not distinguish, with a sequence file of an experiment that
     distinguishes them; missing physics outside the catalogue; or nothing missing. Recordings with
-    role validate are used in no fit. They decide only whether an identified effect is kept, which
-    must lower the error on them; without such recordings, parts of the recordings are predicted
-    from the other parts. The corrected model is written next to the report.
+    role validate are used in no fit. These recordings decide only whether an identified effect is
+    kept, which must lower the error on them; without such recordings, parts of the recordings are
+    predicted from the other parts. The corrected model is written next to the report.
 
     \b
     Example:

@@ -13,7 +13,7 @@ from rig.cli.authoring import bench as benches
 from rig.cli.authoring import campaign as campaigns
 from rig.cli.authoring import sequence as sequences
 from rig.cli.authoring.campaign_questions import OPTIONS as CAMPAIGN_OPTIONS
-from rig.cli.authoring.questions import Answers, ask_all, options
+from rig.cli.authoring.questions import Answers, ask_all, assumed, options
 from rig.cli.authoring.writing import RefusedError, require_new, write_new
 from rig.config.bench import load_bench
 from rig.config.campaign import load_campaign
@@ -27,6 +27,17 @@ _YES = click.option(
     is_flag=True,
     help="Ask no questions: use the defaults of all values without an option.",
 )
+
+_DATA_SHEET = (
+    "torque_constant",
+    "resistance",
+    "inductance",
+    "gear_ratio",
+    "rated_current",
+    "motor_counts",
+    "moment_arm",
+)
+"""Answers of `rig new bench` that are properties of the machine."""
 
 
 @click.group("new")
@@ -88,6 +99,8 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
         )
         for remark in benches.remarks(answers):
             tell(remark)
+        if yes and (note := assumed(benches.QUESTIONS, given, answers, _DATA_SHEET)):
+            tell(note)
     _say(written, f"rig check {path}")
 
 

@@ -89,7 +89,7 @@ class Bound:
     Attributes:
         text: The limit as written.
         measure: Of :data:`MEASURES`.
-        statistic: What is taken of it; empty for a count.
+        statistic: Statistic of the measure that is compared; empty for a count.
         below: Whether it is an upper limit.
         inclusive: Whether the limit itself is allowed.
         value: The limit, in ``unit``.

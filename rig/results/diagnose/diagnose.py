@@ -187,7 +187,7 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
     shift = {
         n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()
     }
-    notes = tuple(f"refined: {w}" for w in result.warnings)
+    notes = tuple(f"nominal parameters fitted again: {w}" for w in result.warnings)
     return dataclasses.replace(
         found,
         parameters={**found.parameters, **values},
@@ -229,7 +229,7 @@ def _refined(
         )
         return dataclasses.replace(found, warnings=(*found.warnings, note))
     if progress is not None:
-        progress("refining", 0.95)
+        progress("fitting the nominal parameters again", 0.95)
     return _refined_if_possible(dataset, found, seed)
 
 
@@ -240,7 +240,8 @@ def _refined_if_possible(dataset: Dataset, found: Diagnosis, seed: int) -> Diagn
     try:
         return refined(dataset, found, seed)
     except RecordingError as error:
-        return dataclasses.replace(found, warnings=(*found.warnings, f"not refined: {error}"))
+        note = f"the nominal parameters were not fitted again: {error}"
+        return dataclasses.replace(found, warnings=(*found.warnings, note))
 
 
 def settled(found: Diagnosis) -> Diagnosis:

@@ -122,7 +122,7 @@ def _table(seen: Seen, shown: Sequence[Observable]) -> Table:
     header = (
         "effect",
         "least size shown",
-        "beyond the constants",
+        "beyond the nominal model",
         f"explained to {100.0 * RULES.alike:.0f} % by",
     )
     return Table(header, rows, (1, 2))

@@ -15,8 +15,8 @@ DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
 def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
     """Return the diagnosis of a dataset as the record of ``rig diagnose --json``.
 
-    It contains the verdict and the complete corrected model: ``parameters``, ``alpha``, the effects
-    with their parameters, and ``curve`` for missing torque outside the catalogue.
+    The record contains the verdict and the complete corrected model: ``parameters``, ``alpha``, the
+    effects with their parameters, and ``curve`` for missing torque outside the catalogue.
     """
     return {
         **provenance.record(DIAGNOSE_SCHEMA),

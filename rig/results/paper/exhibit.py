@@ -45,7 +45,9 @@ def columns(**named: Array) -> Rows:
 
 
 def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
-    """Return the numbers of every picture as CSV: file, relative to the page, to its text."""
+    """Return the CSV text with the numbers of every picture, by the name of its file relative to
+    the page.
+    """
     return {
         _data_file(name): _csv(rows)
         for exhibit in exhibits

@@ -43,7 +43,7 @@ def predict(
     effects.
 
     Raises:
-        RecordingError: A recording that cannot be brought to this bandwidth.
+        RecordingError: A recording cannot be filtered to this bandwidth.
     """
     seen = views(dataset.recordings, bandwidth_Hz)
     found = []

@@ -29,7 +29,7 @@ class Offer:
         recording: The file.
         name: What clients show as the name of the source.
         token: What an address must carry; None to ask for none.
-        last_s: How much of what is recorded already a subscriber gets, s; None for all.
+        last_s: Length of the recorded part that a new subscriber gets, s; None for all.
     """
 
     recording: Path

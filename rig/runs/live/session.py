@@ -54,7 +54,7 @@ class Session:
         name: What the client shows as the name of the source.
         host: Address that the client's server listens on.
         tail: The recording.
-        last_s: How much of what is recorded already a subscriber gets, s; None for all.
+        last_s: Length of the recorded part that a new subscriber gets, s; None for all.
     """
 
     def __init__(self, name: str, host: str, tail: Tail, last_s: float | None) -> None:
@@ -93,11 +93,11 @@ class Session:
         self.address = (host, int(self._server.port))
 
     def subscribed(self, topic: str) -> None:
-        """Take a subscription; called from the server's thread."""
+        """Accept a subscription; called from the server's thread."""
         self._loop.call_soon_threadsafe(self._set, topic, True)
 
     def unsubscribed(self, topic: str) -> None:
-        """Take the end of a subscription; called from the server's thread."""
+        """Remove a subscription; called from the server's thread."""
         self._loop.call_soon_threadsafe(self._set, topic, False)
 
     def passed(self, size: int) -> None:
@@ -106,7 +106,7 @@ class Session:
         self._changed.set()
 
     async def feed(self) -> None:
-        """Hand the recording to the server, and what is added to it, until cancelled.
+        """Pass the recording, and everything that is added to it, to the server until cancelled.
 
         At a damaged place it stops, and the client shows why.
         """

@@ -190,7 +190,8 @@ class _Reading:
         """Sort the messages of a chunk by topic; an error in one message drops the whole chunk.
 
         Raises:
-            DamageError: The chunk is another program's, or from another time.
+            DamageError: The chunk was written by another program, or is older than the one before
+                it.
         """
         taken: list[tuple[str, Message]] = []
         latest_ns, sample_bytes = self._latest_ns, self._sample_bytes

@@ -64,7 +64,7 @@ class Tail:
 
         Raises:
             OSError: The file cannot be read.
-            DamageError: The record is damaged, or another program's.
+            DamageError: The record is damaged, or was written by another program.
         """
         head = self._head(offset)
         if head is None:

@@ -126,8 +126,9 @@ def trc(lines: Lines, stream: TextIO) -> Iterator[str]:
             version = word.partition("=")[2].strip()
             if version not in _TRC_VERSIONS:
                 raise InputError(
-                    f"{lines.path}:{lines.number}: TRC of version {version}; read are "
-                    f"{', '.join(_TRC_VERSIONS)}: save it in one of them with PCAN-View"
+                    f"{lines.path}:{lines.number}: TRC of version {version}; versions that can be "
+                    f"read are {', '.join(_TRC_VERSIONS)}: save the file in one of them with "
+                    f"PCAN-View"
                 )
         lines.stamped += bool(word) and not word.startswith(";")
         # Without the date, stamps are since the start, to the last digit.

@@ -379,3 +379,12 @@ def test_a_load_that_the_simulated_motor_cannot_move_is_told() -> None:
     assert "use less weight, or a smaller lever ratio" in note
     assert remarks(ask_all(QUESTIONS, {"lever_ratio": 1.0}, None, str)) == []
     assert "bench: 1" in bench_text("x", answers)
+
+
+def test_machine_data_that_no_option_gives_are_told(capsys: pytest.CaptureFixture[str]) -> None:
+    given = [*SMALL[: SMALL.index("--resistance")], *SMALL[SMALL.index("--inductance") :]]
+    assert status(["new", "bench", "b.yaml", *given]) == 0
+    said = " ".join("".join(capsys.readouterr()).split())
+    assert "no option states it: --resistance 1.56 ohm, --motor-counts 4096; compare" in said
+    assert status(["new", "bench", "c.yaml", *SMALL, "--motor-counts", "4096"]) == 0
+    assert "no option states it" not in "".join(capsys.readouterr())

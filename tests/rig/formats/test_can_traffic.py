@@ -325,7 +325,7 @@ def test_a_bench_file_is_a_map(tmp_path: Path) -> None:
         ("a.log", "(1.0) can0 123#112\n", r"a\.log:1: not a frame"),
         ("a.log", "(1.0) can0 20000004#0000000000000000\n", "no data frames; 1 error frames"),
         ("a.log", "", "holds no data frames"),
-        ("a.trc", ";$FILEVERSION=1.2\n", "TRC of version 1.2; read are 1.0, 1.1"),
+        ("a.trc", ";$FILEVERSION=1.2\n", "versions that can be read are 1.0, 1.1"),
         ("a.blf", "LOGG" + "x" * 200, "no data frames; the file is cut off"),
         ("a.blf", "garbage", "cannot be read"),
         (

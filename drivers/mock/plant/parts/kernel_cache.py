@@ -1,10 +1,10 @@
 """Cache on disk for the machine code of kernels compiled by numba.
 
 This cache corrects three faults of numba's own cache. Numba's cache refuses to compile a kernel if
-no cache folder is writable. It raises an error if the disk is full. It does not recompile a kernel
-when a kernel or constant of another module changes that was compiled into it. With the cache of
-this module, an error of the cache only costs a compilation, and the name of a cache file contains
-a digest of everything that is compiled into the kernel.
+no cache folder is writable. It raises an error if the disk is full. The cache does not recompile a
+kernel when a kernel or constant of another module changes that was compiled into it. With the cache
+of this module, an error of the cache only costs a compilation, and the name of a cache file
+contains a digest of everything that is compiled into the kernel.
 
 `identification` and `drivers.mock.plant` never import each other. Each has a copy of this file, and
 a test verifies that the two copies are equal.

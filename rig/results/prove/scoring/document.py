@@ -18,20 +18,18 @@ _RATES = {
     "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
     "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias "
     f"group",
-    "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
-    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in "
-    f"the alias group",
+    "top1_left": f"one effect, remaining strength {STRONG:g} or more: named first",
+    "alias_group_left": f"one effect, remaining strength {STRONG:g} or more: in the alias group",
     "top1_all": "one effect, any strength: named first",
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
-    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both "
-    f"named",
+    "both_named_left": f"two effects, remaining strength {STRONG:g} or more: both named",
     "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "no injected effect: false alarms",
     "outside": "outside the catalogue: reported as such",
     "refused": "could not be diagnosed",
-    "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
+    "worse_than_baseline": "held-out error greater than the nominal model's by more than the noise",
     "intervals": "parameters of effects within their interval",
 }
 _METHODS = {
@@ -190,21 +188,20 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
         f"named with confidence."
     ]
     for key, words in (
-        ("oracle_fraction", "what a model with the true effects gains"),
-        ("floor_fraction", "the distance to the noise floor"),
+        ("oracle_fraction", "the decrease with the true effects"),
+        ("floor_fraction", "the decrease down to the noise floor"),
     ):
         gain = result[key]
         if gain["median"] is not None:
             lines.append(
-                f"The diagnosis gained {percent(100.0 * gain['median'])} of {words} "
-                f"in the error on recordings set aside (median of {gain['of']} trials)."
+                f"The diagnosis decreases the error on recordings set aside by "
+                f"{percent(100.0 * gain['median'])} of {words} (median of {gain['of']} trials)."
             )
     if result["absorbed"]:
         lines.append(
-            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave "
-            f"less than that over "
-            f"the noise once the nominal constants are fitted again: trials "
-            f"{', '.join(map(str, result['absorbed']))}."
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} have a "
+            f"remaining strength below {STRONG:g} after a new fit of the nominal parameters: "
+            f"trials {', '.join(map(str, result['absorbed']))}."
         )
     if result["most_frequent_class"] is not None:
         lines.append(

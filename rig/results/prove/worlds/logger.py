@@ -24,7 +24,7 @@ def columns(world: World, k: int, signals: Signals, rng: np.random.Generator) ->
     Args:
         world: The world.
         k: Number of the recording, from 0.
-        signals: What the plant did in it.
+        signals: Signals of the plant in this recording.
         rng: Generator of the noise of this recording.
     """
     step = world.drive.rate_Hz // world.log.rate_Hz

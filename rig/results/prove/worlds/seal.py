@@ -30,7 +30,8 @@ class Plant(Protocol):
     Attributes:
         effects: Effects of the catalogue that it can have.
         outside: Effects outside the catalogue that it can have.
-        not_scored: Values that mean something else on it: a constant, or ``effect.parameter``.
+        not_scored: Values with another meaning on this machine: a constant, or
+            ``effect.parameter``.
     """
 
     @property
