@@ -27,19 +27,17 @@ from identification.recording import Model
 
 _FARTHEST_LOG = 6.0
 """Greatest change of a logarithmic parameter in one fit, so that the filter does not overflow."""
-_TIME_SCALE_S = 1e-3
+_TIME_SCALE_S = _TIME_STEP = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Grid of alternative breakaway times around the present ones."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 """Relative step of a coordinate for finite differences, and least size of a coordinate."""
-_TIME_STEP = 1e-3
 _GREATEST_CHANGE = 10.0
 """Greatest change of an error, in standard deviations, or of the logarithm of its deviation, over
 one step of a finite difference.
 """
 _TIE_STEP_S = 1e-6
 """Step of a breakaway time for the slope of the torque at the breakaway."""
-_LONGEST_SHIFT_S = _SHIFTS_S[-1]
 _UNFELT = 1e-6
 """Change of a residual, in standard deviations, below which a shift of the breakaway time counts as
 having no effect on the residual.
@@ -312,7 +310,7 @@ class Weighted:
         """
         experiment = self.point.experiment
         there = x.copy()
-        there[len(self.point.free) :] += _LONGEST_SHIFT_S / _TIME_SCALE_S
+        there[len(self.point.free) :] += _SHIFTS_S[-1] / _TIME_SCALE_S
         after = self.residuals(there)
         inside = slice(0, len(experiment.samples))
         # The condition is written so that a residual that is not finite counts as affected.
