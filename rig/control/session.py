@@ -156,9 +156,7 @@ def execute(
     """
     wall = RealClock()
     began_ns = wall.now_ns()
-    record = inputs.resumed or new_record(inputs, plan)
-    if inputs.acceptance is not None:
-        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
+    record = _record_of(inputs, plan)
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     _warn(plan, record, devices, operator)
@@ -187,6 +185,14 @@ def execute(
         outcome = _save(folder, outcome)
     assert outcome is not None
     return folder, outcome
+
+
+def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
+    """Return the record of a new or resumed run, with the limits by which it is judged."""
+    record = inputs.resumed or new_record(inputs, plan)
+    if inputs.acceptance is not None:
+        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
+    return record
 
 
 def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
