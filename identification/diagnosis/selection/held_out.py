@@ -55,9 +55,8 @@ def validated_effects(
     """Return a search with fits within their limits, and without effects that do not reduce the
     error on unused recordings significantly.
 
-    The effect that reduces the error least is dropped first, and the other effects are fitted again
-    without it. Of its rivals, the first that reduces the error significantly replaces it. Finally,
-    the recordings set aside decide between each remaining effect and its rivals.
+    The effect with the least reduction is dropped first, and the others are fitted again without
+    it. The first of its open rivals that reduces the error significantly takes its place.
 
     Args:
         found: The search.
@@ -142,10 +141,8 @@ def _with_rivals_judged(
 
 
 def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array, list[str]]) -> Array:
-    """Return the residual of another fit in units of the noise of ``joint``.
-
-    The noises of the two fits differ if one of them was estimated again
-    (:func:`identification.diagnosis.fit.noise.with_lower_noise`).
+    """Return the residual of another fit over the noise of ``joint``, which may be lower
+    (:func:`with_lower_noise`).
     """
     sigma = {e.name: e.sigma for e in joint.equations}
     stack, out = seen[0], seen[1].copy()
@@ -176,8 +173,8 @@ def dropped_effects(found: Search) -> tuple[str, ...]:
     """
     kept = {e.term.name for e in found.final.effects}
     return tuple(
-        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}, "
-        f"and an identified effect must reduce it by at least {RULES.rejected:.2f} standard errors"
+        f"{title(s.name)} explains part of the fitted recordings but is not identified: {s.note}; "
+        f"it must be less by at least {RULES.rejected:.2f} standard errors"
         for s in found.steps
         if s.action == DROPPED and s.name not in kept
     )
@@ -203,8 +200,8 @@ def _step(
     judges = "recordings set aside" if case.aside else "parts predicted from the others"
     if math.isinf(worth):
         return Step(action, name, None, gain, f"explains most of the error on {judges}")
-    change = "smaller" if worth >= 0.0 else "larger"
-    note = f"on {judges} it makes the error {change} by {abs(worth):.1f} standard errors"
+    change = "less" if worth >= 0.0 else "larger"
+    note = f"on {judges} the error is {change} by {abs(worth):.1f} standard errors"
     return Step(action, name, None, gain, note)
 
 

@@ -362,7 +362,7 @@ def confidence_of(
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         p_after: p-value of the test whether anything more is missing.
-        before: Mean-square mismatch of that equation over that of the noise, without the effect.
+        before: Mean-square mismatch of that equation over the noise's, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.
     """
