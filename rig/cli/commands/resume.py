@@ -90,8 +90,7 @@ def command(
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
     feedforward = _recorded_feedforward(run, record, constants)
-    # Each recording gets its own noise.
-    seed = record.seed + len(record.parts)
+    seed = record.seed + len(record.parts)  # each recording gets its own noise
     reset = reset_fault or resumed.died
     inputs = Inputs(
         resumed.bench,
