@@ -20,7 +20,7 @@ from benchmarks.power.check import CHECK_FILE
 from benchmarks.power.picture import draw, number
 from benchmarks.power.sizes import FROM, GRID, PARAMETER, SOFT
 from benchmarks.power.table import Key, Machine, Spread, decisive, machines_of, natural, table
-from benchmarks.power.words import CHECKED, INTRODUCTION, WORST
+from benchmarks.power.words import CHECKED, INTRODUCTION, RULE, WORST
 from identification.diagnosis.catalogue import ENTRIES
 
 PICTURE = "power_map.png"
@@ -28,6 +28,8 @@ CLEAR = 2.0
 """Factor between the medians along an axis, from which it decides."""
 LADDER = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, math.inf)
 """Edges of the ratio of a size to the least visible one."""
+CLEARLY = 10.0
+"""Ratio of a size to the least visible one, from which a diagnosis is expected to name it."""
 TEN = 10
 HEADS = {
     "rate": "Rate of the log",
@@ -185,6 +187,17 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
             rows.append((label, str(len(mine)), *hits))
     header = ("size over the least visible", "rigs", "named first", "first or in the alias group")
     parts.append(_markdown(header, rows))
+    near = [r for r in rigs if 1.0 <= r["own"] < CLEARLY]
+    far = [r for r in rigs if r["own"] >= CLEARLY]
+    parts.append(
+        RULE.format(
+            times=CLEARLY,
+            close=f"{sum(map(_close, rigs))} of {len(rigs)}",
+            near=f"{sum(r['first'] for r in near)} of {len(near)}",
+            far=f"{sum(r['first'] for r in far)} of {len(far)}",
+            alias=f"{sum(r['alias'] for r in far)} of {len(far)}",
+        )
+    )
     missed = [r for r in rigs if r["own"] >= 1.0 and not r["first"]]
     items = [
         f"`{r['effect']}`, {r['own']:.3g} times the least size: {r['verdict'].replace('_', ' ')}"
@@ -195,6 +208,11 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
         parts.append("Visible by the rig's own recordings, and not named first:")
         parts.append("\n".join(map(_item, items)))
     return "\n\n".join(parts) + "\n"
+
+
+def _close(rig: dict[str, Any]) -> bool:
+    """Return whether the map and the rig's own recordings agree within a factor of three."""
+    return bool(rig["own"] / 3.0 <= rig["map"] <= 3.0 * rig["own"])
 
 
 def _item(text: str) -> str:
