@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -46,7 +47,7 @@ def page(machines: Sequence[Machine], check: Sequence[dict[str, Any]]) -> str:
     """Return the page."""
     cells = table(machines)
     parts = [
-        INTRODUCTION.format(machines=len(machines), picture=PICTURE),
+        INTRODUCTION.format(machines=len(machines), draws=_draws(machines), picture=PICTURE),
         "## What decides, effect by effect\n",
         *(_item(sentence(machines, effect, cells[effect])) for effect in PARAMETER),
         "",
@@ -164,7 +165,7 @@ def _percent(found: Spread) -> str:
 
 def checked(rigs: Sequence[dict[str, Any]]) -> str:
     """Return the tables of predicted and identified effects."""
-    parts = [CHECKED.format(rigs=len(rigs))]
+    parts = [_filled(CHECKED.format(rigs=len(rigs)))]
     for key, words in (("own", "by the rig's own recordings"), ("map", "by the map")):
         rows = []
         for seen in (True, False):
@@ -190,12 +191,15 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
     near = [r for r in rigs if 1.0 <= r["own"] < CLEARLY]
     far = [r for r in rigs if r["own"] >= CLEARLY]
     parts.append(
-        RULE.format(
-            times=CLEARLY,
-            close=f"{sum(map(_close, rigs))} of {len(rigs)}",
-            near=f"{sum(r['first'] for r in near)} of {len(near)}",
-            far=f"{sum(r['first'] for r in far)} of {len(far)}",
-            alias=f"{sum(r['alias'] for r in far)} of {len(far)}",
+        _filled(
+            RULE.format(
+                times=CLEARLY,
+                close=f"{sum(_apart(r) <= 3.0 for r in rigs)} of {len(rigs)}",
+                worst=f"{max(map(_apart, rigs)):.0f}",
+                near=f"{sum(r['first'] for r in near)} of {len(near)}",
+                far=f"{sum(r['first'] for r in far)} of {len(far)}",
+                alias=f"{sum(r['alias'] for r in far)} of {len(far)}",
+            )
         )
     )
     missed = [r for r in rigs if r["own"] >= 1.0 and not r["first"]]
@@ -210,9 +214,22 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _close(rig: dict[str, Any]) -> bool:
-    """Return whether the map and the rig's own recordings agree within a factor of three."""
-    return bool(rig["own"] / 3.0 <= rig["map"] <= 3.0 * rig["own"])
+def _filled(text: str) -> str:
+    """Return a paragraph in narrow lines."""
+    return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False)
+
+
+def _draws(machines: Sequence[Machine]) -> str:
+    """Return the seeds of the machines in words."""
+    counts = Counter(m["seed"] for m in machines)
+    return ", ".join(f"{n} with seed {seed}" for seed, n in sorted(counts.items()))
+
+
+def _apart(rig: dict[str, Any]) -> float:
+    """Return the factor between the map and the rig's own recordings."""
+    if not (rig["own"] and rig["map"]):
+        return 1.0 if rig["own"] == rig["map"] else math.inf
+    return max(float(rig["own"] / rig["map"]), float(rig["map"] / rig["own"]))
 
 
 def _item(text: str) -> str:

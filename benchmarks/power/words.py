@@ -8,13 +8,13 @@ Which effects will recordings show, and from which size? This page answers it be
 for every effect of the [catalogue](reference/effects.md), along the axes of an experiment that one
 can choose. For recordings that exist, `rig diagnose SOURCE --observable` answers it directly.
 
-`make power-map` makes this page. It draws {machines} machines, as `rig prove --plant mujoco` draws
-them (0.2 to 40 N m), simulates each of them without any effect in a base world, and then changes
-one axis at a time. From excitation, channels and noise follows the **least size** of each effect
-that the recordings can show: the size whose trace, after a new fit of the nominal parameters, is
-significant at 1 % over all effects, and not below a hundredth of the noise's power. Sizes are
-relative to the **injected size**: the middle one of the sizes that the proofs inject into the same
-machine, from near the noise to obvious.
+`make power-map` makes this page. It draws machines as `rig prove --plant mujoco` draws them (0.2 to
+40 N m; here {machines}: {draws}), simulates each of them
+without any effect in a base world, and then changes one axis at a time. From excitation, channels
+and noise follows the **least size** of each effect that the recordings can show: the size whose
+trace, after a new fit of the nominal parameters, is significant at 1 % over all effects, and not
+below a hundredth of the noise's power. Sizes are relative to the **injected size**: the middle one
+of the sizes that the proofs inject into the same machine, from near the noise to obvious.
 
 ![Power map](images/{picture})
 
@@ -38,11 +38,11 @@ Limits of the map:
 
 RULE = """From {times:g} times the least size on, {far} were named first and {alias} in the alias
 group; between the least size and {times:g} times it, {near} were named first. **Visible is not yet
-named: read {times:g} times the least size as what a diagnosis will name.** In the picture those are
-the cells below 10 %, for an effect of the injected size. The rigs are few, and the threshold was
-chosen on them, so that these shares are rough. The product over the axes is coarse too: the map's figure is within a factor of three of the
-recordings' own for {close} of these rigs, and far off where an effect counts as not shown on one
-axis."""
+named: read {times:g} times the least size as what a diagnosis will name.** In the picture those
+are the cells below 10 %, for an effect of the injected size. The rigs are few, and the threshold
+was chosen on them, so that these shares are rough. The product over the axes is coarse too: the
+map's figure is within a factor of three of the recordings' own for {close} rigs, and at worst off
+by a factor of {worst}, where an effect is at the edge of being shown at all."""
 
 CHECKED = """{rigs} rigs with one effect each were drawn anew on MuJoCo's plant, all axes at once,
 and diagnosed blind. An effect is *visible* if its size is at least the least one: by the rig's own
