@@ -48,9 +48,20 @@ def seal(home: Path, rigs: int, seed: int, jobs: int) -> None:
         seal_all(home, drawn, make, shared_out, lambda what, share: click.echo(what))
 
 
-def compared(rig: SealedRig, row: Mapping[str, Any], cells: dict[str, dict[Key, Spread]]) -> Any:
+def compared(
+    rig: SealedRig,
+    row: Mapping[str, Any],
+    cells: dict[str, dict[Key, Spread]],
+    before: Mapping[str, Any] | None,
+) -> dict[str, Any]:
     """Return the size of a rig's effect over the least that can be seen, by its own recordings
     and by the map, beside the verdict.
+
+    Args:
+        rig: The rig.
+        row: Its row in the proof.
+        cells: The map.
+        before: An earlier comparison of this rig, of which what its own recordings show is kept.
     """
     truth, content = load_truth(rig.truth), json.loads(rig.truth.read_text())
     ((effect, given),) = truth.effects.items()
@@ -58,17 +69,21 @@ def compared(rig: SealedRig, row: Mapping[str, Any], cells: dict[str, dict[Key, 
     masses = {float(getattr(r.weight_mass, "value", r.weight_mass)) for r in sections}
     labels = sorted(masses - {0.0})
     size = strength(effect, given, labels)
-    own = shown_in(rig.reference)
-    least = (own["least"] or {}).get(effect)
+    if before is None:
+        seen = shown_in(rig.reference)
+        least = (seen["least"] or {}).get(effect)
+        own = size / strength(effect, least, labels) if least else 0.0
+        before = {"own": own, "alike": seen["alike"].get(effect, [])}
     world = draw_world("one", (effect,), content["maker"]["seed"])
     middle = injected(world, [effect])[effect]["strength"][1]
     expected = middle * predicted(cells[effect], truth.axes)
     return {
         "rig": rig.name,
+        "sha256": rig.digest,
         "effect": effect,
-        "own": size / strength(effect, least, labels) if least else 0.0,
+        "own": before["own"],
         "map": size / expected if math.isfinite(expected) else 0.0,
-        "alike": own["alike"].get(effect, []),
+        "alike": before["alike"],
         "verdict": row["verdict"],
         "named": [e["name"] for e in row["named"]],
         "first": bool(row["top1"]),
@@ -140,13 +155,16 @@ def main(
     if sealed is None or proof is None:
         return
     cells = table(machines_of(out))
-    found = []
+    file, found = out / CHECK_FILE, []
+    earlier = json.loads(file.read_text())["rigs"] if file.is_file() else []
+    kept = {r["sha256"]: r for r in earlier}
     for rig in sealed_rigs(sealed):
-        file = proof / "rows" / f"{rig.name}.json"
-        if file.is_file():
-            found.append(compared(rig, json.loads(file.read_text()), cells))
+        scored = proof / "rows" / f"{rig.name}.json"
+        if scored.is_file():
+            row = json.loads(scored.read_text())
+            found.append(compared(rig, row, cells, kept.get(rig.digest)))
             click.echo(json.dumps(found[-1]))
-    write_json(out / CHECK_FILE, {"rigs": found})
+    write_json(file, {"rigs": found})
 
 
 if __name__ == "__main__":

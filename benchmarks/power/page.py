@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,7 +21,7 @@ from benchmarks.power.check import CHECK_FILE
 from benchmarks.power.picture import draw, number
 from benchmarks.power.sizes import FROM, GRID, PARAMETER, SOFT
 from benchmarks.power.table import Key, Machine, Spread, decisive, machines_of, natural, table
-from benchmarks.power.words import CHECKED, INTRODUCTION, WORST
+from benchmarks.power.words import CHECKED, INTRODUCTION, RULE, WORST
 from identification.diagnosis.catalogue import ENTRIES
 
 PICTURE = "power_map.png"
@@ -28,6 +29,8 @@ CLEAR = 2.0
 """Factor between the medians along an axis, from which it decides."""
 LADDER = (0.0, 1.0, 3.0, 10.0, 30.0, 100.0, math.inf)
 """Edges of the ratio of a size to the least visible one."""
+CLEARLY = 10.0
+"""Ratio of a size to the least visible one, from which a diagnosis is expected to name it."""
 TEN = 10
 HEADS = {
     "rate": "Rate of the log",
@@ -44,7 +47,7 @@ def page(machines: Sequence[Machine], check: Sequence[dict[str, Any]]) -> str:
     """Return the page."""
     cells = table(machines)
     parts = [
-        INTRODUCTION.format(machines=len(machines), picture=PICTURE),
+        INTRODUCTION.format(machines=len(machines), draws=_draws(machines), picture=PICTURE),
         "## What decides, effect by effect\n",
         *(_item(sentence(machines, effect, cells[effect])) for effect in PARAMETER),
         "",
@@ -162,7 +165,7 @@ def _percent(found: Spread) -> str:
 
 def checked(rigs: Sequence[dict[str, Any]]) -> str:
     """Return the tables of predicted and identified effects."""
-    parts = [CHECKED.format(rigs=len(rigs))]
+    parts = [_filled(CHECKED.format(rigs=len(rigs)))]
     for key, words in (("own", "by the rig's own recordings"), ("map", "by the map")):
         rows = []
         for seen in (True, False):
@@ -185,6 +188,20 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
             rows.append((label, str(len(mine)), *hits))
     header = ("size over the least visible", "rigs", "named first", "first or in the alias group")
     parts.append(_markdown(header, rows))
+    near = [r for r in rigs if 1.0 <= r["own"] < CLEARLY]
+    far = [r for r in rigs if r["own"] >= CLEARLY]
+    parts.append(
+        _filled(
+            RULE.format(
+                times=CLEARLY,
+                close=f"{sum(_apart(r) <= 3.0 for r in rigs)} of {len(rigs)}",
+                worst=f"{max(map(_apart, rigs)):.0f}",
+                near=f"{sum(r['first'] for r in near)} of {len(near)}",
+                far=f"{sum(r['first'] for r in far)} of {len(far)}",
+                alias=f"{sum(r['alias'] for r in far)} of {len(far)}",
+            )
+        )
+    )
     missed = [r for r in rigs if r["own"] >= 1.0 and not r["first"]]
     items = [
         f"`{r['effect']}`, {r['own']:.3g} times the least size: {r['verdict'].replace('_', ' ')}"
@@ -195,6 +212,24 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
         parts.append("Visible by the rig's own recordings, and not named first:")
         parts.append("\n".join(map(_item, items)))
     return "\n\n".join(parts) + "\n"
+
+
+def _filled(text: str) -> str:
+    """Return a paragraph in narrow lines."""
+    return textwrap.fill(text, 100, break_long_words=False, break_on_hyphens=False)
+
+
+def _draws(machines: Sequence[Machine]) -> str:
+    """Return the seeds of the machines in words."""
+    counts = Counter(m["seed"] for m in machines)
+    return ", ".join(f"{n} with seed {seed}" for seed, n in sorted(counts.items()))
+
+
+def _apart(rig: dict[str, Any]) -> float:
+    """Return the factor between the map and the rig's own recordings."""
+    if not (rig["own"] and rig["map"]):
+        return 1.0 if rig["own"] == rig["map"] else math.inf
+    return max(float(rig["own"] / rig["map"]), float(rig["map"] / rig["own"]))
 
 
 def _item(text: str) -> str:

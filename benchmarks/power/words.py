@@ -8,13 +8,13 @@ Which effects will recordings show, and from which size? This page answers it be
 for every effect of the [catalogue](reference/effects.md), along the axes of an experiment that one
 can choose. For recordings that exist, `rig diagnose SOURCE --observable` answers it directly.
 
-`make power-map` makes this page. It draws {machines} machines, as `rig prove --plant mujoco` draws
-them (0.2 to 40 N m), simulates each of them without any effect in a base world, and then changes
-one axis at a time. From excitation, channels and noise follows the **least size** of each effect
-that the recordings can show: the size whose trace, after a new fit of the nominal parameters, is
-significant at 1 % over all effects, and not below a hundredth of the noise's power. Sizes are
-relative to the **injected size**: the middle one of the sizes that the proofs inject into the same
-machine, from near the noise to obvious.
+`make power-map` makes this page. It draws machines as `rig prove --plant mujoco` draws them (0.2 to
+40 N m; here {machines}: {draws}), simulates each of them
+without any effect in a base world, and then changes one axis at a time. From excitation, channels
+and noise follows the **least size** of each effect that the recordings can show: the size whose
+trace, after a new fit of the nominal parameters, is significant at 1 % over all effects, and not
+below a hundredth of the noise's power. Sizes are relative to the **injected size**: the middle one
+of the sizes that the proofs inject into the same machine, from near the noise to obvious.
 
 ![Power map](images/{picture})
 
@@ -28,13 +28,21 @@ Limits of the map:
 
 - Least sizes are those of one effect alone, with known noise. A diagnosis has to search, and to
   tell the effect from its rivals; the next section compares the two.
-- Of effects with an asterisk only a few trial sizes are tested; the least size is one of these. It
-  may be too large by the step between them, and "not shown" may mean that the trial sizes are too
-  small.
+- Of effects with an asterisk in the table of the base world only a few trial sizes are tested; the
+  least size is one of these. It may be too large by the step between them, and "not shown" may mean
+  that the trial sizes are too small.
 - The recordings are short, four of 8 s, so that the map is cautious for long experiments: with the
   same motion the least size falls with the square root of the time.
 - Gas generators are not in the map.
 """
+
+RULE = """From {times:g} times the least size on, {far} were named first and {alias} in the alias
+group; between the least size and {times:g} times it, {near} were named first. **Visible is not yet
+named: read {times:g} times the least size as what a diagnosis will name.** In the picture those
+are the cells below 10 %, for an effect of the injected size. The rigs are few, and the threshold
+was chosen on them, so that these shares are rough. The product over the axes is coarse too: the
+map's figure is within a factor of three of the recordings' own for {close} rigs, and at worst off
+by a factor of {worst}, where an effect is at the edge of being shown at all."""
 
 CHECKED = """{rigs} rigs with one effect each were drawn anew on MuJoCo's plant, all axes at once,
 and diagnosed blind. An effect is *visible* if its size is at least the least one: by the rig's own
@@ -56,7 +64,8 @@ end is not shown at all, and what lies behind such pairs:
   its rows was 12 mV at 100 Hz, 1.4 mV at 1000 Hz and 0.3 mV at 4000 Hz.
 - *Rests.* A breakaway counts with the torque's uncertainty within one sample. On one machine the
   noise of a breakaway was 0.09 N m at 100 Hz and 0.7 N m at 1000 Hz, half of the Coulomb friction,
-  and at 4000 Hz there was no equation of breakaways. That is a limit of the program, not of the
-  recordings: `dwell_static_friction` would otherwise be seen better at high rates.
+  and at 4000 Hz there was no equation of breakaways. So `dwell_static_friction` is not shown at the
+  sizes that the proofs inject, at any rate. That is a limit of the program more than of the
+  recordings.
 - *Loads.* Effects of the load's friction are seen from the difference of two weights and none.
 """

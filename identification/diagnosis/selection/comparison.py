@@ -15,6 +15,7 @@ from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.terms.device import REFERENCE_MASS_KG
 from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 from identification.recording import Array
@@ -102,6 +103,7 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
     speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
     angle = _travels(views)
     current = _greatest([v.current for v in views], USUAL_CURRENT_A)
+    mass = max(v.recording.weight_mass for v in views) / REFERENCE_MASS_KG
     voltage = _greatest([v.voltage for v in views], USUAL_VOLTAGE_V)
     return {
         "A": current,
@@ -114,7 +116,8 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
         "N m/rad": torque / angle,
         "N m s/rad": torque / speed,
         "N m s^2/rad^2": torque / speed**2,
-        "kg m^2": torque * angle / speed**2,
+        # The inertia of a load is stated for the reference mass.
+        "kg m^2": torque * angle / speed**2 / (mass or 1.0),
     }
 
 

@@ -109,10 +109,8 @@ class DaskCluster:
         while without < IDLE:
             try:
                 with self._client.as_current():
-                    done: Collection[Any] = distributed.wait(
-                        waiting, WAIT_S, "FIRST_COMPLETED"
-                    ).done
-                    return done
+                    done: set[Any] = distributed.wait(waiting, WAIT_S, "FIRST_COMPLETED").done
+                return done
             except TimeoutError:
                 # A worker that died takes its time to start again.
                 without = 0 if self._workers() else without + 1
