@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from identification.recording import Bench as BenchConstants
 from rig.cli import options as shared
 from rig.cli.accepting import accept_at_the_end, given_acceptance
 from rig.cli.aftermath import conclude
@@ -20,13 +21,13 @@ from rig.control.operator import operator_for
 from rig.control.progress import RunProgress
 from rig.control.remote import observed, reachable
 from rig.control.session import Inputs, execute
-from rig.planning.feedforward import load_feedforward
+from rig.planning.feedforward import Feedforward, load_feedforward
 from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_acceptance, recorded_input
 from rig.runs.resume import prepare, stopped_words
 from rig.runs.run import bench_constants
-from rig.runs.run_record import FEEDFORWARD_INPUT
+from rig.runs.run_record import FEEDFORWARD_INPUT, RunRecord
 from rig.terminal.prompt import at_terminal
 from rig.terminal.screen import Screen
 from rig.terminal.stop_button import StopButton
@@ -88,12 +89,8 @@ def command(
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
-    stated = record.inputs.get(FEEDFORWARD_INPUT)
-    feedforward = (
-        None if stated is None else load_feedforward(recorded_input(run, stated), constants)
-    )
-    # Each recording gets its own noise.
-    seed = record.seed + len(record.parts)
+    feedforward = _feedforward(run, record, constants)
+    seed = record.seed + len(record.parts)  # each recording gets its own noise
     reset = reset_fault or resumed.died
     inputs = Inputs(
         resumed.bench,
@@ -112,6 +109,12 @@ def command(
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     status = _carry_out(inputs, plan, run, yes, in_console, json_file)
     return accept_at_the_end(run, acceptance, junit_file) if status == DONE else status
+
+
+def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Feedforward | None:
+    """Return the feed-forward torque that the run was started with."""
+    stated = record.inputs.get(FEEDFORWARD_INPUT)
+    return None if stated is None else load_feedforward(recorded_input(run, stated), constants)
 
 
 def _carry_out(

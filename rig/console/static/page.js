@@ -345,7 +345,10 @@ for (const [id, text] of [["go-on", "go on"], ["repeat", "repeat"], ["abort", "a
 }
 at("resume").addEventListener("click", async (event) => {
   if (!fresh(event)) return;
-  const answer = await link.post("/resume", { run: state.run, typed_bench: at("resume-bench").value });
+  const answer = await link.post("/resume", {
+    run: state.run, typed_bench: at("resume-bench").value,
+    operator: at("start-operator").value.trim(),
+  });
   say(answer.ok ? answer.words : `Refused: ${answer.words}`);
   if (answer.ok) {
     at("resume-bench").value = "";
