@@ -205,7 +205,8 @@ class Console:
             raise Refusal(
                 "the program of this run is still writing the page of the run; wait a few seconds"
             )
-        self._hub.starter.resume(run.about, str(message.get("typed_bench", "")))
+        typed, operator = str(message.get("typed_bench", "")), str(message.get("operator", ""))
+        self._hub.starter.resume(run.about, typed, operator)
         assert page is not None
         page.run, page.started = None, run.folder
         return {"words": "the run continues at its first unfinished stage"}

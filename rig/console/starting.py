@@ -25,6 +25,7 @@ _SHOWN: Final = 4000
 """Number of characters of output that are shown of a run that failed to start."""
 _NOT_STARTABLE: Final = frozenset({0, 1})
 _KEPT: Final = 20
+_LONGEST_NAME: Final = 100
 
 
 class StartError(Exception):
@@ -199,12 +200,13 @@ class Starter:
         self._spawn(arguments)
         return folder
 
-    def resume(self, about: Mapping[str, Any], typed_bench: str) -> None:
+    def resume(self, about: Mapping[str, Any], typed_bench: str, operator: str = "") -> None:
         """Continue a run that stopped, in the same folder, with the prompts on the page.
 
         Args:
             about: What the run stated of itself.
             typed_bench: Name of the bench as the operator typed it; asked for on a real bench.
+            operator: Who continues it; empty for nobody.
 
         Raises:
             StartError: The name is wrong.
@@ -213,7 +215,9 @@ class Starter:
             raise StartError(
                 f"type the name of the REAL bench, {about['bench']}, to continue the run"
             )
-        self._spawn(["resume", str(about["folder"]), "--console"])
+        who = valid(operator).strip()[:_LONGEST_NAME]
+        named = ["--operator", who] if who else []
+        self._spawn(["resume", str(about["folder"]), "--console", *named])
 
     def failures(self) -> list[str]:
         """Return the last output of started runs that have ended with invalid input or a crash."""

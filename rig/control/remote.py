@@ -93,6 +93,7 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
         },
         "watched_by": watcher_of(bench).words,
         "stages": [stage.name for stage in plan.stages],
+        "judged": bool(inputs.acceptance or inputs.sequence.value.acceptance),
     }
 
 

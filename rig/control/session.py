@@ -120,6 +120,14 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
     )
 
 
+def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
+    """Return ``run.json`` at the start of a new or resumed run."""
+    record = inputs.resumed or new_record(inputs, plan)
+    if inputs.acceptance is not None:
+        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
+    return record
+
+
 def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
     if feedforward is None:
         return {}

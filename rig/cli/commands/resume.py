@@ -89,7 +89,7 @@ def command(
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
-    feedforward = _recorded_feedforward(run, record, constants)
+    feedforward = _feedforward(run, record, constants)
     seed = record.seed + len(record.parts)  # each recording gets its own noise
     reset = reset_fault or resumed.died
     inputs = Inputs(
@@ -111,10 +111,8 @@ def command(
     return accept_at_the_end(run, acceptance, junit_file) if status == DONE else status
 
 
-def _recorded_feedforward(
-    run: Path, record: RunRecord, constants: BenchConstants
-) -> Feedforward | None:
-    """Return the feed-forward with which the run was started; None if it had none."""
+def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Feedforward | None:
+    """Return the feed-forward torque that the run was started with."""
     stated = record.inputs.get(FEEDFORWARD_INPUT)
     return None if stated is None else load_feedforward(recorded_input(run, stated), constants)
 

@@ -176,7 +176,8 @@ function showJudged() {
   const run = state.run && state.status?.ended ? recorded.of(state.about?.folder) : null;
   const line = at("judged");
   line.hidden = !run || !run.pages.length;
-  const none = state.live?.closed ? "not judged" : "not judged yet";
+  const none = !state.about?.judged ? "none, as no limits are stated"
+    : state.status?.ended?.good ? "not judged yet" : "none before all stages are done";
   const known = JSON.stringify(run && [run.folder, run.verdict, run.pages, none]);
   if (line.hidden || line.dataset.known === known) return;
   line.dataset.known = known;
@@ -345,7 +346,10 @@ for (const [id, text] of [["go-on", "go on"], ["repeat", "repeat"], ["abort", "a
 }
 at("resume").addEventListener("click", async (event) => {
   if (!fresh(event)) return;
-  const answer = await link.post("/resume", { run: state.run, typed_bench: at("resume-bench").value });
+  const answer = await link.post("/resume", {
+    run: state.run, typed_bench: at("resume-bench").value,
+    operator: at("start-operator").value.trim(),
+  });
   say(answer.ok ? answer.words : `Refused: ${answer.words}`);
   if (answer.ok) {
     at("resume-bench").value = "";

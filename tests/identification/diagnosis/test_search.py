@@ -27,7 +27,7 @@ from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Bench, Dataset, Model, Recording
 
-from .benches import campaign, nominal_fit
+from .benches import campaign, honest, nominal_fit
 
 BLOCKS, ROWS, CANDIDATES, STUDIES = 40, 25, 20, 100
 
@@ -184,6 +184,23 @@ def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     assert bool(found) == bool(said)
     near = replace(joint, effects=(Added(spring, (), (2.0, 0.2)),))
     assert implausible(near) == ""
+
+
+@pytest.mark.parametrize(("mass_kg", "said"), [(30.6, "inertia_kgm2 5"), (1.0, "")])
+def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
+    mass_kg: float, said: str
+) -> None:
+    """It is stated for the reference mass: of lighter weights little inertia is a large value."""
+    recordings = [
+        replace(r, weight_mass=mass_kg) if r.weight_mass == 30.6 else r
+        for r in honest()
+        if r.weight_mass in (0.0, 30.6)
+    ]
+    joint = nominal_fit(recordings)
+    inertia = next(t for t in TERMS if t.name == "load_inertia")
+    found = implausible(replace(joint, effects=(Added(inertia, (), (50.0,)),)))
+    assert found.startswith(said)
+    assert bool(found) == bool(said)
 
 
 def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:

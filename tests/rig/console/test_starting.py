@@ -117,6 +117,8 @@ def test_a_stopped_run_goes_on_with_the_prompts_on_the_page(tmp_path: Path) -> N
     about = {"folder": str(tmp_path / "runs" / "stopped"), "bench": "practical", "real": True}
     with pytest.raises(StartError, match="REAL bench, practical"):
         starter.resume(about, "another")
+    starter.resume(about, "practical", " Ada ")
+    assert arguments(starter) == ["resume", about["folder"], "--console", "--operator", "Ada"]
     starter.resume(about, "practical")
     assert arguments(starter) == ["resume", about["folder"], "--console"]
 
