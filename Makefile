@@ -48,7 +48,7 @@ help:
 	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make console   from STOP on the page to the drive read back off, and lateness with three pages"
-	@echo "make fuzz      a million frames or bytes for every decoder; 100 000 random logs of each format"
+	@echo "make fuzz      a million frames or bytes for every decoder, a million EDS and DBC texts; 100 000 random logs of each format"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
@@ -218,6 +218,7 @@ fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py
 	$(BIN)/python tests/long/dbc_fuzz.py
 	$(BIN)/python -m tests.long.log_shapes
+	$(BIN)/python -m tests.long.text_fuzz
 
 mutants: $(VENV)/.dev
 	$(BIN)/python -m tests.long.mutants

@@ -46,6 +46,8 @@ INSTANT_SPREAD: Final = 15.0
 of a slip that lasts less than a cycle. A common unit within this ratio of the factor counts as the
 drive's unit.
 """
+SURER_SPREAD: Final = 3.0
+"""The same for the whole of a short motion, until the joint stands still."""
 ROUGH_COUNTS: Final = 30
 """Different motor positions up to which a motion counts as early; with more of them, the factors of
 simulated benches are right within 2.2 times.
@@ -190,16 +192,17 @@ def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
     factor = speed_factor(motion, least=0.0)
     if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
         return found
-    if len(np.unique(motion.motor)) > ROUGH_COUNTS:
-        return wrong_speed(factor, servo)
-    return _rough_speed(factor, servo)
+    if len(np.unique(motion.motor)) <= ROUGH_COUNTS:
+        return _rough_speed(factor, servo)
+    between = _rough_speed(factor, servo, SURER_SPREAD)
+    return between if between.open else wrong_speed(factor, servo)
 
 
-def _rough_speed(factor: float, servo: Servo) -> Contradiction:
+def _rough_speed(factor: float, servo: Servo, spread: float = INSTANT_SPREAD) -> Contradiction:
     """Return what a rough factor means: a common unit, and beside it a power of ten that is nearer
     to the factor.
     """
-    common = servo.nearest_speed_factor(factor, INSTANT_SPREAD)
+    common = servo.nearest_speed_factor(factor, spread)
     decimal = servo.nearest_speed_factor(factor, 1.0)
     nearer = min(common, decimal) > 0.0 and _apart(decimal, factor) < _apart(common, factor)
     return wrong_speed(common, servo, rough=True, other=decimal if nearer else None)

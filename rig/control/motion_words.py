@@ -75,6 +75,7 @@ class Contradiction:
         words: Finding and remedy, for the operator.
         changes: Values to set in the bench file; empty if the bench or the drive must be changed.
         rough: Whether few counts show it.
+        open: Whether two values are left, which the words name both.
     """
 
     what: str
@@ -82,6 +83,7 @@ class Contradiction:
     words: str
     changes: tuple[Change, ...] = ()
     rough: bool = False
+    open: bool = False
 
     @property
     def above(self) -> bool:
@@ -104,7 +106,7 @@ def wrong_speed(
     if rough:
         words += "; few counts show this factor, so compare the unit with the manual of the drive"
     changes = tuple(Change("servo", key, value) for key, value in servo.speed_settings(factor))
-    return Contradiction(SPEED, factor, words, changes, rough)
+    return Contradiction(SPEED, factor, words, changes, rough, other is not None)
 
 
 def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
