@@ -142,7 +142,7 @@ prove-worlds: $(VENV)/.dev
 	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode
 
 bench: $(VENV)/.runtime
-	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 growth: $(VENV)/.runtime
 	$(BIN)/python benchmarks/diagnosis_growth.py
