@@ -158,7 +158,7 @@ power-map: $(VENV)/.dev
 	$(BIN)/python -m benchmarks.power.page out/power docs
 
 bench: $(VENV)/.runtime
-	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed hotfire_speed identification_speed command_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 growth: $(VENV)/.runtime
 	$(BIN)/python benchmarks/diagnosis_growth.py

@@ -208,7 +208,8 @@ def _low_pass(half: int, cutoff: float) -> Array:
         cutoff: Frequency at -6 dB over half the sampling rate.
     """
     # scipy.signal.firwin gives the same; its import takes a quarter of all imports' time.
-    place = np.arange(-half, half + 1)
-    window = special.i0(_KAISER * np.sqrt(1.0 - (place / half) ** 2))
-    taps = window * np.sinc(cutoff * place)
+    place = np.arange(-half, half + 1, dtype=np.float64)
+    window = special.i0(_KAISER * np.sqrt(1.0 - (place / half) ** 2.0)) / special.i0(_KAISER)
+    taps = cutoff * np.sinc(cutoff * place) * window
+    taps /= np.sum(taps)
     return np.asarray(taps / taps.sum())

@@ -15,11 +15,7 @@ from identification.filter.segment_table import DIRECTION
 from identification.filter.segments import Motion
 from identification.filter.static_limit import static_crossings, static_limit, static_slopes
 from identification.filter.tangents import SEEDS, START
-from identification.model.parameters import (
-    ALPHA,
-    LOGARITHMIC,
-    OFFSET,
-)
+from identification.model.parameters import ALPHA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import huber

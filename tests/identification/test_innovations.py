@@ -212,6 +212,22 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(
     assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
 
 
+def test_the_last_run_is_not_repeated(motions: tuple[Motion, Motion]) -> None:
+    point = at_truth(*motions)
+    held, x = point.weighted(), point.origin()
+    near = held.near_breakaways(x, held.residuals(x))
+    errors, deviations = point.run()
+    before = point.filter.evaluations
+    near.residuals(x)  # filters the first samples only
+    assert point.run()[0] is errors
+    assert point.filter.evaluations == before
+    other = point.run(point.noise.louder(2.0))
+    assert point.filter.evaluations == before + 1
+    assert not np.allclose(other[1], deviations)
+    with pytest.raises(ValueError, match="read-only"):
+        errors[0] = 0.0
+
+
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
     both = at_truth(*motions)
     found = both.run(Noise(0.06, 1e-6))

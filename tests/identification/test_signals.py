@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import signal
 
 from identification.signals import (
     Decimator,
@@ -194,3 +195,11 @@ def test_decimator_takes_a_series_that_runs_backwards_in_memory() -> None:
     values = np.random.default_rng(1).normal(size=500)
     backwards = values[::-1].copy()[::-1]
     assert np.array_equal(low_pass(backwards), low_pass(values))
+
+
+@pytest.mark.parametrize("bandwidth", [5.0, 40.0, 333.3])
+def test_the_low_pass_is_the_sinc_function_in_kaisers_window(bandwidth: float) -> None:
+    low_pass = decimator(RATE, bandwidth)
+    size = 2 * low_pass.half + 1
+    taps = signal.firwin(size, bandwidth, fs=RATE, window=("kaiser", 5.0))
+    np.testing.assert_allclose(low_pass.taps, taps / np.sum(taps), rtol=1e-14)
