@@ -195,14 +195,6 @@ def execute(
     return folder, outcome
 
 
-def _record_of(inputs: Inputs, plan: Plan) -> RunRecord:
-    """Return the record of a new or resumed run, with the limits by which it is judged."""
-    record = inputs.resumed or new_record(inputs, plan)
-    if inputs.acceptance is not None:
-        record.inputs = {**record.inputs, ACCEPTANCE_INPUT: inputs.acceptance.entry}
-    return record
-
-
 def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
     """Before the first prompt, show the limits that only this program checks, and store them once
     in the record.
