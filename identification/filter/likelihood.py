@@ -374,7 +374,8 @@ class NearBreakaways:
 
     def by_segment(self, values: Array) -> Array:
         """Return the sum over each segment of one value for each affected residual, shape (m,)."""
-        return np.bincount(self.owners, values, self.point.breakaways)
+        sums = np.bincount(self.owners, values, self.point.breakaways)
+        return np.asarray(sums, dtype=np.float64)
 
     def costs(self, residuals: Array, threshold: float) -> Array:
         """Return the Huber cost of each segment's affected residuals, shape (m,)."""
