@@ -97,4 +97,6 @@ def main(seed: int) -> None:
 
 
 if __name__ == "__main__":
+    if len(sys.argv) != 2 or not sys.argv[1].isdigit():
+        sys.exit("usage: python tools/sample_text.py SEED (a whole number)")
     main(int(sys.argv[1]))

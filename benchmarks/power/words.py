@@ -8,8 +8,8 @@ Which effects will recordings show, and from which size? This page answers it be
 for every effect of the [catalogue](reference/effects.md), along the axes of an experiment that one
 can choose. For recordings that exist, `rig diagnose SOURCE --observable` answers it directly.
 
-`make power-map` makes this page. It draws machines as `rig prove --plant mujoco` draws them (0.2 to
-40 N m; here {machines}: {draws}), simulates each of them
+`make power-map` makes this page. It draws {machines} machines as `rig prove --plant mujoco` draws
+them (greatest torque 0.2 to 40 N m; {draws}), simulates each of them
 without any effect in a base world, and then changes one axis at a time. From excitation, channels
 and noise follows the **least size** of each effect that the recordings can show: the size whose
 trace, after a new fit of the nominal parameters, is significant at 1 % over all effects, and not

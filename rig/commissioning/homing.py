@@ -316,6 +316,6 @@ def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint
     if not abs(joint - drive) <= limit:
         raise WrongError(
             f"the joint encoder shows {math.degrees(joint):.4g} deg after homing, the drive "
-            f"{math.degrees(drive):.4g} deg, must agree within {math.degrees(limit):.3g} deg: "
+            f"{math.degrees(drive):.4g} deg; they must agree within {math.degrees(limit):.3g} deg: "
             f"correct --home-angle, or the zero of the joint encoder (--angle). {UNSET}"
         )

@@ -12,7 +12,7 @@ from rig.common.errors import InputError
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the content of a plain file.
+    """Return the content of a regular file.
 
     Raises:
         OSError: It cannot be read; ``strerror`` states the reason.
@@ -72,15 +72,15 @@ def source_name(source: Path) -> str:
 
 
 def is_file(path: Path) -> bool:
-    """Return whether ``path`` is a visible plain file; unlike :meth:`pathlib.Path.is_file` it
-    never raises.
+    """Return whether ``path`` is an existing regular file, after following links; false where
+    access is denied. Unlike :meth:`pathlib.Path.is_file` it never raises.
     """
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether ``path`` is a visible folder; unlike :meth:`pathlib.Path.is_dir` it never
-    raises.
+    """Return whether ``path`` is an existing folder, after following links; false where access is
+    denied. Unlike :meth:`pathlib.Path.is_dir` it never raises.
     """
     return os.path.isdir(path)
 

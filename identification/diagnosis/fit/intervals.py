@@ -76,7 +76,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
-    """Return a size of effect ``k`` whose interval holds zero, by its name; None if there is none.
+    """Return a size of effect ``k`` whose interval contains zero, by name; None if there is none.
 
     Sizes are the parameters that are proportional to the effect's coefficients, or to their
     reciprocal, as a stiffness.

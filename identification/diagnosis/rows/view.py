@@ -251,7 +251,7 @@ def _view(
         raise RecordingError(
             f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of "
             f"{bandwidth_Hz:.3g} Hz needs "
-            f"({2 * low_pass.half + 8}); ask for a higher bandwidth or leave it out"
+            f"({2 * low_pass.half + 8}); ask for a higher bandwidth, or for none"
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)

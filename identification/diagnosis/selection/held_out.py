@@ -58,8 +58,9 @@ def validated_effects(
     error on unused recordings significantly.
 
     The effect that reduces the error least is dropped first, and the other effects are fitted again
-    without it. Of its rivals, the first that reduces the error significantly replaces it. Then an
-    effect beside another one is dropped if the interval of its size holds zero. Finally, the
+    without it. Of its rivals, the first that reduces the error significantly replaces it. Then, if
+    several effects remain, one after the first is dropped if the interval of its size contains
+    zero. Finally, the
     recordings set aside decide between each remaining effect and its rivals.
 
     Args:
@@ -116,7 +117,7 @@ def validated_effects(
 def _without_undetermined(
     case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint | None:
-    """Return the fit without the first effect beside another one whose size's interval holds zero;
+    """Return the fit without an effect, after the first, whose size may be zero by its interval;
     None if there is none. Its round is removed, and a step added.
     """
     for k, effect in enumerate(joint.effects):
@@ -127,7 +128,7 @@ def _without_undetermined(
             continue
         parameter, size = found
         without = _fit_without(case, joint, effect)
-        note = f"the interval of {parameter}, {size.low:.3g} to {size.high:.3g}, holds zero"
+        note = f"the interval of {parameter}, {size.low:.3g} to {size.high:.3g}, contains zero"
         steps.append(Step(DROPPED, name, None, without.cost - joint.cost, note))
         rounds.pop(name, None)
         return without

@@ -28,6 +28,7 @@ from identification.diagnosis.selection.comparison import (
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 
 LEAST_FURTHER = RULES.shape_errors * ROUGH
+"""Share of a contribution below which it may be the error of another effect's regressors."""
 SIGNIFICANT = float(stats.norm.isf(0.01))
 """Significance, in standard errors, that an effect needs if without it no mismatch beyond the noise
 remains. Its gain must then also be `shape_errors` times the error of the others, unless they are

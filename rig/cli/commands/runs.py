@@ -199,8 +199,8 @@ def trend(
     change.
 
     The command reports a drift, or a step from one run to the next, if it is larger than the
-    scatter of the runs and their intervals explain. In at most one of 100 histories without change,
-    the command reports a parameter. If a parameter has a step at a run, the output names the
+    scatter of the runs and their intervals explain. At most one in 100 series of runs without a
+    change gives a false report. If a parameter has a step at a run, the output names the
     devices that were replaced at that run.
 
     \b

@@ -67,7 +67,10 @@ class Gate:
         if self.token is None:
             origin = fields.get("origin", "")
             if origin not in ("", APP):
-                raise RefusedError(f"a page of {origin} may not watch without a token")
+                raise RefusedError(
+                    f"the stream was started with --no-token and refuses web pages, this one of "
+                    f"{origin}; start `rig watch` without --no-token"
+                )
         elif not self._carries_token(target):
             raise RefusedError(
                 "the address lacks the token of this start; use the address "

@@ -68,7 +68,7 @@ RIGHT = Added(TERM["asymmetric_coulomb"], (), (0.0,))
 WRONG = Added(TERM["position_dependent_friction"], (0.2, 0.02), (0.0,))
 
 
-def test_an_effect_beside_another_is_dropped_if_the_interval_of_its_size_holds_zero(
+def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # Any effect passes the test on unused recordings.
@@ -79,7 +79,7 @@ def test_an_effect_beside_another_is_dropped_if_the_interval_of_its_size_holds_z
     (step,) = (s for s in found.steps if s.action == DROPPED)
     assert step.name == "asymmetric_viscous"
     (warning,) = dropped_effects(found)
-    assert "holds zero" in warning
+    assert "contains zero" in warning
     alone = validated_effects(search(absent), here(), (), "N m")
     assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
 

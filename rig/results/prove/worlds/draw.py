@@ -218,7 +218,8 @@ def _loaded(k: int, kind: str, loads: int, body: Body, sends_torque: bool) -> Pl
     """Return recording ``k`` with its known load and nothing else; the first recording has none,
     except for a weight on the joint.
 
-    A host that sends torques has its spring about zero, where the weight hangs straight down.
+    If a host sends the torques, a weak spring that it computes pulls the joint to angle zero; the
+    weight therefore hangs straight down at zero.
     """
     empty = Planned("", "fit", "", np.zeros(0), 0.0)
     if kind == "lever":
