@@ -318,3 +318,20 @@ def test_a_run_is_resumed_with_limits_of_its_own(
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
     assert status(["runs", "accept", "out"]) == 0
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
+    monkeypatch: pytest.MonkeyPatch, resumed: bool
+) -> None:
+    if resumed:
+        stopped_in_b(monkeypatch)
+    given = limits("given.yaml", "current worst < 1 mA")
+
+    def change(*_: Any) -> None:
+        limits("given.yaml", "lost samples < 1")
+
+    monkeypatch.setattr(RunProgress, "__call__", change)
+    options = ("--acceptance", given)
+    assert (status(["resume", "out", "--yes", *options]) if resumed else start(*options)) == 1
+    assert judged() == ("given.yaml", False, ["current worst < 1 mA"])
