@@ -55,11 +55,10 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
         QUICK_STOP_DECELERATION: limits.quick_stop_deceleration_rad_s2
         / scales.joint_acceleration_unit_rad_s2,
     }
-    # The deceleration is no limit, so that it is rounded to the nearest.
     return {
         address: -_whole(-value)
         if address == POSITION_MIN
-        else round(value)
+        else _nearest(value)
         if address == QUICK_STOP_DECELERATION
         else _whole(value)
         for address, value in values.items()
@@ -101,6 +100,13 @@ def steps(scales: ServoScales) -> LimitSteps:
         count,
         scales.joint_acceleration_unit_rad_s2,
     )
+
+
+def _nearest(units: float) -> int:
+    """Round a deceleration, which is no limit, to the nearest unit; only 0 itself becomes 0, with
+    which a drive would not brake.
+    """
+    return max(1, round(units)) if units else 0
 
 
 def _whole(units: float) -> int:

@@ -49,18 +49,18 @@ def given_acceptance(file: Path | None) -> GivenFile | None:
     return GivenFile.of(file)
 
 
-def accept_at_the_end(folder: Path, file: Path | None, junit_file: Path | None) -> int:
+def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     """Judge a run that has just been completed; return the exit status.
 
-    Nothing is judged where neither a file nor the sequence states limits; ``file`` replaces the
-    file that the run was given before.
+    The limits are those in its recording: the file that was given may have changed since. Nothing
+    is judged where neither a file nor the sequence states limits.
 
     Raises:
-        InputError: A file cannot be written.
+        InputError: The limits cannot be read, or a file cannot be written.
     """
     from rig.results.acceptance.limits import stated_limits
 
-    limits, source = stated_limits(folder, file)
+    limits, source = stated_limits(folder, None)
     if not limits:
         return DONE
     click.echo(f"acceptance: {len(limits)} limits; this may take a minute")

@@ -193,7 +193,7 @@ class Console:
         typed = str(message.get("typed_bench", ""))
         folder = self._hub.starter.start(str(message.get("shown")), typed)
         assert page is not None
-        page.run, page.started = None, Path(os.path.abspath(folder))
+        self._hub.follow_up(page, Path(os.path.abspath(folder)))
         return {"words": f"started; the run folder is {folder}"}
 
     async def _resume(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -208,7 +208,7 @@ class Console:
         typed, operator = str(message.get("typed_bench", "")), str(message.get("operator", ""))
         self._hub.starter.resume(run.about, typed, operator)
         assert page is not None
-        page.run, page.started = None, run.folder
+        self._hub.follow_up(page, run.folder)
         return {"words": "the run continues at its first unfinished stage"}
 
     async def _compare(self, page: Page | None, message: Mapping[str, Any]) -> dict[str, Any]:
@@ -236,6 +236,7 @@ class Console:
                 await socket.close(1008, "a page must send its token first")
             return
         page = self._hub.controls.open()
+        self._hub.keep(page, hello.get("shown"))
         if self._token.fits(token):
             self._hub.controls.admit(page)
         reading = asyncio.create_task(_read_views(socket, page))

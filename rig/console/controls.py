@@ -20,6 +20,7 @@ class Page:
         kept: The run that it shows where none was chosen.
         beyond: Count of the runs that were known when that run had ended; None before.
         started: Folder of the run that was started or continued from it, until the run is found.
+        before: Count of the runs that were known at that time.
         window_s: Width of its charts, s; 0 for the whole run.
         pixels: Width of its charts, pixels.
     """
@@ -32,6 +33,7 @@ class Page:
     kept: str | None = None
     beyond: int | None = None
     started: Path | None = None
+    before: int = 0
     window_s: float = 30.0
     pixels: int = 400
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import asyncio
 import time
+from pathlib import Path
 from typing import Any, Final
 
 from rig.console.controls import Controls, Page
@@ -90,20 +91,37 @@ class Hub:
             return self.runs[page.run]
         runs = list(self.runs.values())[::-1]
         going = [run for run in runs if not run.over]
-        own = next((run for run in going if run.folder == page.started), None)
+        mine = (run for run in runs if run.folder == page.started and run.number > page.before)
+        own = next(mine, None)
+        if own is not None:
+            # Whoever continues this run later does not take the page with it.
+            page.started = None
+            own = None if own.over else own
         kept = own or self.runs.get(page.kept or "")
         if kept is None:
             kept = next(iter(going or runs), None)
         elif kept.over and page.beyond is not None:
             later = [run for run in runs if run.number > page.beyond]
             kept = next((run for run in later if not run.over), later[0] if later else kept)
-        if own is not None:
-            page.started = None
         if kept is not None:
             same = kept.key == page.kept and page.beyond is not None
             page.beyond = None if not kept.over else page.beyond if same else self._found
             page.kept = kept.key
         return kept
+
+    def follow_up(self, page: Page, folder: Path) -> None:
+        """Let a page show the run that was started or continued from it in a folder, once the run
+        is found.
+        """
+        page.run, page.started, page.before = None, folder, self._found
+
+    def keep(self, page: Page, key: object) -> None:
+        """Let a page that is opened again keep the run in progress that it showed before its
+        contact was lost.
+        """
+        run = self.runs.get(key) if isinstance(key, str) else None
+        if run is not None and not run.over:
+            page.kept = run.key
 
     async def command(
         self, key: str, command: Command, who: str, prompt: int = 0, text: str = ""

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Self
 
 from rig.common.errors import InputError
-from rig.common.input_files import is_file
+from rig.common.input_files import is_file, read_bytes
 from rig.common.provenance import sha256, sha256_file
 from rig.common.text import stored_path, valid
 from rig.runs.mcap.records import DamageError
@@ -68,24 +68,32 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
 
 
 def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
-    """Return the file of limits that a run was given last, from its recordings; None if it was
-    given none.
+    """Return the file of limits that a run was given last: from its recordings, or the file itself
+    if it is unchanged, as a recording that could not be started does not contain it. None if the
+    run was given none.
 
     Raises:
-        InputError: No recording contains the file.
+        InputError: No recording contains the file, and it is missing or was changed.
     """
     entry = record.inputs.get(ACCEPTANCE_INPUT)
     if entry is None:
         return None
-    for part in reversed(record.parts):
-        with suppress(DamageError, OSError):
-            content = first_attachment(folder / part.file, ACCEPTANCE_INPUT)
-            if sha256(content) == entry["sha256"]:
-                return GivenFile(entry, content)
+    for content in _copies(folder, record, entry):
+        if sha256(content) == entry["sha256"]:
+            return GivenFile(entry, content)
     raise InputError(
         f"{folder}: no recording of this run contains the limits that it was given "
         f"({entry['file']}); give them with --acceptance FILE"
     )
+
+
+def _copies(folder: Path, record: RunRecord, entry: Mapping[str, str]) -> Iterator[bytes]:
+    """Yield what may be the file of limits that a run was given."""
+    for part in reversed(record.parts):
+        with suppress(DamageError, OSError):
+            yield first_attachment(folder / part.file, ACCEPTANCE_INPUT)
+    with suppress(OSError, ValueError):
+        yield read_bytes(recorded_input(folder, entry))
 
 
 def _is_file(path: Path, sha256: str) -> bool:

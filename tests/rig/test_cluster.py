@@ -186,6 +186,29 @@ def test_a_cluster_without_workers_is_not_waited_for(monkeypatch: pytest.MonkeyP
         list(cluster.DaskCluster(Deserted(), "--scheduler x").each(abs, [1]))
 
 
+class Left(Deserted):
+    """A client whose scheduler ends while its tasks are waited for."""
+
+    def cancel(self, futures: object, force: bool) -> None:
+        raise distributed.comm.CommClosedError("closed")
+
+
+@pytest.mark.parametrize(
+    "error",
+    [distributed.client.FuturesCancelledError([]), distributed.comm.CommClosedError("closed")],
+    ids=["cancelled", "closed"],
+)
+def test_a_scheduler_that_ends_during_the_work_is_said_to_be_gone(
+    monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def ended(futures: object, timeout: float, return_when: str) -> None:
+        raise error
+
+    monkeypatch.setattr(cluster.distributed, "wait", ended)
+    with pytest.raises(InputError, match="the scheduler is gone; nothing that is done is lost"):
+        list(cluster.DaskCluster(Left(), "--scheduler x").each(abs, [1]))
+
+
 def test_a_worker_with_other_packages_is_refused() -> None:
     assert cluster._on_worker(abs, cluster._fingerprint(), -2) == 2
     with pytest.raises(InputError, match=r"numpy \S+ instead of 1\.0: its results could differ"):

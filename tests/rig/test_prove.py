@@ -5,6 +5,7 @@ right, gone on with.
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -455,6 +456,15 @@ def test_a_sealed_truth_that_is_none_is_refused(tmp_path: Path, content: str) ->
     path.write_text(content)
     with pytest.raises(InputError, match=r"0001\.json"):
         unseal(path, sha256(content.encode()))
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_proof_without_its_times_is_gone_on_with(tmp_path: Path) -> None:
+    proving.begin(tmp_path, 2, SEED)
+    shutil.rmtree(tmp_path / "times")
+    proof = proving.begin(tmp_path, 2, SEED)
+    rows = proving.work(proof, clairvoyant, Processes(1), False, lambda what, share: None)
+    assert len(rows) == 2
 
 
 @pytest.mark.usefixtures("quick")

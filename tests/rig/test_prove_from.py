@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,18 @@ def test_every_rig_is_diagnosed_before_the_first_truth_is_opened(
     again = judging.begin_from(tmp_path / "out", 600, 1, theirs)
     judging.diagnose_all(again, heard, ENGINE, no_progress)
     assert told == ["bench_c"]
+
+
+def test_a_proof_without_its_times_is_gone_on_with(theirs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    judging.diagnose_all(judging.begin_from(out, 600, 1, theirs), judge, ENGINE, no_progress)
+    # What repeats was copied, or the proof was begun before dates and durations were apart.
+    shutil.rmtree(out / "times")
+    (out / "judgements" / "bench_c.json").unlink()
+    proof = judging.begin_from(out, 600, 1, theirs)
+    judging.diagnose_all(proof, judge, ENGINE, no_progress)
+    rows = judging.score_all(proof, no_oracle, lambda path: {}, ENGINE, no_progress)
+    assert len(rows) == len(TRUTHS)
 
 
 def test_a_breakdown_on_one_rig_is_a_result_and_the_others_go_on(

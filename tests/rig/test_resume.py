@@ -15,9 +15,11 @@ import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import status
+from rig.common.errors import StorageError
 from rig.config.packaged import resolve
 from rig.control.progress import RunProgress
 from rig.runs.mcap.reader import read_run
+from rig.runs.recorder import Recorder
 from rig.runs.run import load_run, read_record
 from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
@@ -318,3 +320,39 @@ def test_a_run_is_resumed_with_limits_of_its_own(
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
     assert status(["runs", "accept", "out"]) == 0
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
+
+
+def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = limits("given.yaml", "lost samples < 1")
+
+    def full(*_: object) -> None:
+        raise StorageError("no space left on device")
+
+    with monkeypatch.context() as context:
+        context.setattr(Recorder, "attach", full)
+        assert start("--acceptance", given) == 4
+    changed = limits("given.yaml", "lost samples < 2")
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "give them with --acceptance FILE" in capsys.readouterr().err
+    limits(changed, "lost samples < 1")
+    assert status(["resume", "out", "--yes"]) == 0
+    assert judged() == ("given.yaml", True, ["lost samples < 1"])
+
+
+@pytest.mark.parametrize("resumed", [False, True])
+def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
+    monkeypatch: pytest.MonkeyPatch, resumed: bool
+) -> None:
+    if resumed:
+        stopped_in_b(monkeypatch)
+    given = limits("given.yaml", "current worst < 1 mA")
+
+    def change(*_: Any) -> None:
+        limits("given.yaml", "lost samples < 1")
+
+    monkeypatch.setattr(RunProgress, "__call__", change)
+    options = ("--acceptance", given)
+    assert (status(["resume", "out", "--yes", *options]) if resumed else start(*options)) == 1
+    assert judged() == ("given.yaml", False, ["current worst < 1 mA"])

@@ -108,7 +108,7 @@ def command(
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
     require_attendance(plan, resumed.bench, yes, in_console or at_terminal())
     status = _carry_out(inputs, plan, run, yes, in_console, json_file)
-    return accept_at_the_end(run, acceptance, junit_file) if status == DONE else status
+    return accept_at_the_end(run, junit_file) if status == DONE else status
 
 
 def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Feedforward | None:

@@ -224,7 +224,7 @@ def _carry_out(
         click.echo(describe_findings(injector.conclude(STATUS[outcome.ending], outcome.message)))
     if status != DONE:
         return status
-    return accept_at_the_end(path, options.acceptance, options.junit_file)
+    return accept_at_the_end(path, options.junit_file)
 
 
 def _dry_run(

@@ -27,6 +27,7 @@ export class Link {
     this.name = "";
     this.number = 0;
     this.wanted = {};
+    this.shown = null;
     this.heard = 0;
     this.open();
     setInterval(() => this.watch(), 250);
@@ -36,7 +37,8 @@ export class Link {
     const socket = new WebSocket(`ws://${location.host}/live`);
     socket.binaryType = "arraybuffer";
     socket.onopen = () => {
-      socket.send(JSON.stringify({ token: this.token }));
+      // A page that lost its contact keeps its run, and so the run that STOP is for.
+      socket.send(JSON.stringify({ token: this.token, shown: this.shown }));
       socket.send(JSON.stringify(this.wanted));
     };
     socket.onmessage = (message) => this.take(message.data);

@@ -58,6 +58,7 @@ function takeState(changed, fresh) {
     if ("run" in changed && !(name in changed)) state[name] = null;
   }
   Object.assign(state, changed);
+  link.shown = state.run || null;
   if (changed.channels) charts.use(changed.channels);
   if (changed.points) friction.take(changed.points);
   if ("curves" in changed) friction.use(changed.curves);

@@ -69,14 +69,22 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
             seals = tuple(place(out, int(number), digest) for number, digest in begun.items())
         except ValueError as error:
             raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
+        _make_folders(out)
         return Proof(out, seed, seals, family)
-    for name in (ROWS, DIAGNOSES, TIMES):
-        (out / name).mkdir(parents=True, exist_ok=True)
+    _make_folders(out)
     made = FAMILIES[family]
     drawn = enumerate(made.assignment(rigs, seed), start=1)
     seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
     write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
     return Proof(out, seed, seals, family)
+
+
+def _make_folders(out: Path) -> None:
+    """Make the folders of a proof; one that was copied, or begun by an older version, may lack
+    some.
+    """
+    for name in (ROWS, DIAGNOSES, TIMES):
+        (out / name).mkdir(parents=True, exist_ok=True)
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, cast
 
 import pytest
+from starlette.websockets import WebSocketDisconnect
 
+from rig.console.app import Console
 from rig.console.controls import Page
+from rig.console.gate import Token
 from rig.console.hub import Hub
 from rig.console.starting import Starter
 from rig.terminal.control_messages import VERSION
+
+if TYPE_CHECKING:
+    from starlette.websockets import WebSocket
 
 
 class Desk:
@@ -67,17 +74,29 @@ def test_a_run_that_begins_elsewhere_does_not_take_the_place_of_the_run(desk: De
 def test_a_run_that_was_started_from_the_page_is_shown(desk: Desk) -> None:
     desk.begin("other")
     assert desk.shown() == "other"
-    desk.page.started = Path("/runs/mine")
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
     assert desk.shown() == "other"
     desk.begin("third")
     desk.begin("mine")
     assert desk.shown() == "mine"
     desk.end("mine")
     # A resumed run has the same folder.
-    desk.page.started = Path("/runs/mine")
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
     assert desk.shown() == "mine"
     desk.begin("again", "/runs/mine")
     assert desk.shown() == "again"
+
+
+def test_a_run_that_ended_before_it_was_found_does_not_call_the_page_back(desk: Desk) -> None:
+    desk.begin("other")
+    assert desk.shown() == "other"
+    desk.hub.follow_up(desk.page, Path("/runs/mine"))
+    desk.begin("mine")
+    desk.end("mine")
+    assert desk.shown() == "other"
+    # Another page, or a terminal, continues that run.
+    desk.begin("again", "/runs/mine")
+    assert desk.shown() == "other"
 
 
 def test_a_page_that_is_opened_after_a_run_waits_for_the_next(desk: Desk) -> None:
@@ -95,3 +114,53 @@ def test_a_run_that_was_chosen_is_shown(desk: Desk) -> None:
     assert desk.shown() == "one"
     desk.begin("three")
     assert desk.shown() == "one"
+
+
+def opened_again(desk: Desk, shown: object) -> Page:
+    """Return the page of a browser that connects once more, with what it showed before."""
+
+    class Socket:
+        sent = 0
+
+        async def accept(self) -> None:
+            pass
+
+        async def receive_json(self) -> dict[str, object]:
+            self.sent += 1
+            if self.sent > 1:
+                await asyncio.sleep(60.0)
+            return {"token": "wrong", "shown": shown}
+
+        async def send_text(self, _: str) -> None:
+            raise WebSocketDisconnect
+
+        async def close(self, *_: object) -> None:
+            pass
+
+    found: list[Page] = []
+    opening = desk.hub.controls.open
+
+    def noted() -> Page:
+        found.append(opening())
+        return found[0]
+
+    desk.hub.controls.open = noted  # type: ignore[method-assign]
+    console = Console(desk.hub, Token(), frozenset())
+    asyncio.run(console._live(cast("WebSocket", Socket())))
+    return found[0]
+
+
+def test_a_page_that_lost_its_contact_keeps_its_run(desk: Desk) -> None:
+    desk.begin("mine")
+    assert desk.shown() == "mine"
+    desk.begin("other")
+    assert desk.shown(opened_again(desk, "mine")) == "mine"
+
+
+@pytest.mark.parametrize("shown", [None, "unknown", 7, ["mine"], "ended"])
+def test_a_page_that_showed_no_run_in_progress_shows_the_newest(desk: Desk, shown: object) -> None:
+    desk.begin("ended")
+    desk.end("ended")
+    desk.begin("mine")
+    desk.begin("other")
+    assert desk.shown(opened_again(desk, shown)) == "other"

@@ -13,7 +13,7 @@ import logging
 import platform
 import tempfile
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache, partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import islice
@@ -97,13 +97,15 @@ class DaskCluster:
                     yield self._result(future)
                     future.release()
         finally:
-            self._client.cancel(list(waiting), force=True)
+            # A scheduler that is gone has nothing to cancel, and its error has been raised.
+            with suppress(*self._lost):
+                self._client.cancel(list(waiting), force=True)
 
     def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
         """Return those of some tasks that are finished, one or more.
 
         Raises:
-            InputError: No worker is left for a while.
+            InputError: No worker is left for a while, or the scheduler is gone.
         """
         without = 0
         while without < IDLE:
@@ -111,6 +113,8 @@ class DaskCluster:
                 with self._client.as_current():
                     done: set[Any] = distributed.wait(waiting, WAIT_S, "FIRST_COMPLETED").done
                 return done
+            except self._lost as error:
+                raise self._gone() from error
             except TimeoutError:
                 # A worker that died takes its time to start again.
                 without = 0 if self._workers() else without + 1
@@ -120,7 +124,26 @@ class DaskCluster:
         )
 
     def _workers(self) -> int:
-        return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        """Return the number of workers.
+
+        Raises:
+            InputError: The scheduler is gone.
+        """
+        try:
+            return len(self._client.scheduler_info(n_workers=-1)["workers"])
+        except self._lost as error:
+            raise self._gone() from error
+
+    @property
+    def _lost(self) -> tuple[type[BaseException], ...]:
+        """Errors of a client whose scheduler is gone."""
+        return distributed.CancelledError, distributed.comm.CommClosedError
+
+    def _gone(self) -> InputError:
+        return InputError(
+            f"{self._where}: the scheduler is gone; nothing that is done is lost: start it again "
+            f"and continue with the same --out"
+        )
 
     def _result(self, future: Any) -> Any:
         """Return the result of a finished task.
@@ -132,11 +155,8 @@ class DaskCluster:
             return future.result()
         except distributed.scheduler.KilledWorker as error:
             raise died(f"{self._where}: {DEATHS} workers died on one task") from error
-        except (distributed.CancelledError, distributed.comm.CommClosedError) as error:
-            raise InputError(
-                f"{self._where}: the scheduler is gone; nothing that is done is lost: start it "
-                f"again and continue with the same --out"
-            ) from error
+        except self._lost as error:
+            raise self._gone() from error
         except ModuleNotFoundError as error:
             raise InputError(
                 f"{self._where}: a worker cannot import {error.name}; install this version of "

@@ -76,11 +76,18 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
                 f"{source}: the truths of {', '.join(changed)} are missing or were changed since "
                 f"this proof began; give --out another folder"
             )
-    else:
-        for name in (ROWS, DIAGNOSES, JUDGEMENTS, TIMES):
-            (out / name).mkdir(parents=True, exist_ok=True)
+    _make_folders(out)
+    if not is_file(file):
         write_json(file, {"settings": settings, "seals": seals})
     return FromProof(out, seed, tuple(given))
+
+
+def _make_folders(out: Path) -> None:
+    """Make the folders of a proof; one that was copied, or begun by an older version, may lack
+    some.
+    """
+    for name in (ROWS, DIAGNOSES, JUDGEMENTS, TIMES):
+        (out / name).mkdir(parents=True, exist_ok=True)
 
 
 def _stated(source: Path, out: Path) -> str:
