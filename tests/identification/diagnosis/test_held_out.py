@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from identification.diagnosis.fit.intervals import estimates, undetermined_size
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View, views
@@ -82,6 +83,17 @@ def test_an_effect_beside_another_is_dropped_if_the_interval_of_its_size_holds_z
     assert "holds zero" in warning
     alone = validated_effects(search(absent), here(), (), "N m")
     assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
+
+
+def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
+    """Its true mass is zero, and its interval holds zero, however surely the label is wrong."""
+    missing = replace(hidden()[0], name="missing", weight_mass=10.0, stage="loaded", role="fit")
+    joint = nominal_fit((*hidden()[:2], missing, *hidden()[3:5]))
+    weight = Added(TERM["wrong_weight"], (2.0,), (0.0,))
+    found = fit(joint.equations[0].views, "N m", joint.nominal, (RIGHT, weight), joint)
+    mass = estimates(found)[1]["mass_kg"]
+    assert mass.low < 0.0 < mass.high < 0.1
+    assert undetermined_size(found, 1) is None
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
