@@ -53,9 +53,7 @@ class Spread:
 def _quantile(freedom: float) -> float:
     """Return the half width of the 90 % interval of Student's distribution of unit scale."""
     level = 0.5 + 0.5 * CONFIDENCE
-    return float(
-        special.stdtrit(freedom, level) if math.isfinite(freedom) else special.ndtri(level)
-    )
+    return float(special.ndtri(level) if freedom == math.inf else special.stdtrit(freedom, level))
 
 
 def correlation_samples(residual: Array) -> float:

@@ -63,6 +63,10 @@ def test_correlation_time_of_nothing_is_one_sample() -> None:
 def test_half_width_is_students() -> None:
     spread = Spread(("a",), np.array([[4.0]]), 5.0)
     assert spread.half_width("a") == pytest.approx(2.0 * stats.t.ppf(0.95, 5.0))
+    assert replace(spread, freedom=np.inf).half_width("a") == pytest.approx(3.29, abs=0.01)
+    assert np.isnan(replace(spread, freedom=np.nan).half_width("a")), (
+        "no interval, not the narrowest"
+    )
 
 
 def test_half_width_of_a_difference_counts_what_the_two_share() -> None:

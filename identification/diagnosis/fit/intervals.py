@@ -86,14 +86,14 @@ def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
         return None
     context = Context(joint.equations[0].views, joint.nominal)
     twice = effect.term.read(2.0 * np.array(effect.coefficients), effect.shape, context)
-    return next(
-        (
-            (name, size)
-            for name, size in sizes.items()
-            if twice[name] != size.value and size.low <= 0.0 <= size.high
-        ),
-        None,
-    )
+    for name, size in sizes.items():
+        # The mass of a wrong weight and an efficiency change too, but are not zero without the
+        # effect.
+        ratio = twice[name] / size.value if size.value else 1.0
+        sized = math.isclose(ratio, 2.0) or math.isclose(ratio, 0.5)
+        if sized and size.low <= 0.0 <= size.high:
+            return name, size
+    return None
 
 
 def _approximation_error(name: str, value: float) -> float:

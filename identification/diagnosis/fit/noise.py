@@ -65,27 +65,37 @@ def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
         joint.residual[joint.stack.part(equation.name)], equation.owner, equation.time
     )
     scatter = equation.sigma * noise(rest, equation.owner, equation.views[0].low_pass)
-    sigma = max(math.hypot(scatter, held_voltage(equation)), least_noise(equation))
-    if sigma >= equation.sigma:
-        return equation
-    return replace(equation, sigma=sigma, own=own_noise(equation, rest * equation.sigma / sigma))
+    least = max(math.hypot(scatter, held_voltage(equation)), least_noise(equation))
+    sigma = min(equation.sigma, least)
+    ratio = equation.sigma / sigma
+    return replace(equation, sigma=sigma, own=own_noise(equation, rest * ratio))
 
 
 def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
     """Return the fit of the nominal model with the noise of these equations, if it is lower by
-    `LOWER_NOISE_RATIO` in one of them; the equations have no common parameters.
+    `LOWER_NOISE_RATIO` in one of them; else, if it is so in one recording, with the noise of the
+    recordings alone. The equations have no common parameters.
     """
-    shares = {
-        e.name: e.sigma / old.sigma for e, old in zip(equations, baseline.equations, strict=True)
-    }
-    if min(shares.values()) >= LOWER_NOISE_RATIO:
-        return baseline
+    pairs = list(zip(equations, baseline.equations, strict=True))
+    if all(e.sigma >= LOWER_NOISE_RATIO * old.sigma for e, old in pairs):
+        pairs = [(_with_noise(e, old.sigma), old) for e, old in pairs]
+        if all(
+            power >= LOWER_NOISE_RATIO**2 * old.own.get(index, 1.0)
+            for e, old in pairs
+            for index, power in e.own.items()
+        ):
+            return baseline
+    shares = {e.name: e.sigma / old.sigma for e, old in pairs}
     residual = baseline.residual.copy()
     for name, share in shares.items():
         residual[baseline.stack.part(name)] /= share
-    kept = tuple(
-        replace(old, sigma=e.sigma, own=e.own)
-        for e, old in zip(equations, baseline.equations, strict=True)
-    )
+    kept = tuple(replace(old, sigma=e.sigma, own=e.own) for e, old in pairs)
     stack = replace(baseline.stack, equations=kept, residual=residual)
     return replace(baseline, equations=kept, residual=residual, stack=stack)
+
+
+def _with_noise(equation: Equation, sigma: float) -> Equation:
+    """Return an equation with another noise, and the same own noise of each recording beyond it."""
+    ratio = equation.sigma / sigma
+    own = {index: max(1.0, power * ratio**2) for index, power in equation.own.items()}
+    return replace(equation, sigma=sigma, own=own)

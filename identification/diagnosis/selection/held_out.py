@@ -137,7 +137,8 @@ def _without_undetermined(
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
     """Return the share of the mismatch beyond the noise on recordings set aside that all effects
-    explain, in the equations by which they are judged; None if there is no such mismatch.
+    explain, in the equations by which they are judged; None if there is no such mismatch, or if an
+    effect has no value there, such as a phase that differs between recordings.
     """
     names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
     before, after = (
@@ -146,8 +147,13 @@ def _unseen_share(case: _Case, joint: Joint) -> float | None:
     )
     if before is None or after is None:
         return None
+    for effect in joint.effects:
+        columns = after[0].columns(effect.term, effect.shape).values()
+        if effect.term.place is None and not any(np.any(c) for c in columns):
+            return None
     left = [_in_noise_of(case.baseline, joint, after), before[1]]
-    return explained_share(before[0], left, sorted(names & {e.name for e in before[0].equations}))
+    share = explained_share(before[0], left, sorted(names & {e.name for e in before[0].equations}))
+    return None if share is None else max(share, 0.0)
 
 
 def _with_rivals_judged(

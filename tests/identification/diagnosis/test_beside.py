@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Joint, fit
-from identification.diagnosis.fit.noise import with_lower_noise
+from identification.diagnosis.fit.noise import LOWER_NOISE_RATIO, with_lower_noise
 from identification.diagnosis.rows.equations import held_voltage
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.removal import needed_share
@@ -19,6 +19,7 @@ from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint
 
+from . import benches
 from .benches import campaign, honest, nominal_fit
 from .test_fits import TERM, begun_with, power
 
@@ -46,6 +47,22 @@ def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
     assert set(own) == set(before)
     loudest = max(before, key=lambda index: before[index])
     assert own[loudest] < 1.1 < 1.5 < before[loudest]
+
+
+def test_what_swings_as_noise_does_in_one_recording_is_no_noise_once_it_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In slow motion the wave is smooth from row to row, and the noise of most rows stays."""
+    slow = [(0.0, 0.05), (10.0, 0.05), (30.6, 0.06)]
+    plan = [(mass, ((22.0, Hz),), "fit") for mass, Hz in (*slow, (0.0, 0.45))]
+    monkeypatch.setattr(benches, "PLAN", plan)
+    cogs = {"torque_Nm": 0.3, "per_motor_turn": 1.0, "phase_rad": 1.0}
+    joint = nominal_fit(campaign({"cogging": cogs}, 31, 12.0))
+    named = after(joint, "cogging")
+    torque, before = named.equations[0], joint.equations[0]
+    assert torque.sigma > LOWER_NOISE_RATIO * before.sigma
+    assert torque.own[3] < 1.5 < 10.0 < before.own[3]
+    assert named.stack.equations[0].own == torque.own
 
 
 def test_what_a_voltage_between_samples_may_differ_stays_noise() -> None:

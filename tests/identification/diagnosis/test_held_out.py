@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 
+from identification.diagnosis.fit.intervals import estimates, undetermined_size
 from identification.diagnosis.fit.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.rows.view import View, views
@@ -17,6 +18,7 @@ from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.held_out import (
     DROPPED,
     _Case,
+    _unseen_share,
     _with_rivals_judged,
     dropped_effects,
     folds,
@@ -82,6 +84,30 @@ def test_an_effect_beside_another_is_dropped_if_its_interval_contains_zero(
     assert "contains zero" in warning
     alone = validated_effects(search(absent), here(), (), "N m")
     assert [e.term.name for e in alone.final.effects] == ["asymmetric_viscous"]
+
+
+def test_a_weight_that_was_not_hung_is_no_size_of_zero() -> None:
+    """Its true mass is zero, and its interval holds zero, however surely the label is wrong."""
+    missing = replace(hidden()[0], name="missing", weight_mass=10.0, stage="loaded", role="fit")
+    joint = nominal_fit((*hidden()[:2], missing, *hidden()[3:5]))
+    weight = Added(TERM["wrong_weight"], (2.0,), (0.0,))
+    found = fit(joint.equations[0].views, "N m", joint.nominal, (RIGHT, weight), joint)
+    mass = estimates(found)[1]["mass_kg"]
+    assert mass.low < 0.0 < mass.high < 0.1
+    assert undetermined_size(found, 1) is None
+
+
+def test_what_has_no_value_in_recordings_set_aside_explains_no_share_of_them() -> None:
+    case, joint = _Case(here(), aside(), "N m", nominal()), search(RIGHT).final
+    share = _unseen_share(case, joint)
+    assert share is not None
+    assert share > 0.95
+    # A phase of its own in each of five recordings; a sixth has none.
+    own = Added(TERM["torque_ripple"], (7.0, 5.0), (0.0,) * 10)
+    assert _unseen_share(case, replace(joint, effects=(*joint.effects, own))) is None
+    (right,) = joint.effects
+    opposite = replace(right, coefficients=(-right.coefficients[0],))
+    assert _unseen_share(case, replace(joint, effects=(opposite,))) == 0.0
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
