@@ -60,8 +60,7 @@ def validated_effects(
     The effect that reduces the error least is dropped first, and the other effects are fitted again
     without it. Of its rivals, the first that reduces the error significantly replaces it. Then, if
     several effects remain, one after the first is dropped if the interval of its size contains
-    zero. Finally, the
-    recordings set aside decide between each remaining effect and its rivals.
+    zero. Finally, the recordings set aside decide between each remaining effect and its rivals.
 
     Args:
         found: The search.
@@ -89,17 +88,8 @@ def validated_effects(
             continue
         steps.append(_step(DROPPED, name, without.cost - joint.cost, worth, case))
         joint, taken = without, rounds.pop(name, None)
-        for rival in taken.rivals if taken is not None else ():
-            tried = _fit_with_rival(case, joint, rival)
-            if tried is None:
-                continue
-            # An effect in one recording alone cannot be tested on others.
-            alone = tried.effects[-1].term.place is not None
-            worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
-            if worth >= RULES.rejected:
-                steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case, alone))
-                joint, rounds[rival.name] = tried, Round(rival.name, ())
-                break
+        if taken is not None:
+            joint = _with_replacing_rival(case, joint, taken, rounds, steps)
     judged = []
     for kept in rounds.values():
         joint, now = _with_rivals_judged(case, joint, kept, steps)
@@ -112,6 +102,26 @@ def validated_effects(
         steps=tuple(steps),
         unseen_share=_unseen_share(case, joint),
     )
+
+
+def _with_replacing_rival(
+    case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
+) -> Joint:
+    """Return the fit with the first rival of a dropped effect that reduces the error significantly,
+    or the fit without one. Its round and a step are added.
+    """
+    for rival in taken.rivals:
+        tried = _fit_with_rival(case, joint, rival)
+        if tried is None:
+            continue
+        # An effect in one recording alone cannot be tested on others.
+        alone = tried.effects[-1].term.place is not None
+        worth = math.inf if alone else _error_reduction(case, tried, joint, tried.effects[-1])
+        if worth >= RULES.rejected:
+            steps.append(_step("swap", rival.name, joint.cost - tried.cost, worth, case, alone))
+            rounds[rival.name] = Round(rival.name, ())
+            return tried
+    return joint
 
 
 def _without_undetermined(
