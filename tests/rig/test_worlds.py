@@ -17,7 +17,7 @@ from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.coverage import WORDS, uncovered
 from rig.results.prove.worlds.draw import draw_world, without_effects, worlds_assignment
-from rig.results.prove.worlds.files import truth_of_world
+from rig.results.prove.worlds.files import campaign, truth_of_world
 from rig.results.prove.worlds.logger import columns
 from rig.results.prove.worlds.motion import MOTIONS, Reach, command
 from rig.results.prove.worlds.seal import log_of, seal_worlds
@@ -280,11 +280,24 @@ def test_sealed_worlds_are_campaigns_that_tell_nothing(tmp_path: Path) -> None:
         assert not [name for name in truth.effects if name in text]
         dataset = load_source(rig.campaign)
         assert len(dataset.recordings) == truth.axes["recordings"]
-        assert dataset.recordings[0].channels["angle"].size > 50
+        channels = dataset.recordings[0].channels
+        encoders = {word for word in ("motor", "joint") if word in truth.axes["encoders"]}
+        recorded = {"motor": "motor_angle", "joint": "angle"}
+        assert {recorded[word] for word in encoders} == {"motor_angle", "angle"} & set(channels)
+        assert all(channels[recorded[word]].size > 50 for word in encoders)
     assert kinds.count("nothing") == 2
     before = [rig.truth.stat().st_mtime_ns for rig in rigs]
     seal_worlds(tmp_path, Follower(), 8, 21, Processes(1), lambda what, share: None)
     assert [rig.truth.stat().st_mtime_ns for rig in rigs] == before, "what is there is kept"
+
+
+@pytest.mark.usefixtures("short")
+def test_a_world_with_the_motors_encoder_alone_records_the_motors_angle() -> None:
+    worlds = (draw_world("nothing", (), (9, seed)) for seed in range(60))
+    world = next(w for w in worlds if w.sensing.joint_bits is None)
+    channels = campaign(world, log_of(Follower(), world)[0])["defaults"]["channels"]
+    assert channels["motor_angle"] == "motor_angle"
+    assert "angle" not in channels
 
 
 @pytest.mark.usefixtures("short")

@@ -72,9 +72,6 @@ def campaign(world: World, columns: Columns) -> dict[str, Any]:
         channels["current"] = {"column": "current", "average": True}
     if world.log.voltage == "measured":
         channels["voltage"] = {"column": "voltage", "average": True}
-    if "angle" not in columns:
-        channels["angle"] = {"column": "motor_angle", "scale": 1.0 / motor.gear_ratio}
-        del channels["motor_angle"]
     return {
         "campaign": 1,
         "bench": bench,
