@@ -161,8 +161,10 @@ def _unseen_share(case: _Case, joint: Joint) -> float | None:
         columns = after[0].columns(effect.term, effect.shape).values()
         if effect.term.place is None and not any(np.any(c) for c in columns):
             return None
-    left = [_in_noise_of(case.baseline, joint, after), before[1]]
-    share = explained_share(before[0], left, sorted(names & {e.name for e in before[0].equations}))
+    stack = before[0]
+    noise = np.sqrt(np.concatenate([e.allowed() for e in stack.equations]))
+    left = [rows / noise for rows in (_in_noise_of(case.baseline, joint, after), before[1])]
+    share = explained_share(stack, left, sorted(names & {e.name for e in stack.equations}))
     return None if share is None else max(share, 0.0)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.fit.linear import Added
 from identification.diagnosis.fit.stack import Stack, stack_of
-from identification.diagnosis.rows.equations import equations
+from identification.diagnosis.rows.equations import Equation, equations
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.recording import Array
@@ -29,7 +29,7 @@ def validation_residual(
     """
     rows = equations(aside, joint.nominal, unit)
     sigma = {e.name: e.sigma for e in joint.equations}
-    rows = tuple(replace(e, sigma=sigma[e.name]) for e in rows if e.name in sigma)
+    rows = tuple(_with_noise(e, sigma[e.name]) for e in rows if e.name in sigma)
     if not rows:
         return None
     stack = stack_of(rows, joint.nominal)
@@ -41,6 +41,13 @@ def validation_residual(
             left -= stack.whitened(columns) @ np.array(effect.coefficients)
     left = _with_own_constants(stack, left[:, None])[:, 0]
     return stack, _without_start_states(stack, (*joint.effects, *starts), left)
+
+
+def _with_noise(equation: Equation, sigma: float) -> Equation:
+    """Return an equation over another noise; the noise of each recording stays the same."""
+    ratio = (equation.sigma / sigma) ** 2
+    own = {index: max(1.0, power * ratio) for index, power in equation.own.items()}
+    return replace(equation, sigma=sigma, own=own)
 
 
 def _with_own_constants(stack: Stack, rows: Array) -> Array:

@@ -34,7 +34,7 @@ from identification.diagnosis.selection.unseen import (
 from identification.diagnosis.terms import TERMS
 from identification.recording import Recording
 
-from .benches import campaign, honest, nominal_fit
+from .benches import BENCH, campaign, honest, nominal_fit
 
 TERM = {t.name: t for t in TERMS}
 SIDE = {"asymmetric_coulomb": {"torque_Nm": 0.5}}
@@ -108,6 +108,25 @@ def test_what_has_no_value_in_recordings_set_aside_explains_no_share_of_them() -
     (right,) = joint.effects
     opposite = replace(right, coefficients=(-right.coefficients[0],))
     assert _unseen_share(case, replace(joint, effects=(opposite,))) == 0.0
+
+
+def test_a_noisy_recording_set_aside_leaves_a_right_effect_its_share() -> None:
+    """Its noise is far greater than that of the others, and is no mismatch."""
+    rng = np.random.default_rng(0)
+    torque = nominal().equations[0]
+    per_A = BENCH.torque_constant * BENCH.gear_ratio
+    noisy = []
+    for r in hidden():
+        if r.role == "validate":
+            more = rng.normal(0.0, 90.0 * torque.sigma / per_A, len(r.channels["current"]))
+            r = replace(r, channels={**r.channels, "current": r.channels["current"] + more})
+        noisy.append(r)
+    fitted = [r for r in noisy if r.role == "fit"]
+    held = [r for r in noisy if r.role == "validate"]
+    unseen = views((*fitted, *held), 25.0, False, noisy)[len(fitted) :]
+    found = validated_effects(search(RIGHT), here(), unseen, "N m")
+    assert [e.term.name for e in found.final.effects] == ["asymmetric_coulomb"]
+    assert found.unseen_share is None or found.unseen_share > 0.95
 
 
 @pytest.mark.parametrize("set_aside", [True, False])
