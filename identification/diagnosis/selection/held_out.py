@@ -127,8 +127,11 @@ def _with_replacing_rival(
 def _without_undetermined(
     case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint | None:
-    """Return the fit without an effect, after the first, whose size may be zero by its interval;
-    None if there is none. Its round is removed, and a step added.
+    """Return the fit without an effect whose size has an interval that contains zero; None if there
+    is none.
+
+    The effect that was selected first is kept. The round of the other one is removed, and a step is
+    added.
     """
     for k, effect in enumerate(joint.effects):
         name = effect.term.name

@@ -65,8 +65,8 @@ def _insufficient_effects(
             return ()
         return (
             f"{100.0 * share:.0f} % of the mismatch beyond the noise would be explained, if "
-            f"{words}; but the remainder starts anew at each reversal, as right effects do not "
-            "leave it",
+            f"{words}; but the rest depends on the travel or time since each reversal, which these "
+            "effects do not",
         )
     return (
         f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "

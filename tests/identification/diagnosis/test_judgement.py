@@ -15,6 +15,7 @@ from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.verdict import judgement
+from identification.diagnosis.verdict import unexplained as explaining
 from identification.diagnosis.verdict.judgement import effects_of, verdict_of
 from identification.diagnosis.verdict.unexplained import unexplained_equations
 from identification.recording import Array
@@ -142,3 +143,14 @@ def test_what_explains_little_of_recordings_set_aside_is_not_sure(
     assert effect.confidence == pytest.approx(confidence, abs=0.01)
     texts = unexplained_equations(search, Verdict.NAMED)
     assert any("set aside only 20 %" in text for text in texts) is (share == 0.2)
+
+
+@pytest.mark.parametrize("hysteretic", [True, False])
+def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_reason(
+    monkeypatch: pytest.MonkeyPatch, hysteretic: bool
+) -> None:
+    monkeypatch.setattr(explaining, "hysteretic_remainder", lambda _found: hysteretic)
+    rng = np.random.default_rng(0)
+    texts = explaining.unexplained(found(1.0), Verdict.OUTSIDE_CATALOGUE, rng)
+    assert len(texts) == hysteretic
+    assert all("since each reversal" in t and "are needed" not in t for t in texts)
