@@ -186,7 +186,8 @@ class Recording:
         hoist: A mass that the joint lifts, or None.
         constant_torque: Known constant torque on the joint, N m; positive drives it forward.
         controller: The loop in which it was made, if known; only simulations need it.
-        role: ``fit``, or ``validate``: in no fit, but tests the effects of a diagnosis.
+        role: ``fit``; ``validate``: in no fit, but tests the effects of a diagnosis; or
+            ``unused``: in no fit and no test, only its time counts.
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
         sha256: SHA-256 digest of that file.
@@ -207,7 +208,7 @@ class Recording:
     hoist: Hoist | None = None
     constant_torque: float = 0.0
     controller: Controller | None = None
-    role: Literal["fit", "validate"] = "fit"
+    role: Literal["fit", "validate", "unused"] = "fit"
     averaged: frozenset[str] = frozenset()
     source: str = ""
     sha256: str = ""

@@ -15,13 +15,13 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.fit.at_values import nominal_at
+from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.intervals import identifiable
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, fit_from_estimate, views_and_fit
+from identification.diagnosis.fit.start import fit_from_estimate, views_and_fit
 from identification.diagnosis.result import (
     Diagnosis,
     Fit,
-    Location,
     Map,
     ResidualTrace,
     Shift,
@@ -45,9 +45,10 @@ from identification.diagnosis.selection.unseen import validation_rms
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import on_the_joint
+from identification.diagnosis.verdict.excess import explains_nearly_all
 from identification.diagnosis.verdict.judgement import (
+    Judged,
     effects_of,
-    explains_nearly_all,
     named_or_ambiguous,
     verdict_of,
 )
@@ -56,7 +57,7 @@ from identification.diagnosis.verdict.unexplained import unexplained
 from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
-from identification.recording import Dataset, Recording, RecordingError
+from identification.recording import Dataset
 
 FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which valve and motor move differently, so that the friction of the valve depends on
@@ -93,14 +94,16 @@ def diagnose(
         RecordingError: The recordings do not determine the nominal model or a declared term.
     """
     clock, rng, report = perf_counter(), rng or np.random.default_rng(0), _begin(progress)
-    fitted, bandwidth = _fitted(dataset, bandwidth_Hz)
+    dataset, bandwidth, resting = choose(dataset, bandwidth_Hz)
+    fitted = dataset.part("fit")
     unit = torque_unit(fitted[0])
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
         inspect(first)
     task = _Task(dataset, here, first, bandwidth, rng, report)
-    here, aside, found, verdict, where, drawn = _searches(task, terms)
+    here, aside, found, judged = _searches(task, terms)
+    verdict, where, drawn, reason = judged
     effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else found.baseline
     shift = _shifts(found, scored, units_of([prepare(fitted[0], bandwidth)]))
@@ -110,7 +113,8 @@ def diagnose(
         scored, why = found.baseline, (*why, *more)
     main, fits = _fits(found.baseline, scored, aside, unit, bandwidth, drawn)
     unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
-    findings = _findings(found, verdict, traces, (*here, *aside), rng)
+    left = unexplained(found, verdict, reason, rng)
+    findings = (*_findings(found, verdict, traces, (*here, *aside)), *left)
     return Diagnosis(
         verdict=verdict,
         statement=statement(verdict, effects, main, where, found.p_value, unseen),
@@ -125,7 +129,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*warnings_of(dataset, here, unseen), *why, *findings),
+        warnings=(*resting, *warnings_of(dataset, here, unseen), *why, *findings),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -157,16 +161,19 @@ class _Task(NamedTuple):
 
 
 class _Outcome(NamedTuple):
-    """Views of the fitted recordings and of those set aside, the validated search, the verdict with
-    the location and the maps of the mismatch.
+    """Views of the fitted recordings and of those set aside, the validated search, and the verdict
+    on it.
     """
 
     here: tuple[View, ...]
     aside: tuple[View, ...]
     found: Search
-    verdict: Verdict
-    where: Location | None
-    maps: Maps
+    judged: Judged
+
+    @property
+    def verdict(self) -> Verdict:
+        """The verdict."""
+        return self.judged.verdict
 
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
@@ -197,11 +204,11 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
     task.report("validating effects on unused recordings", 0.92)
     found = validated_effects(searched, here, aside, task.unit)
     task.report("locating", 0.95)
-    verdict, where, drawn = verdict_of(found, task.rng, searched)
-    if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
+    judged = verdict_of(found, task.rng, searched)
+    if judged.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS):
         found = with_indistinct_effects(found, terms)
-        verdict = named_or_ambiguous(found)
-    return _Outcome(here, aside, found, verdict, where, drawn)
+        judged = judged._replace(verdict=named_or_ambiguous(found))
+    return _Outcome(here, aside, found, judged)
 
 
 def _begin(progress: Progress | None) -> Progress:
@@ -245,7 +252,8 @@ def observable_effects(
     Raises:
         RecordingError: The recordings do not determine the nominal model.
     """
-    here, nominal = views_and_fit(dataset, _fitted(dataset, bandwidth_Hz)[1])
+    dataset, bandwidth, _ = choose(dataset, bandwidth_Hz)
+    here, nominal = views_and_fit(dataset, bandwidth)
     return observable(nominal, _effects_to_search(dataset, here)[0])
 
 
@@ -254,33 +262,16 @@ def _findings(
     verdict: Verdict,
     traces: Sequence[ResidualTrace],
     every: Sequence[View],
-    rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Return texts on dropped effects, on rests under a torque that no other rest withstood, on
-    recordings that contain most of the mismatch, and on what the effects do not explain.
+    """Return texts on dropped effects, on rests under a torque that no other rest withstood, and on
+    recordings that contain most of the mismatch.
     """
     crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
     return (
         *dropped_effects(found),
         *rests_under_torque(every, torque_unit(every[0].recording)),
         *crowds,
-        *unexplained(found, verdict, rng),
     )
-
-
-def _fitted(dataset: Dataset, bandwidth_Hz: float | None) -> tuple[tuple[Recording, ...], float]:
-    """Return the recordings to fit, and the bandwidth of every error, Hz.
-
-    Raises:
-        RecordingError: No recording has the role ``fit``.
-    """
-    fitted = dataset.part("fit")
-    if not fitted:
-        raise RecordingError(
-            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
-            "campaign file"
-        )
-    return fitted, bandwidth_Hz or bandwidth_of(fitted)
 
 
 def _search_sides(

@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
-from identification.diagnosis.score.significance import greatest_mean_square, level, over_own_noise
+from identification.diagnosis.score.significance import greatest_mean_square, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.cancelling import cancelling_effects
-from identification.diagnosis.verdict.hysteretic import is_hysteretic
-from identification.diagnosis.verdict.one_direction import direction_dependent
+from identification.diagnosis.verdict.excess import Excess, excess_of
+from identification.diagnosis.verdict.outside import Reason, reason_outside
 from identification.diagnosis.verdict.wording import finding
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
@@ -33,37 +32,23 @@ unidentified effect may cause the part that counts as noise
 """
 
 
-@dataclass(frozen=True)
-class _Excess:
-    """Power of an equation's whitened mismatch before and after correction, per row."""
+class Judged(NamedTuple):
+    """Verdict of a search.
 
-    equation: str
-    before: float
-    after: float
+    Attributes:
+        verdict: The verdict.
+        where: Location of the mismatch; None if nothing is missing.
+        maps: Maps of the mismatch.
+        reason: Why the catalogue does not explain the mismatch; None for other verdicts.
+    """
 
-    @property
-    def explained(self) -> float:
-        """Share of the power beyond the noise that the effects explain."""
-        beyond = max(self.before - 1.0, 1e-12)
-        return min(1.0, max(0.0, (self.before - max(self.after, 1.0)) / beyond))
-
-
-def excess_of(found: Search) -> list[_Excess]:
-    """Return the power of each equation's mismatch before and after correction."""
-    stack = found.baseline.stack
-    out = []
-    for equation in found.baseline.equations:
-        rows = stack.part(equation.name)
-        before, after = (
-            float(np.mean(j.residual[rows] ** 2)) for j in (found.baseline, found.final)
-        )
-        out.append(_Excess(equation.name, before, after))
-    return out
+    verdict: Verdict
+    where: Location | None
+    maps: tuple[Map, ...]
+    reason: Reason | None = None
 
 
-def verdict_of(
-    found: Search, rng: np.random.Generator, searched: Search | None = None
-) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
+def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None = None) -> Judged:
     """Return the verdict, the location of the mismatch, and its maps.
 
     Args:
@@ -72,7 +57,6 @@ def verdict_of(
         searched: The search before effects were dropped; None if it is the same. Both must explain
             enough of the mismatch.
     """
-    searched = searched or found
     stack = found.baseline.stack
     main = main_equation(found)
     rows = stack.part(main.name)
@@ -80,25 +64,17 @@ def verdict_of(
     drawn = maps(stack, main, before, after, rng)
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > RULES.level:
-        return Verdict.NOTHING_MISSING, None, drawn
+        return Judged(Verdict.NOTHING_MISSING, None, drawn)
     # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
     # breakaway equation judges no model.
     judges = [e for e in excess_of(found) if e.equation != "breakaway"]
     least = RULES.tested_from if found.final.effects else RULES.excess
     if not _any_beyond_noise(found.baseline, judges, least):
-        return Verdict.NOTHING_MISSING, None, drawn
-    changed = _names(found) != _names(searched)
-    if (
-        not found.final.effects
-        or _insufficient(searched)
-        or (changed and _insufficient(found, RULES.adequate_after_removal))
-        or direction_dependent(found.final)
-        or cancelling_effects(found.final)
-        or infeasible(searched.final)
-        or hysteretic_remainder(searched)
-    ):
-        return Verdict.OUTSIDE_CATALOGUE, where, drawn
-    return named_or_ambiguous(found), where, drawn
+        return Judged(Verdict.NOTHING_MISSING, None, drawn)
+    reason = reason_outside(found, searched or found)
+    if reason is not None:
+        return Judged(Verdict.OUTSIDE_CATALOGUE, where, drawn, reason)
+    return Judged(named_or_ambiguous(found), where, drawn)
 
 
 def named_or_ambiguous(found: Search) -> Verdict:
@@ -107,46 +83,7 @@ def named_or_ambiguous(found: Search) -> Verdict:
     return Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED
 
 
-def _names(found: Search) -> set[str]:
-    """Return the names of a search's effects."""
-    return {e.term.name for e in found.final.effects}
-
-
-def explains_nearly_all(found: Search) -> bool:
-    """Whether the effects explain as much of the mismatch beyond the noise as right ones do."""
-    return _judged_equation(found).explained >= RULES.nearly_complete
-
-
-def equations_of_effects(found: Search) -> set[str]:
-    """Return the equations in which the accepted effects act."""
-    return {name for effect in found.final.effects for name in effect.term.columns}
-
-
-def _judged_equation(found: Search) -> _Excess:
-    """Return the equation with the greatest mismatch beyond the noise.
-
-    Only the torque equation and the equations in which an accepted effect acts are compared, if
-    there is a mismatch in one of them. A mismatch in another equation has a cause of its own, which
-    is reported beside the identified effects.
-    """
-    judges = [e for e in excess_of(found) if e.equation != "breakaway"]
-    acting = equations_of_effects(found) | {"torque"}
-    judges = [e for e in judges if e.equation in acting] or judges
-    return max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
-
-
-def _insufficient(found: Search, share: float = RULES.adequate) -> bool:
-    """Whether the effects explain less than a share of the mismatch beyond the noise."""
-    worst = _judged_equation(found)
-    equation = next(e for e in found.final.equations if e.name == worst.equation)
-    left = (
-        worst.after > RULES.excess * level(equation)
-        or greatest_mean_square(found.final, equation) > RULES.excess_of_one
-    )
-    return worst.explained < share and left
-
-
-def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> bool:
+def _any_beyond_noise(joint: Joint, judges: Sequence[Excess], least: float) -> bool:
     """Whether the nominal model leaves more than noise in any equation.
 
     Args:
@@ -161,19 +98,6 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[_Excess], least: float) -> 
         or greatest_mean_square(joint, equations[e.equation]) > RULES.excess_of_one
         for e in judges
     )
-
-
-def hysteretic_remainder(found: Search) -> bool:
-    """Whether the effects explain less of the torque mismatch than right effects do, and the
-    remaining mismatch is hysteretic.
-    """
-    torque = next(e for e in excess_of(found) if e.equation == "torque")
-    return torque.explained < RULES.nearly_complete and is_hysteretic(found.final)
-
-
-def _rows(found: Search, equation: str) -> int:
-    rows = found.baseline.stack.part(equation)
-    return int(rows.stop - rows.start)
 
 
 def main_equation(found: Search) -> Equation:
@@ -241,7 +165,7 @@ def _effect(
     k: int,
     sizes: Mapping[str, Estimate],
     taken: Round,
-    excess: Mapping[str, _Excess],
+    excess: Mapping[str, Excess],
     rng: np.random.Generator,
 ) -> Effect:
     entry = ENTRIES[taken.name]

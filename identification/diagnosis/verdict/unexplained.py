@@ -7,71 +7,73 @@ import math
 import numpy as np
 
 from identification.diagnosis.catalogue.entry import title
-from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.search import Search
-from identification.diagnosis.verdict.cancelling import cancelling_effects
-from identification.diagnosis.verdict.judgement import (
-    effects_of,
+from identification.diagnosis.verdict.excess import (
     equations_of_effects,
     excess_of,
-    hysteretic_remainder,
-    little_unseen,
-    main_equation,
+    judged_equation,
 )
-from identification.diagnosis.verdict.one_direction import direction_dependent
+from identification.diagnosis.verdict.judgement import effects_of, little_unseen
+from identification.diagnosis.verdict.outside import Kind, Reason
 
 
-def unexplained(found: Search, verdict: Verdict, rng: np.random.Generator) -> tuple[str, ...]:
+def unexplained(
+    found: Search, verdict: Verdict, reason: Reason | None, rng: np.random.Generator
+) -> tuple[str, ...]:
     """Return all texts on what the effects leave unexplained.
 
     Args:
         found: The search.
         verdict: Its verdict.
+        reason: Why the catalogue does not explain the mismatch; None for other verdicts.
         rng: Random generator for the bands of the maps.
     """
-    return (*_insufficient_effects(found, verdict, rng), *unexplained_equations(found, verdict))
+    outside = () if reason is None else _reason_texts(reason, rng)
+    return (*outside, *unexplained_equations(found, verdict))
 
 
-def _insufficient_effects(
-    found: Search, verdict: Verdict, rng: np.random.Generator
-) -> tuple[str, ...]:
-    """Return texts on effects that explain only a part of a mismatch outside the catalogue, or only
-    one direction of motion.
-    """
-    if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
-        return ()
-    lopsided = direction_dependent(found.final)
-    if lopsided:
+def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
+    """Return texts on why effects do not explain a mismatch outside the catalogue."""
+    titles = [title(n) for n in reason.effects]
+    if reason.kind is Kind.NO_EFFECT:
+        return _last_candidate(reason.search)
+    if reason.kind is Kind.ONE_DIRECTION:
         return tuple(
-            f"{title(n)} would explain the mismatch only with a different size in each "
-            "direction of motion"
-            for n in lopsided
+            f"{t} would explain the mismatch only with a different size in each direction of motion"
+            for t in titles
         )
-    cancelling = cancelling_effects(found.final)
-    if cancelling:
-        one, other = (title(n) for n in cancelling)
+    if reason.kind is Kind.CANCELLING:
         return (
-            f"{one} and {other.lower()} would explain the mismatch only if each is at "
+            f"{titles[0]} and {titles[1]} would explain the mismatch only if each is at "
             "least about twice their sum: they nearly cancel",
         )
-    if infeasible(found.final):
-        return ()
-    share = next(e.explained for e in excess_of(found) if e.equation == main_equation(found).name)
-    words = "; and ".join(e.statement for e in effects_of(found, rng))
-    if share >= RULES.adequate:
-        if not hysteretic_remainder(found):
-            return ()
+    if reason.kind is Kind.INFEASIBLE:
         return (
-            f"{100.0 * share:.0f} % of the mismatch beyond the noise would be explained, if "
-            f"{words}; but the rest depends on the travel or time since each reversal, which these "
-            "effects do not",
+            f"{' and '.join(titles)} would explain the mismatch only with nominal parameters "
+            "outside their physical limits",
+        )
+    share = 100.0 * judged_equation(reason.search).explained
+    words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
+    if reason.kind is Kind.REVERSALS:
+        return (
+            f"{share:.0f} % of the mismatch beyond the noise would be explained, if {words}; but "
+            "the rest depends on the travel or time since each reversal, which these effects do "
+            "not",
         )
     return (
-        f"the catalogue explains only {100.0 * share:.0f} % of the mismatch beyond the noise (at "
-        f"least {100.0 * RULES.adequate:.0f} % are needed), if {words}",
+        f"the catalogue explains only {share:.0f} % of the mismatch beyond the noise (at "
+        f"least {100.0 * reason.needed:.0f} % are needed), if {words}",
     )
+
+
+def _last_candidate(found: Search) -> tuple[str, ...]:
+    """Return the text on the candidate at which a search without effects ended, if there is one."""
+    last = next((s for s in reversed(found.steps) if s.action == "stop"), None)
+    if last is None:
+        return ()
+    return (f"the best candidate of the catalogue, {title(last.name)}, {last.note}",)
 
 
 def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:

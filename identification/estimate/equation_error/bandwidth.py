@@ -19,9 +19,10 @@ SHARE_OF_RATE = 1.0 / 6.0
 
 def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf) -> float:
     """Return the least of the recordings' default bandwidths, Hz, or the least greater one at which
-    each stage has enough samples in motion.
+    most stages have enough samples in motion.
 
-    Motion that reverses faster than the filter's length leaves no sample in steady motion.
+    Motion that reverses faster than the filter's length leaves no sample in steady motion. A stage
+    that rests at every bandwidth does not decide on the bandwidth of the others.
 
     Args:
         recordings: At least one.
@@ -29,14 +30,17 @@ def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf)
     """
     least = min(most_Hz, *(default_bandwidth(r) for r in recordings))
     greatest = SHARE_OF_RATE / max(r.period for r in recordings)
-    tried = least
+    tried, chosen, most = least, least, 0
     while tried <= greatest:
         prepared = [prepare(r, tried) for r in recordings]
         stages = [
             [p for p in prepared if p.recording.stage == stage]
             for stage in {r.stage for r in recordings}
         ]
-        if all(samples_in_motion(stage) >= LEAST_MOTION for stage in stages):
-            return tried
+        enough = sum(samples_in_motion(stage) >= LEAST_MOTION for stage in stages)
+        if enough > most:
+            chosen, most = tried, enough
+        if enough == len(stages):
+            break
         tried *= BANDWIDTH_STEP
-    return least
+    return chosen

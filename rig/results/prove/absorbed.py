@@ -17,8 +17,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from drivers.mock.plant.parts.constants import Machine
+from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
+from identification.diagnosis.fit.start import views_and_fit
 from identification.recording import RecordingError
 from rig.results.prove.folder import write
 from rig.results.prove.simulate import Recorded
@@ -55,10 +56,9 @@ def floors_of(campaign: Path) -> dict[str, float]:
     Raises:
         InputError: It cannot be read.
     """
-    dataset = load_source(campaign)
-    fitted = dataset.part("fit")
+    dataset, bandwidth, _ = choose(load_source(campaign), None)
     try:
-        _, joint = views_and_fit(dataset, bandwidth_of(fitted))
+        _, joint = views_and_fit(dataset, bandwidth)
     except RecordingError:
         return {}
     # At least the noise of a row: rounding errors may coincide where little moves.

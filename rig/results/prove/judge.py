@@ -12,8 +12,9 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+from identification.diagnosis.fit.chosen import choose
 from identification.diagnosis.fit.joint import Joint
-from identification.diagnosis.fit.start import bandwidth_of, views_and_fit
+from identification.diagnosis.fit.start import views_and_fit
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.selection.baselines import greedy_bic, library, sparse
 from identification.diagnosis.terms import TERMS
@@ -87,8 +88,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
     Raises:
         InputError: The source cannot be read.
     """
-    dataset = load_source(source)
-    bandwidth = bandwidth_of(dataset.part("fit"))
+    dataset, bandwidth, _ = choose(load_source(source), None)
     try:
         _, first = views_and_fit(dataset, bandwidth)
         return _oracle(dataset, first, bandwidth, names)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.result import Verdict
+from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict import judgement
-from identification.diagnosis.verdict import unexplained as explaining
-from identification.diagnosis.verdict.judgement import effects_of, verdict_of
-from identification.diagnosis.verdict.unexplained import unexplained_equations
+from identification.diagnosis.verdict import outside
+from identification.diagnosis.verdict.judgement import Judged, effects_of, verdict_of
+from identification.diagnosis.verdict.outside import Kind, Reason
+from identification.diagnosis.verdict.unexplained import unexplained, unexplained_equations
 from identification.recording import Array
 
 from .benches import campaign, nominal_fit
@@ -44,6 +44,11 @@ def verdict(search: Search) -> Verdict:
     return verdict_of(search, np.random.default_rng(0))[0]
 
 
+def texts_of(judged: Judged) -> tuple[str, ...]:
+    """Return the texts on why the effects do not explain the mismatch."""
+    return unexplained(found(1.0), judged.verdict, judged.reason, np.random.default_rng(0))
+
+
 def with_left(joint: Joint, more: Array) -> Joint:
     """Return a fit that leaves more of the torque."""
     residual = joint.residual.copy()
@@ -63,8 +68,10 @@ def noise(search: Search, power: float) -> Array:
 def test_a_fit_that_needs_impossible_constants_names_nothing(
     monkeypatch: pytest.MonkeyPatch, beyond: bool, expected: Verdict
 ) -> None:
-    monkeypatch.setattr(judgement, "infeasible", lambda _joint: beyond)
-    assert verdict(found(1.0)) is expected
+    monkeypatch.setattr(outside, "infeasible", lambda _joint: beyond)
+    judged = verdict_of(found(1.0), np.random.default_rng(0))
+    assert judged.verdict is expected
+    assert any("outside their physical limits" in t for t in texts_of(judged)) is beyond
 
 
 @pytest.mark.parametrize(
@@ -149,8 +156,52 @@ def test_what_explains_little_of_recordings_set_aside_is_not_sure(
 def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_reason(
     monkeypatch: pytest.MonkeyPatch, hysteretic: bool
 ) -> None:
-    monkeypatch.setattr(explaining, "hysteretic_remainder", lambda _found: hysteretic)
-    rng = np.random.default_rng(0)
-    texts = explaining.unexplained(found(1.0), Verdict.OUTSIDE_CATALOGUE, rng)
+    monkeypatch.setattr(outside, "hysteretic_remainder", lambda _found: hysteretic)
+    judged = verdict_of(found(1.0), np.random.default_rng(0))
+    assert (judged.verdict is Verdict.OUTSIDE_CATALOGUE) is hysteretic
+    texts = texts_of(judged)
     assert len(texts) == hysteretic
     assert all("since each reversal" in t and "are needed" not in t for t in texts)
+
+
+def test_a_dropped_effect_that_was_not_allowed_gives_the_reason() -> None:
+    """The remaining effect explains enough, but those before it did not."""
+    search = found(1.0)
+    term = next(t for t in TERMS if t.name == "cogging")
+    views = search.final.equations[0].views
+    little = fit(views, "N m", search.final.nominal, (Added(term, (7.0,), ()),), search.baseline)
+    before = replace(search, final=little, rounds=(Round("cogging", ()),))
+    judged = verdict_of(search, np.random.default_rng(0), before)
+    assert judged.verdict is Verdict.OUTSIDE_CATALOGUE
+    (text,) = texts_of(judged)
+    assert text.startswith("the catalogue explains only")
+    assert "cogging" in text
+    assert "at least 70 % are needed" in text
+
+
+def test_a_search_without_effects_says_why_its_best_candidate_was_not_accepted() -> None:
+    search = found(1.0)
+    stop = Step("stop", "deadband", 1e-3, 5.0, "fits only with nominal parameters outside limits")
+    alone = replace(search, final=replace(search.baseline, effects=()), rounds=(), steps=(stop,))
+    texts = texts_of(verdict_of(alone, np.random.default_rng(0)))
+    assert texts == (
+        "the best candidate of the catalogue, deadband, fits only with nominal parameters outside "
+        "limits",
+    )
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "expected"),
+    [
+        (Kind.ONE_DIRECTION, (NAME,), "a different size in each direction of motion"),
+        (Kind.CANCELLING, (NAME, "cogging"), "asymmetric Coulomb and cogging would explain"),
+        (Kind.INFEASIBLE, (NAME,), "asymmetric Coulomb would explain the mismatch only with"),
+        (Kind.TOO_LITTLE, (NAME,), "at least 70 % are needed"),
+        (Kind.REVERSALS, (NAME,), "since each reversal"),
+    ],
+)
+def test_every_reason_is_told(kind: Kind, names: tuple[str, ...], expected: str) -> None:
+    reason = Reason(kind, found(1.0), names)
+    judged = Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason)
+    (text,) = texts_of(judged)
+    assert expected in text

@@ -141,6 +141,11 @@ def test_quick_reversals_raise_the_bandwidth(frequency_Hz: float) -> None:
     assert common_bandwidth([recording, slow]) == min(usual, default_bandwidth(slow))
     assert common_bandwidth([recording, replace(slow, stage="loaded")]) == found
     assert common_bandwidth([slow]) == default_bandwidth(slow)
+    still = {k: v if k == "time" else np.full_like(v, v[0]) for k, v in channels.items()}
+    resting = replace(recording, channels={**still, "angle": angle[:1].repeat(len(angle))})
+    assert common_bandwidth([recording, replace(resting, stage="loaded")]) == found, (
+        "a stage that rests leaves the bandwidth to the other"
+    )
 
 
 @pytest.mark.parametrize(("equation", "share"), [("torque", 2e-4), ("voltage", 2e-4)])

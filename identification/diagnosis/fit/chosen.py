@@ -1,0 +1,64 @@
+"""Chooses the recordings and the bandwidth of a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+from identification.diagnosis.fit.start import bandwidth_of
+from identification.estimate.equation_error.regression import LEAST_MOTION, samples_in_motion
+from identification.prepare import prepare
+from identification.recording import Dataset, RecordingError
+
+
+class Chosen(NamedTuple):
+    """Recordings and bandwidth of a diagnosis.
+
+    Attributes:
+        dataset: The dataset; recordings that cannot be used have the role ``unused``.
+        bandwidth: Bandwidth of every error, Hz.
+        warnings: Which recordings are not used, and why.
+    """
+
+    dataset: Dataset
+    bandwidth: float
+    warnings: tuple[str, ...] = ()
+
+
+def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
+    """Return the recordings to use, and the bandwidth of every error.
+
+    Loaded recordings that rest nearly all the time determine no friction under load. They are not
+    used, and the unloaded recordings are diagnosed without them.
+
+    Args:
+        dataset: The dataset.
+        bandwidth_Hz: Bandwidth of every error; None chooses it from the recordings.
+
+    Raises:
+        RecordingError: No recording has the role ``fit``.
+    """
+    fitted = dataset.part("fit")
+    if not fitted:
+        raise RecordingError(
+            "no recording has the role fit; a diagnosis needs at least one: set role: fit in the "
+            "campaign file"
+        )
+    bandwidth = bandwidth_Hz or bandwidth_of(fitted)
+    moving = {
+        stage: samples_in_motion([prepare(r, bandwidth) for r in fitted if r.stage == stage])
+        for stage in {r.stage for r in fitted}
+    }
+    rests = moving.get("loaded", LEAST_MOTION) < LEAST_MOTION
+    if not rests or moving.get("unloaded", 0) < LEAST_MOTION:
+        return Chosen(dataset, bandwidth)
+    kept = tuple(
+        replace(r, role="unused") if r.stage == "loaded" else r for r in dataset.recordings
+    )
+    names = ", ".join(r.name for r in fitted if r.stage == "loaded")
+    warning = (
+        f"{names}: {moving['loaded']} samples in motion and resolved at {bandwidth:.3g} Hz; at "
+        f"least {LEAST_MOTION} are needed, so no loaded recording is used, and nothing is said "
+        "about the load: move the loaded joint further or longer"
+    )
+    return Chosen(replace(dataset, recordings=kept), bandwidth, (warning,))
