@@ -117,7 +117,7 @@ def diagnose(
     findings = (*_findings(found, verdict, traces, (*here, *aside)), *left)
     return Diagnosis(
         verdict=verdict,
-        statement=statement(verdict, effects, main, where, found.p_value, unseen),
+        statement=statement(verdict, effects, main, where, found.p_value, unseen, reason),
         effects=effects,
         fit=main,
         fits=fits,

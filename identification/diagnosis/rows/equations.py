@@ -203,6 +203,26 @@ def held_voltage(equation: Equation) -> float:
     return float(np.sqrt(np.mean(equation.rows(_change) ** 2) / 12.0))
 
 
+def between_samples(equation: Equation) -> float:
+    """Return the error of the voltage equation, V, that voltages between the samples may cause; 0
+    for other equations and for means over the sample.
+
+    A loop faster than the log changes its voltage between two samples. Where log and loop are
+    locked, the same part of each change is sampled again and again, so that the error depends on
+    the motion and no filter averages it. It is not white noise (:func:`held_voltage`), but the
+    deviation of an instant within a sample times the voltage's change.
+    """
+    if equation.name != "voltage":
+        return 0.0
+    changes = [
+        np.diff(v.voltage[np.isfinite(v.voltage)])
+        for v in equation.views
+        if v.voltage is not None and "voltage" not in v.recording.averaged
+    ]
+    every = np.concatenate([np.zeros(1), *changes])
+    return float(np.sqrt(np.mean(every**2) / 12.0))
+
+
 def least_noise(equation: Equation) -> float:
     """Return the least possible noise of an equation's rows, that of rounding."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))

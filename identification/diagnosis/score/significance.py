@@ -151,7 +151,11 @@ def greatest_mean_square(joint: Joint, equation: Equation) -> float:
     """Return the mean-square mismatch of an equation over that of the recording's own noise, in the
     recording in which it is greatest.
     """
-    rows = over_own_noise(joint, equation)
+    return greatest(over_own_noise(joint, equation), equation)
+
+
+def greatest(rows: Array, equation: Equation) -> float:
+    """Return the mean square of an equation's rows in the recording in which it is greatest."""
     return max(
         float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
     )

@@ -12,14 +12,14 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.intervals import estimates
 from identification.diagnosis.fit.joint import Joint
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
-from identification.diagnosis.rows.equations import Equation
+from identification.diagnosis.rows.equations import Equation, between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.score.locate import best_map, location, maps
-from identification.diagnosis.score.significance import greatest_mean_square, over_own_noise
+from identification.diagnosis.score.significance import greatest, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import Excess, excess_of
-from identification.diagnosis.verdict.outside import Reason, reason_outside
+from identification.diagnosis.verdict.outside import Kind, Reason, reason_outside
 from identification.diagnosis.verdict.wording import finding
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel
@@ -39,7 +39,8 @@ class Judged(NamedTuple):
         verdict: The verdict.
         where: Location of the mismatch; None if nothing is missing.
         maps: Maps of the mismatch.
-        reason: Why the catalogue does not explain the mismatch; None for other verdicts.
+        reason: Why the catalogue does not explain the mismatch, or why a mismatch counts as
+            nothing missing; None otherwise.
     """
 
     verdict: Verdict
@@ -72,6 +73,8 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     if not _any_beyond_noise(found.baseline, judges, least):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     reason = reason_outside(found, searched or found)
+    if reason is not None and not _any_beyond_noise(found.baseline, judges, least, True):
+        return Judged(Verdict.NOTHING_MISSING, None, drawn, Reason(Kind.BETWEEN_SAMPLES, found))
     if reason is not None:
         return Judged(Verdict.OUTSIDE_CATALOGUE, where, drawn, reason)
     return Judged(named_or_ambiguous(found), where, drawn)
@@ -83,7 +86,9 @@ def named_or_ambiguous(found: Search) -> Verdict:
     return Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED
 
 
-def _any_beyond_noise(joint: Joint, judges: Sequence[Excess], least: float) -> bool:
+def _any_beyond_noise(
+    joint: Joint, judges: Sequence[Excess], least: float, between: bool = False
+) -> bool:
     """Whether the nominal model leaves more than noise in any equation.
 
     Args:
@@ -91,13 +96,17 @@ def _any_beyond_noise(joint: Joint, judges: Sequence[Excess], least: float) -> b
         judges: Excess of each of its equations.
         least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
             noise.
+        between: Whether what voltages between the samples may cause counts as noise.
     """
-    equations = {e.name: e for e in joint.equations}
-    return any(
-        float(np.mean(over_own_noise(joint, equations[e.equation]) ** 2)) > least
-        or greatest_mean_square(joint, equations[e.equation]) > RULES.excess_of_one
-        for e in judges
-    )
+    equations = [e for e in joint.equations if e.name in {judge.equation for judge in judges}]
+    for equation in equations:
+        rows = over_own_noise(joint, equation)
+        if between:
+            hidden = (between_samples(equation) / equation.sigma) ** 2
+            rows = rows / np.sqrt(1.0 + hidden / equation.allowed())
+        if float(np.mean(rows**2)) > least or greatest(rows, equation) > RULES.excess_of_one:
+            return True
+    return False
 
 
 def main_equation(found: Search) -> Equation:

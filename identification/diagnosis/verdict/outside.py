@@ -1,4 +1,4 @@
-"""Reasons for which effects of the catalogue do not explain a mismatch."""
+"""Reasons for which effects of the catalogue do not explain a mismatch, or it does not count."""
 
 from __future__ import annotations
 
@@ -21,12 +21,13 @@ class Kind(Enum):
     CANCELLING = "two effects nearly cancel"
     INFEASIBLE = "nominal parameters would be outside their physical limits"
     TOO_LITTLE = "the effects explain too little of the mismatch"
+    BETWEEN_SAMPLES = "voltages between the samples may cause the mismatch"
     REVERSALS = "the remaining mismatch depends on travel or time since each reversal"
 
 
 @dataclass(frozen=True)
 class Reason:
-    """Why the effects of a search do not explain the mismatch.
+    """Why the effects of a search do not explain the mismatch, or why it does not count.
 
     Attributes:
         kind: Kind of the reason.

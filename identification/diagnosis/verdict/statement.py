@@ -11,6 +11,7 @@ from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Effect, Fit, Location, Verdict
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.verdict.outside import Reason
 from identification.recording import Dataset
 
 
@@ -21,6 +22,7 @@ def statement(
     where: Location | None,
     p_value: float,
     unseen: Sequence[str],
+    reason: Reason | None = None,
 ) -> str:
     """Return the sentence that states a verdict.
 
@@ -31,15 +33,15 @@ def statement(
         where: Where most of the mismatch is, if known.
         p_value: That of the test whether anything is missing.
         unseen: Effects that the recordings cannot show.
+        reason: Why a mismatch does not count, if there is a reason.
     """
     error = (
         f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
         f"{main.noise_floor_rms:.3g}"
     )
     if verdict is Verdict.NOTHING_MISSING:
-        evidence = (
-            f"p = {p_value:.2g}" if p_value > RULES.level else "the mismatch is within the noise"
-        )
+        within = "the mismatch is within the noise" if reason is None else reason.kind.value
+        evidence = f"p = {p_value:.2g}" if p_value > RULES.level else within
         said = f"nothing is missing that these recordings could show ({evidence}); {error}"
         return f"{said}; {unobservable_sentence(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None

@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Verdict
+from identification.diagnosis.rows.equations import between_samples
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import (
@@ -54,6 +55,8 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
             f"{' and '.join(titles)} would explain the mismatch only with nominal parameters "
             "outside their physical limits",
         )
+    if reason.kind is Kind.BETWEEN_SAMPLES:
+        return _between_samples(reason.search)
     share = 100.0 * judged_equation(reason.search).explained
     words = "; and ".join(e.statement for e in effects_of(reason.search, rng))
     if reason.kind is Kind.REVERSALS:
@@ -65,6 +68,19 @@ def _reason_texts(reason: Reason, rng: np.random.Generator) -> tuple[str, ...]:
     return (
         f"the catalogue explains only {share:.0f} % of the mismatch beyond the noise (at "
         f"least {100.0 * reason.needed:.0f} % are needed), if {words}",
+    )
+
+
+def _between_samples(found: Search) -> tuple[str, ...]:
+    """Return the text on a mismatch of the voltage that voltages between the samples may cause."""
+    voltage = next(e for e in found.baseline.equations if e.name == "voltage")
+    rows = found.baseline.residual[found.baseline.stack.part("voltage")]
+    rms = voltage.sigma * math.sqrt(float(np.mean(rows**2)))
+    return (
+        f"the voltage equation has a mismatch of {rms:.3g} V rms (noise floor {voltage.sigma:.3g} "
+        f"V), which does not count: voltages between the samples, which are not logged, may cause "
+        f"up to {between_samples(voltage):.3g} V; log the mean voltage of each sample, and declare "
+        "`average: true`",
     )
 
 

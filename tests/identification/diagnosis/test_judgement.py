@@ -14,7 +14,8 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict import outside
+from identification.diagnosis.verdict import judgement, outside
+from identification.diagnosis.verdict import unexplained as unexplained_module
 from identification.diagnosis.verdict.judgement import Judged, effects_of, verdict_of
 from identification.diagnosis.verdict.outside import Kind, Reason
 from identification.diagnosis.verdict.unexplained import unexplained, unexplained_equations
@@ -205,3 +206,26 @@ def test_every_reason_is_told(kind: Kind, names: tuple[str, ...], expected: str)
     judged = Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason)
     (text,) = texts_of(judged)
     assert expected in text
+
+
+@pytest.mark.parametrize(("share", "counts"), [(0.5, True), (2.0, False)])
+def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
+    monkeypatch: pytest.MonkeyPatch, share: float, counts: bool
+) -> None:
+    """Voltages between the samples may cause half of the mismatch, or twice the mismatch."""
+    joint = replace(found(1.0).final, effects=())
+    (voltage,) = (e for e in joint.equations if e.name == "voltage")
+    part = joint.stack.part("voltage")
+    residual = joint.residual.copy()
+    residual[part] = 3.0 * np.sign(np.sin(np.arange(part.stop - part.start)))
+    alone = replace(joint, residual=residual)
+    search = replace(found(1.0), baseline=alone, final=alone, rounds=())
+    bound_V = share * 3.0 * voltage.sigma
+    for module in (judgement, unexplained_module):
+        monkeypatch.setattr(
+            module, "between_samples", lambda e: bound_V if e.name == "voltage" else 0.0
+        )
+    judged = verdict_of(search, np.random.default_rng(0))
+    assert judged.verdict is (Verdict.OUTSIDE_CATALOGUE if counts else Verdict.NOTHING_MISSING)
+    said = [t for t in texts_of(judged) if f"may cause up to {bound_V:.3g} V" in t]
+    assert bool(said) is not counts
