@@ -57,7 +57,7 @@ from identification.diagnosis.verdict.unexplained import unexplained
 from identification.diagnosis.verdict.unrecorded import unrecorded_effects
 from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
-from identification.recording import Dataset
+from identification.recording import Dataset, RecordingError
 
 FLEXIBLE = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects with which valve and motor move differently, so that the friction of the valve depends on
@@ -278,7 +278,7 @@ def _search_sides(
     task: _Task, terms: Sequence[Term], thorough: bool
 ) -> tuple[tuple[View, ...], Search, bool]:
     """Search for effects on the motor's side and, with a flexible transmission, again on the
-    valve's side.
+    valve's side. Where the valve hardly moves, the search on the motor's side goes on instead.
 
     Returns:
         Views of the last search, its result, and whether the transmission is flexible.
@@ -289,9 +289,13 @@ def _search_sides(
     if not any(e.term.name in FLEXIBLE for e in found.final.effects):
         return task.here, found, False
     task.report("search on the valve's side", 0.0)
-    here = views(fitted, task.bandwidth, True, task.dataset.recordings)
-    again = fit_from_estimate(here, task.unit, task.first.nominal, model)
     options = replace(options, until=())
+    here = views(fitted, task.bandwidth, True, task.dataset.recordings)
+    try:
+        again = fit_from_estimate(here, task.unit, task.first.nominal, model)
+    except RecordingError:
+        found = search(task.here, task.unit, task.first, terms, task.rng, task.report, options)
+        return task.here, found, False
     found = search(here, task.unit, again, on_the_joint(terms), task.rng, task.report, options)
     return here, found, True
 

@@ -61,14 +61,22 @@ def with_needed_effects(
         )
         if worth >= 1.0:
             break
-        note = (
-            f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it; "
-            f"{100.0 * needed:.0f} % are needed for one more effect"
+        steps.append(
+            Step("remove", name, None, without.cost - joint.cost, _why_removed(share, needed))
         )
-        steps.append(Step("remove", name, None, without.cost - joint.cost, note))
         joint = without
         rounds = [r for r in rounds if r.name != name]
     return joint, rounds
+
+
+def _why_removed(share: float, needed: float) -> str:
+    """Return why an effect is removed, from the share that it explains and the needed share."""
+    explains = f"explains {100.0 * share:.0f} % of the mismatch beyond the noise without it"
+    if math.isinf(needed):
+        return (
+            f"{explains}, which may be an error of the regressors of the other effects, or chance"
+        )
+    return f"{explains}; {100.0 * needed:.0f} % are needed for one more effect"
 
 
 def _explained_share(

@@ -12,6 +12,7 @@ from identification.diagnosis import diagnose
 from identification.diagnosis.result import Step, Verdict
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.held_out import DROPPED
+from identification.recording import RecordingError
 
 OUTSIDE, NAMED = Verdict.OUTSIDE_CATALOGUE, Verdict.NAMED
 
@@ -86,3 +87,36 @@ def test_effects_without_a_score_must_explain_nearly_all(run: Any) -> None:
 def test_a_search_that_ends_with_nothing_missing_does_not_count_after_one_outside(run: Any) -> None:
     assert run([(OUTSIDE, "b"), (Verdict.NOTHING_MISSING, "")])[0] == ("abcd", False)
     assert run([(OUTSIDE, "")], final=Verdict.NOTHING_MISSING)[0] == ("abcd", False)
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_a_valve_that_hardly_moves_is_judged_by_the_motor(
+    monkeypatch: pytest.MonkeyPatch, moves: bool
+) -> None:
+    """A gap is found; the valve's own motion may then be too little for a fit."""
+    sides: list[tuple[str, tuple[str, ...]]] = []
+    gap = SimpleNamespace(term=term("backlash"))
+
+    def search(here: Any, _unit: str, _first: Any, _terms: Any, *rest: Any) -> Any:
+        sides.append((here, tuple(rest[-1].until)))
+        return SimpleNamespace(final=SimpleNamespace(effects=[gap]), side=here)
+
+    def fit(*_: Any) -> str:
+        if not moves:
+            raise RecordingError("no sample is in steady motion")
+        return "fit"
+
+    for name, replaced in (("search", search), ("fit_from_estimate", fit)):
+        monkeypatch.setattr(diagnose, name, replaced)
+    monkeypatch.setattr(diagnose, "views", lambda *_: "valve")
+    monkeypatch.setattr(diagnose, "on_the_joint", lambda terms: terms)
+    dataset = SimpleNamespace(part=lambda _role: [], model=SimpleNamespace(fixed=()), recordings=())
+    first = SimpleNamespace(nominal=None)
+    task: Any = SimpleNamespace(
+        dataset=dataset, here="motor", unit="N m", first=first, rng=None, bandwidth=25.0
+    )
+    task.report = lambda *_: None
+    here, found, flexible = diagnose._search_sides(task, EVERY, False)
+    side = "valve" if moves else "motor"
+    assert (here, found.side, flexible) == (side, side, moves)
+    assert sides == [("motor", diagnose.FLEXIBLE), (side, ())]
