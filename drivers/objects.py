@@ -191,7 +191,11 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the last good values of input ``number``."""
+        """Return the last good values of input ``number``.
+
+        Raises:
+            StateError: The inputs are not set up.
+        """
         ...
 
     def watch(self, limit_s: float) -> None:

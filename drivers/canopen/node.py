@@ -11,7 +11,7 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.pdo import PDO_BITS, RECEIVE, TRANSMIT, Input, configure, plan
 from drivers.canopen.sdo import PumpedNode, Wire, described, translated, variable
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, LinkError
+from drivers.errors import ConfigurationError, LinkError, StateError
 from drivers.objects import ObjectAddress, PdoLayout, optional, refusal
 
 _MS: Final = 1_000_000
@@ -256,7 +256,13 @@ class CanopenNode:
             self._then.clear()
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the values of the last valid frame of TPDO ``number``."""
+        """Return the values of the last valid frame of TPDO ``number``.
+
+        Raises:
+            StateError: The process data are not set up.
+        """
+        if number not in self._numbered:
+            raise StateError(f"{self.label}: no process data are set up; prepare the device first")
         return self._numbered[number].values
 
     def watch(self, limit_s: float) -> None:

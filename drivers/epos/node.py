@@ -13,7 +13,7 @@ from canopen.objectdictionary import ObjectDictionary
 from drivers.canopen.cia402 import CONTROLWORD
 from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
 from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, StateError
 from drivers.objects import ObjectAddress, PdoLayout
 
 CYCLE_WRITES: Final = 1
@@ -185,7 +185,13 @@ class EposSerialNode(ObjectAccess):
         )
 
     def latest(self, number: int) -> tuple[int, ...]:
-        """Return the last good values of input ``number``."""
+        """Return the last good values of input ``number``.
+
+        Raises:
+            StateError: The inputs are not set up.
+        """
+        if number not in self._layouts:
+            raise StateError(f"{self.label}: no process data are set up; prepare the device first")
         return tuple(
             self._time_us if address == _HOST_TIME else self._values[address].value
             for address in self._layouts[number]

@@ -52,6 +52,13 @@ class ServoContract:
         ready.cycles(20)
         assert not ready.servo.state().energised
 
+    def test_sampling_before_preparation_gives_a_sample_or_says_why_not(self, rig: Rig) -> None:
+        """A run that ends before its drive was prepared samples it while it brakes."""
+        try:
+            assert isinstance(rig.servo.sample().motor_angle_rad, float)
+        except StateError as error:
+            assert "prepare" in str(error)  # noqa: PT017 either outcome is right
+
     def test_enabling_needs_preparation(self, rig: Rig) -> None:
         with pytest.raises(StateError, match="prepare"):
             rig.servo.enable()

@@ -38,10 +38,8 @@ from identification.signals import (
     smooth,
 )
 
-LEAST_STEADY, LEAST_STEADY_ROWS = 0.1, 40
-"""Least share of steady motion over all recordings, and least number of filter outputs in steady
-motion, for unsteady motion to be omitted.
-"""
+LEAST_STEADY = 0.1
+"""Least share of steady motion over all recordings for unsteady motion to be omitted."""
 SAME_ENCODER = 1e-9
 """Difference of motor and joint angle, over the travel, up to which both are readings of the same
 encoder.
@@ -196,11 +194,9 @@ def views(
     found = _one_origin(
         [_view(r, k, bandwidth_Hz, valve_side, origins[id(r)]) for k, r in enumerate(recordings)]
     )
-    steady, moved = (
-        sum(int(np.sum(m)) for m in marked)
-        for marked in ([v.moving for v in found], [v.unsteady for v in found])
-    )
-    if steady >= max(LEAST_STEADY * moved, LEAST_STEADY_ROWS):
+    if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(
+        np.sum(v.unsteady) for v in found
+    ):
         return found
     return tuple(replace(v, moving=v.unsteady) for v in found)
 
