@@ -54,11 +54,44 @@ class Round:
 def preference(chosen: Joint, rival: Joint) -> float:
     """Return the preference of the data for ``chosen``, in standard errors of the difference by
     blocks.
+
+    A fit with more parameters explains more in any case, and the difference of two nearly equal
+    fits has a small error. The preference is therefore that of the smaller magnitude, without and
+    with Schwarz's correction for the number of parameters; 0 if these two disagree on the better
+    fit.
     """
+    plain, corrected = lead(chosen, rival), _corrected_lead(chosen, rival)
+    if plain * corrected <= 0.0:
+        return 0.0
+    return min(plain, corrected, key=abs)
+
+
+def lead(chosen: Joint, rival: Joint) -> float:
+    """Return by how much a fit is better than another one, in standard errors of the difference by
+    blocks, whatever their numbers of parameters (Vuong, Econometrica 57 (1989) 307).
+    """
+    loss, spread = _loss(chosen, rival)
+    return loss / spread if spread > 0.0 else 0.0
+
+
+def _corrected_lead(chosen: Joint, rival: Joint) -> float:
+    """Return :func:`lead` with Schwarz's correction: log n for each parameter more."""
+    loss, spread = _loss(chosen, rival)
+    more = _effect_parameters(rival) - _effect_parameters(chosen)
+    loss += more * math.log(len(chosen.residual))
+    return loss / spread if spread > 0.0 else 0.0
+
+
+def _loss(chosen: Joint, rival: Joint) -> tuple[float, float]:
+    """Return the difference of the whitened squares of two fits, and its standard error."""
     stack = chosen.stack
     loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
-    spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
-    return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
+    return float(np.sum(loss)), float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
+
+
+def _effect_parameters(joint: Joint) -> int:
+    """Return the number of fitted parameters of all effects."""
+    return sum(parameter_count(e) for e in joint.effects)
 
 
 def probability(preferred: float) -> float:
@@ -133,11 +166,14 @@ def _travels(views: Sequence[View]) -> float:
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
-    """Return the fit with the fewest parameters among those that are less than
-    `simpler` standard errors worse than the best; ``joints`` are sorted, best first.
+    """Return the fit with the fewest parameters among those that are less than `simpler` standard
+    errors worse than the best, with Schwarz's correction for the number of parameters; ``joints``
+    are sorted, best first.
     """
     near = [
-        k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < RULES.simpler
+        k
+        for k in range(len(joints))
+        if k == 0 or _corrected_lead(joints[0], joints[k]) < RULES.simpler
     ]
     return min(near, key=lambda k: (sizes[k], k))
 

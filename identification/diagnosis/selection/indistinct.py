@@ -21,6 +21,7 @@ from identification.diagnosis.selection.crossing import PAIR
 from identification.diagnosis.selection.removal import LEAST_FURTHER
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.terms.voltage_drop import change_at_zero
 from identification.recording import Array
 
 ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {"presliding": ("compliance",)}
@@ -50,6 +51,8 @@ def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Seque
     alike = _indistinct_effects(final, place, terms)
     if _without_joint_encoder(final):
         alike += ONE_ENCODER_ALIASES.get(taken.name, ())
+    if taken.name == "brush_drop" and _is_step(final, place):
+        alike += ("inverter_dead_time",)
     tested = {r.name for r in taken.rivals}
     rivals = [
         replace(r, preference=min(r.preference, 0.0)) if r.name in alike else r
@@ -57,6 +60,15 @@ def _with_indistinct_rivals(final: Joint, place: int, taken: Round, terms: Seque
     ]
     rivals += [Contender(name, final, 0.0, "") for name in alike if name not in tested]
     return Round(taken.name, tuple(rivals))
+
+
+def _is_step(final: Joint, place: int) -> bool:
+    """Whether a brush drop is reached over no more current than changes within one sample, so that
+    it may be the step of a dead time.
+    """
+    views, effect = final.equations[0].views, final.effects[place]
+    reached = effect.parameters(Context(views, final.nominal))["current_A"]
+    return reached <= change_at_zero(views)
 
 
 def _without_joint_encoder(joint: Joint) -> bool:

@@ -21,6 +21,7 @@ from identification.diagnosis.selection.comparison import (
     Round,
     contains,
     implausible,
+    lead,
     parameter_count,
     preference,
     simplest,
@@ -90,9 +91,7 @@ def _explained_share(
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
     needed = needed_share(others, _regressor_error(without, term))
     left = _beyond_noise(without, parts)
-    if left <= 1.0 and (
-        others < _least_gain(without, term) or preference(joint, without) < SIGNIFICANT
-    ):
+    if left <= 1.0 and (others < _least_gain(without, term) or lead(joint, without) < SIGNIFICANT):
         needed = math.inf
     return gain / left, needed
 

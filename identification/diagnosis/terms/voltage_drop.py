@@ -101,3 +101,17 @@ def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
             view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))
         )
     )
+
+
+def change_at_zero(views: Sequence[View]) -> float:
+    """Return the change of the current from one sample to the next where its sign changes, A, the
+    median over all recordings; 0 if it never does.
+
+    A step over a smaller current is smeared over the sample.
+    """
+    changes = [np.zeros(0)]
+    for current in (v.recording.channels["current"] for v in views if v.current is not None):
+        crossed = current[1:] * current[:-1] < 0.0
+        changes.append(np.abs(np.diff(current))[crossed])
+    every = np.concatenate(changes)
+    return float(np.median(every)) if len(every) else 0.0

@@ -1,9 +1,10 @@
-"""Effects that the encoder of the motor alone does not distinguish."""
+"""Effects that these recordings do not distinguish, whatever fits better."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added
@@ -11,6 +12,7 @@ from identification.diagnosis.selection.comparison import Contender, Round
 from identification.diagnosis.selection.indistinct import with_indistinct_effects
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.voltage_drop import change_at_zero
 
 from .benches import honest, nominal_fit
 
@@ -41,3 +43,28 @@ def test_a_spring_in_the_friction_and_a_twisted_shaft_are_alike_to_the_motors_en
     (taken,) = with_indistinct_effects(found, ()).rounds
     assert tuple(r.name for r in taken.rivals) == ("stribeck_shape", *alias)
     assert all(r.preference == 0.0 for r in taken.rivals if r.name in alias)
+
+
+@pytest.mark.parametrize(("samples", "alike"), [(2.0, False), (0.5, True)])
+def test_a_brush_drop_within_one_sample_may_be_a_dead_time(samples: float, alike: bool) -> None:
+    """Reached over as much current as changes within this number of samples."""
+    joint = nominal_fit(honest())
+    views = joint.equations[0].views
+    greatest_A = float(np.max(np.abs(views[0].recording.channels["current"])))
+    shape = (samples * change_at_zero(views) / greatest_A, 0.0, greatest_A)
+    final = replace(joint, effects=(Added(TERM["brush_drop"], shape, (0.5,)),))
+    found = Search(joint, final, (Round("brush_drop", ()),), 1e-3, 1.0, "", ())
+    (taken,) = with_indistinct_effects(found, ()).rounds
+    assert [r.name for r in taken.rivals] == ["inverter_dead_time"] * alike
+
+
+@pytest.mark.parametrize(("crosses", "expected_A"), [(True, 6.0), (False, 0.0)])
+def test_the_change_of_a_current_at_zero_is_that_of_one_sample(
+    crosses: bool, expected_A: float
+) -> None:
+    (view, *_) = nominal_fit(honest()).equations[0].views
+    swings = np.where(np.arange(len(view.time)) % 20 < 10, -3.0, 3.0)
+    current = swings if crosses else 4.0 + swings
+    channels = {**view.recording.channels, "current": current}
+    swung = replace(view, recording=replace(view.recording, channels=channels), current=current)
+    assert change_at_zero([swung]) == expected_A
