@@ -229,14 +229,20 @@ def least_noise(equation: Equation) -> float:
     if equation.name != "transmission":
         return least
     # In slow motion rounding errors are correlated; no filter averages them.
-    return max(least, *(_step(v) / math.sqrt(12.0) for v in equation.views))
+    motor = _count(equation.views, "motor_angle") / equation.views[0].recording.bench.gear_ratio
+    return max(least, math.hypot(_count(equation.views, "angle"), motor) / math.sqrt(12.0))
 
 
-def _step(view: View) -> float:
-    """Return the quantisation step of the difference of both encoders, rad at the joint."""
-    channels = view.recording.channels
-    motor = quantum(channels["motor_angle"]) / view.recording.bench.gear_ratio
-    return math.hypot(quantum(channels["angle"]), motor)
+def _count(views: Sequence[View], channel: str) -> float:
+    """Return the quantisation step of an encoder, rad; where no recording has enough small steps to
+    determine it, the smallest step in any of them.
+    """
+    series = [v.recording.channels[channel] for v in views]
+    known = max(quantum(values) for values in series)
+    if known > 0.0:
+        return known
+    steps = np.concatenate([np.abs(np.diff(values)) for values in series])
+    return float(np.min(steps[steps > 0.0], initial=math.inf)) if np.any(steps > 0.0) else 0.0
 
 
 def _torque(

@@ -13,6 +13,7 @@ from identification.diagnosis.catalogue import ENTRIES
 from identification.diagnosis.fit.joint import Added, Joint
 from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
+from identification.diagnosis.rows.scales import speed_scale, torque_scale, travel_scale
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.diagnosis.terms.device import REFERENCE_MASS_KG
@@ -20,10 +21,6 @@ from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 from identification.recording import Array
 
-USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
-"""Greatest torque and speed, and the travel, on the practical bench, for which the catalogue's
-ranges are stated.
-"""
 USUAL_CURRENT_A, USUAL_VOLTAGE_V = 13.0, 40.0
 """Greatest current and voltage on the practical bench."""
 
@@ -119,7 +116,7 @@ def implausible(joint: Joint) -> str:
         high = q.high * max(1.0, scale)
         if motion == LINEAR and q.unit == "rad" and not q.name.startswith(PHASES):
             # A range in rad does not apply to metres: it is scaled by the travel of both benches.
-            low, high = (limit * _travels(views) for limit in (q.low, q.high))
+            low, high = (limit * travel_scale(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
             name = parameter_title(motion, q.name)
             return (
@@ -132,9 +129,7 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
     """Return by unit the scale of this bench over that of the bench for which the catalogue's
     ranges were written.
     """
-    torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
-    speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
-    angle = _travels(views)
+    torque, speed, angle = torque_scale(views), speed_scale(views), travel_scale(views)
     current = _greatest([v.current for v in views], USUAL_CURRENT_A)
     mass = max(v.recording.weight_mass for v in views) / REFERENCE_MASS_KG
     voltage = _greatest([v.voltage for v in views], USUAL_VOLTAGE_V)
@@ -158,11 +153,6 @@ def _greatest(channels: Sequence[Array | None], usual: float) -> float:
     """Return the greatest absolute value over the usual one; 1 if it was not recorded."""
     known = [float(np.nanmax(np.abs(c))) for c in channels if c is not None]
     return max(known, default=usual) / usual or 1.0
-
-
-def _travels(views: Sequence[View]) -> float:
-    """Return the travel over that of the bench for which the catalogue's ranges were written."""
-    return max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import SPEEDS, Nominal
 from identification.diagnosis.rows.recent import recent
+from identification.diagnosis.rows.scales import torque_scale, travel_scale
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import dahl, first_order_lag
 from identification.diagnosis.terms.term import (
@@ -36,7 +37,8 @@ LAGS: tuple[Shape, ...] = tuple(
     (t, of_speed) for of_speed in LEVEL_OR_SPEED for t in (0.002, 0.005, 0.01, 0.02, 0.05, 0.1)
 )
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
-STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
+STIFFNESSES = np.geomspace(3e2, 1e6, 15)
+"""Trial stiffnesses of presliding on the practical bench, N m/rad."""
 STEADY_S = 1e6
 """Time constant of a drift that does not level off, s."""
 WARM_UPS_S: tuple[Shape, ...] = tuple((t,) for t in (20.0, 60.0, 150.0, 400.0))
@@ -127,6 +129,12 @@ def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     return rows(
         dahl(view.angle, level, shape[0], _initial_friction(view, nominal)) - view.sense * level
     )
+
+
+def _stiffnesses(context: Context) -> list[Shape]:
+    """Return trial stiffnesses of presliding, at the scale of this bench."""
+    scale = torque_scale(context.views) / travel_scale(context.views)
+    return [(float(k * scale),) for k in STIFFNESSES]
 
 
 def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
@@ -242,7 +250,7 @@ TERMS = (
         "presliding",
         {"torque": _presliding},
         shaped("stiffness_Nm_rad"),
-        lambda _context: STIFFNESSES,
+        _stiffnesses,
         refine={0: 0.0},
         positive=(0,),
         size=1.0,

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.recent import recent
+from identification.diagnosis.rows.scales import at_scale
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.terms.memory import delayed_series, falling_play, first_swing, play
 from identification.diagnosis.terms.term import (
@@ -128,7 +129,10 @@ def _gaps(context: Context) -> Sequence[Shape]:
     return everywhere(
         context,
         _both_encoders,
-        [(gap, 0.5 * TWIST_COUNTS[1], per_torque, rotor) for gap in GAPS_RAD],
+        [
+            (gap, 0.5 * TWIST_COUNTS[1], per_torque, rotor)
+            for gap in at_scale(GAPS_RAD, context.views)
+        ],
     )
 
 
@@ -232,7 +236,8 @@ def _loops(context: Context) -> list[Shape]:
         return []
     greatest = max(float(np.max(np.abs(v.transmitted))) for v in known)
     rotor, per_torque = ROTOR_SHARE * context.nominal.get("J"), count_of_twist(known)
-    sizes = [(share * greatest, deflection) for share in LOOP_SHARES for deflection in LOOPS_RAD]
+    deflections = at_scale(LOOPS_RAD, context.views)
+    sizes = [(share * greatest, deflection) for share in LOOP_SHARES for deflection in deflections]
     return [
         (width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque) for width, deflection in sizes
     ]

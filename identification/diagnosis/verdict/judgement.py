@@ -133,8 +133,10 @@ def main_equation(found: Search) -> Equation:
 
 
 def _beyond_noise(joint: Joint, equation: Equation) -> float:
-    """Return the sum of whitened squares beyond the noise that a fit leaves of an equation."""
-    rows = joint.residual[joint.stack.part(equation.name)]
+    """Return the sum of whitened squares beyond the noise that a fit leaves of an equation, with
+    the sensors' errors and the own noise of each recording in the noise.
+    """
+    rows = over_own_noise(joint, equation)
     return float(rows @ rows) - len(rows)
 
 

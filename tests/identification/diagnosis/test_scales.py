@@ -1,0 +1,53 @@
+"""Trial values follow the size of the machine."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.rows.scales import at_scale
+from identification.diagnosis.rows.view import View
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context
+from identification.model.units import LINEAR
+
+from .benches import honest, nominal_fit
+
+TERM = {t.name: t for t in TERMS}
+
+
+def scaled(view: View, torque: float = 1.0, travel: float = 1.0, motion: str = "rotary") -> View:
+    bench = replace(view.recording.bench, motion=motion)
+    return replace(
+        view,
+        torque=torque * view.torque,
+        angle=travel * view.angle,
+        recording=replace(view.recording, bench=bench),
+    )
+
+
+@pytest.mark.parametrize(("torque", "travel"), [(0.05, 1.0), (1.0, 0.1), (0.02, 3.0)])
+def test_the_trial_stiffnesses_of_presliding_are_those_of_the_machine(
+    torque: float, travel: float
+) -> None:
+    """A small servo's contact is softer than any trial value of the valve's."""
+    joint = nominal_fit(honest())
+    whole = Context(joint.equations[0].views, joint.nominal)
+    small = replace(whole, views=tuple(scaled(v, torque, travel) for v in whole.views))
+    usual, own = (
+        np.array([s[0] for s in TERM["presliding"].shapes(context)]) for context in (whole, small)
+    )
+    assert own == pytest.approx(usual * torque / travel)
+
+
+def test_gaps_of_a_linear_axis_are_a_share_of_its_travel() -> None:
+    views = nominal_fit(honest()).equations[0].views
+    rotary = [scaled(v, travel=0.2) for v in views]
+    linear = [scaled(v, travel=0.2, motion=LINEAR) for v in views]
+    twice = [scaled(v, travel=0.4, motion=LINEAR) for v in views]
+    assert at_scale([1e-3], rotary) == [1e-3]
+    (short,), (long,) = at_scale([1e-3], linear), at_scale([1e-3], twice)
+    assert long == pytest.approx(2.0 * short)
+    assert 0.0 < short < 1e-3
