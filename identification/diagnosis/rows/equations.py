@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
+from identification.diagnosis.rows.scales import torque_scale
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
@@ -32,8 +33,8 @@ WITHIN_STEP = 0.3
 """Standard deviation of a breakaway's instant within its sample, over the sample time (uniform:
 0.29).
 """
-SURE_NM = 0.1
-"""Approximate torque noise of one sample."""
+SURE_N_M = 0.1
+"""Approximate torque noise of one sample on the practical bench."""
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
 """Greatest ratio of an error to a noise, whose square can still be computed with; recordings at
@@ -127,10 +128,11 @@ def _stack(
     name: str, views: Sequence[View], places: Sequence[Places], per_view: Callable[[View], Array]
 ) -> Array:
     parts = []
+    sure = SURE_N_M * torque_scale(views) if name == "breakaway" else 0.0
     for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
         if name == "breakaway":
-            parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
+            parts.append((series[:, view.breakaways] * _sharpness(view, sure))[:, at].T)
         else:
             parts.append(view.low_pass.chosen(series, at))
     return np.concatenate(parts)
@@ -307,13 +309,13 @@ def _rise(view: View) -> Array:
     )
 
 
-def _sharpness(view: View) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less accurately one sample
-    gives the torque of the breakaway.
+def _sharpness(view: View, sure_N_m: float) -> Array:
+    """Return weights of breakaways: the faster the torque rises, the less accurately one sample,
+    whose noise is ``sure_N_m``, gives the torque of the breakaway.
     """
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
-    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_NM) ** 2))
+    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / sure_N_m) ** 2))
 
 
 def _transmission(views: Sequence[View]) -> Equation | None:
