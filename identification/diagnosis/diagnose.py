@@ -95,8 +95,6 @@ def diagnose(
     """
     clock, rng, report = perf_counter(), rng or np.random.default_rng(0), _begin(progress)
     dataset, bandwidth, resting = choose(dataset, bandwidth_Hz)
-    fitted = dataset.part("fit")
-    unit = torque_unit(fitted[0])
     here, first = views_and_fit(dataset, bandwidth)
     terms, why = _effects_to_search(dataset, here)
     if inspect is not None:
@@ -106,15 +104,14 @@ def diagnose(
     verdict, where, drawn, reason = judged
     effects = effects_of(found, rng) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else found.baseline
-    shift = _shifts(found, scored, units_of([prepare(fitted[0], bandwidth)]))
+    shift = _shifts(found, scored, units_of([prepare(dataset.part("fit")[0], bandwidth)]))
     if verdict is Verdict.NOTHING_MISSING and estimate is not None:
         report("identifying the nominal parameters", 0.97)
-        found, shift, more = _with_estimate(found, here, unit, estimate(dataset), shift)
+        found, shift, more = _with_estimate(found, here, task.unit, estimate(dataset), shift)
         scored, why = found.baseline, (*why, *more)
-    main, fits = _fits(found.baseline, scored, aside, unit, bandwidth, drawn)
+    main, fits = _fits(found.baseline, scored, aside, task.unit, bandwidth, drawn)
     unseen, traces = collinear_effects(found.baseline, terms), _traces(found.baseline, scored)
-    left = unexplained(found, verdict, reason, rng)
-    findings = (*_findings(found, verdict, traces, (*here, *aside)), *left)
+    findings = _findings(found, judged, traces, (*here, *aside), rng)
     return Diagnosis(
         verdict=verdict,
         statement=statement(verdict, effects, main, where, found.p_value, unseen, reason),
@@ -259,18 +256,21 @@ def observable_effects(
 
 def _findings(
     found: Search,
-    verdict: Verdict,
+    judged: Judged,
     traces: Sequence[ResidualTrace],
     every: Sequence[View],
+    rng: np.random.Generator,
 ) -> tuple[str, ...]:
-    """Return texts on dropped effects, on rests under a torque that no other rest withstood, and on
-    recordings that contain most of the mismatch.
+    """Return texts on dropped effects, on rests under a torque that no other rest withstood, on
+    recordings that contain most of the mismatch, and on what the effects do not explain.
     """
+    verdict = judged.verdict
     crowds = crowded_recordings(traces) if verdict is not Verdict.NOTHING_MISSING else ()
     return (
         *dropped_effects(found),
         *rests_under_torque(every, torque_unit(every[0].recording)),
         *crowds,
+        *unexplained(found, verdict, judged.reason, rng),
     )
 
 
