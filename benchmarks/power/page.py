@@ -63,41 +63,38 @@ def page(machines: Sequence[Machine], check: Sequence[dict[str, Any]]) -> str:
 
 
 def sentence(machines: Sequence[Machine], effect: str, cells: Cells) -> str:
-    """Return in words from which size an effect is shown, and which axis decides."""
+    """Return in words from which size an effect is shown, and which axis changes it most."""
     base = cells[("base", "base")].middle
     seen, _ = natural(machines, effect)
     hidden = {a: [v for v in vs if not _shown(cells[(a, v)])] for a, vs in AXES.items()}
     shown = [_at(a, v) for a, vs in AXES.items() for v in vs if v not in hidden[a]]
-    words = f"`{effect}`: "
+    words = f"`{effect}` is "
     if seen is None or not math.isfinite(base):
-        words += (
-            f"not shown in the base world; shown {' or '.join(shown)}" if shown else "not shown"
-        )
-        return words + "."
+        words += "not shown in the base world"
+        return words + (f", but shown {' or '.join(shown)}." if shown else ".")
     size = f"{seen.middle:.2g} {_unit(effect)}".strip()
-    words += f"shown {'up to' if effect in SOFT else 'from'} {PARAMETER[effect]} {size}"
+    words += f"shown {'up to' if effect in SOFT else 'from'} `{PARAMETER[effect]}` = {size}"
     words += f" ({number(100.0 * base)} % of the injected size)"
     never = [_at(a, v) for a, vs in hidden.items() for v in vs]
     if never:
-        words += f"; not shown {', '.join(never)}"
+        words += f", but not {', '.join(never[:-1])}{' or ' if never[:-1] else ''}{never[-1]}"
     axis, factor = decisive(cells)
-    if factor >= CLEAR:
-        kept = sorted(
-            (v for v in AXES[axis] if v not in hidden[axis]), key=lambda v: cells[(axis, v)].middle
-        )
-        best, worst = kept[0], kept[-1]
-        times = f"{factor:.2g}" if factor < 99.5 else f"{factor:.0f}"
-        words += f"; {'else ' if never else ''}{WORDS[axis]} decides: {times} times as much is "
-        words += f"needed {_at(axis, worst)} as {_at(axis, best)}"
-    else:
-        words += "; no axis else" if never else "; no axis"
-        words += " changes that by a factor of 2"
-    return words + "."
+    if factor < CLEAR:
+        other = "other " if never else ""
+        return f"{words}. No {other}axis changes the least size of `{effect}` by a factor of 2."
+    kept = sorted(
+        (v for v in AXES[axis] if v not in hidden[axis]), key=lambda v: cells[(axis, v)].middle
+    )
+    best, worst = kept[0], kept[-1]
+    times = f"{factor:.2g}" if factor < 99.5 else f"{factor:.0f}"
+    name = WORDS[axis][0].upper() + WORDS[axis][1:]
+    words += f". {name} changes the least size of `{effect}` most: {_at(axis, worst)} it is"
+    return f"{words} {times} times as great as {_at(axis, best)}."
 
 
 WORDS = {
     "rate": "the rate of the log",
-    "bits": "the joint's encoder",
+    "bits": "the resolution of the joint's encoder",
     "encoders": "the choice of encoders",
     "loads": "the load",
     "excitation": "the excitation",
@@ -204,14 +201,20 @@ def checked(rigs: Sequence[dict[str, Any]]) -> str:
     )
     missed = [r for r in rigs if r["own"] >= 1.0 and not r["first"]]
     items = [
-        f"`{r['effect']}`, {r['own']:.3g} times the least size: {r['verdict'].replace('_', ' ')}"
-        + (f", {', '.join(r['named'])}" if r["named"] else "")
-        for r in missed
+        f"`{r['effect']}`, at {r['own']:.3g} times the least size: {_outcome(r)}" for r in missed
     ]
     if items:
-        parts.append("Visible by the rig's own recordings, and not named first:")
+        parts.append(
+            "These effects are visible by the rig's own recordings, and were not named first:"
+        )
         parts.append("\n".join(map(_item, items)))
     return "\n\n".join(parts) + "\n"
+
+
+def _outcome(rig: dict[str, Any]) -> str:
+    """Return the verdict on a rig in words, with the effects that it names."""
+    words = f"verdict *{rig['verdict'].replace('_', ' ')}*"
+    return words + (f", with {' and '.join(rig['named'])}" if rig["named"] else "")
 
 
 def _filled(text: str) -> str:

@@ -96,9 +96,9 @@ def test_the_axis_that_decides_is_said_and_where_nothing_is_shown() -> None:
     machine = {"cells": [cell], "injected": {"backlash": {"value": [0.01, 0.01, 0.01]}}}
     words = sentence([machine], "backlash", cells)
     assert words == (
-        "`backlash`: shown from gap_rad 0.001 rad (10 % of the injected size); not shown with the "
-        "motor's encoder alone; else the excitation decides: 5 times as much is needed with steps "
-        "as with mixed motion."
+        "`backlash` is shown from `gap_rad` = 0.001 rad (10 % of the injected size), but not "
+        "with the motor's encoder alone. The excitation changes the least size of `backlash` most: "
+        "with steps it is 5 times as great as with mixed motion."
     )
 
 
