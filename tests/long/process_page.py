@@ -87,8 +87,9 @@ def said(cells: Cells) -> list[str]:
     lines = []
     for ((column, transport, phase), count), messages in blocks.items():
         lines += [
-            f"- This message appeared in {count} cell{'' if count == 1 else 's'} of the tables "
-            f"above, first in *{column}*, phase *{phase}*, on the {transport} transport:",
+            f"- {count} cell{' shows' if count == 1 else 's show'} this message; "
+            f"{'it' if count == 1 else 'the first of them'} is *{column}* in phase *{phase}*, on the "
+            f"{transport} transport:",
             "",
             "  ```text",
             *(f"  {message}" for message in messages),
