@@ -66,9 +66,9 @@ def messages(file: str) -> Iterator[Sentence]:
 
 
 def paragraphs(file: str) -> Iterator[Sentence]:
-    """Yield the sentences of a document, without code, headings, tables and pictures."""
+    """Yield the sentences of a document, without code, comments, headings, tables and pictures."""
     text = (ROOT / file).read_text(encoding="utf-8")
-    for part in re.sub(r"```.*?```", "", text, flags=re.DOTALL).split("\n\n"):
+    for part in re.sub(r"```.*?```|<!--.*?-->", "", text, flags=re.DOTALL).split("\n\n"):
         if not part.lstrip().startswith(("|", "#", "!")):
             for each in sentences(part.replace("\n", " ")):
                 yield Sentence("document", file, "", each)
