@@ -69,9 +69,9 @@ in which one end of the axis does not show the effect at all. These are the caus
   its rows was 12 mV at 100 Hz, 1.4 mV at 1000 Hz and 0.3 mV at 4000 Hz.
 - *Rests.* A breakaway torque is uncertain by the change of the torque within one sample. On one
   machine the noise of a breakaway was 0.09 N m at 100 Hz and 0.7 N m at 1000 Hz, half of the
-  Coulomb friction, and at 4000 Hz there was no breakaway equation. At no log rate is
-  `dwell_static_friction` therefore shown at the sizes that the proofs inject. This is a limit of
-  the program more than of the recordings.
+  Coulomb friction, and at 4000 Hz there was no breakaway equation. `dwell_static_friction` is
+  therefore shown at no log rate at the sizes that the proofs inject. The least size of
+  `dwell_static_friction` is limited by the program more than by the recordings.
 - *Loads.* Effects of the load's friction show in the difference between recordings with two weights
   and with none.
 """

@@ -88,8 +88,8 @@ def said(cells: Cells) -> list[str]:
     for ((column, transport, phase), count), messages in blocks.items():
         lines += [
             f"- {count} cell{' shows' if count == 1 else 's show'} this message; "
-            f"{'it' if count == 1 else 'the first of them'} is *{column}* in phase *{phase}*, on the "
-            f"{transport} transport:",
+            f"{'it' if count == 1 else 'the first of them'} is *{column}* in phase *{phase}*, "
+            f"on the {transport} transport:",
             "",
             "  ```text",
             *(f"  {message}" for message in messages),
