@@ -66,9 +66,12 @@ def messages(file: str) -> Iterator[Sentence]:
 
 
 def paragraphs(file: str) -> Iterator[Sentence]:
-    """Yield the sentences of a document, without code, comments, headings, tables and pictures."""
+    """Yield the sentences of a document, without code, comments, headings, tables and pictures.
+    Each item of a list is a paragraph of its own.
+    """
     text = (ROOT / file).read_text(encoding="utf-8")
-    for part in re.sub(r"```.*?```|<!--.*?-->", "", text, flags=re.DOTALL).split("\n\n"):
+    plain = re.sub(r"```.*?```|<!--.*?-->", "", text, flags=re.DOTALL)
+    for part in re.split(r"\n\n|\n(?=\s*(?:[-*]|\d+\.)\s)", plain):
         if not part.lstrip().startswith(("|", "#", "!")):
             for each in sentences(part.replace("\n", " ")):
                 yield Sentence("document", file, "", each)
