@@ -69,19 +69,7 @@ ARGUED: Mapping[tuple[str, str], str] = {
     ("arguments", "identification.corrected.arrays:signals"): (
         "is exported as source for users' own scripts, which pass plain arrays by name"
     ),
-    ("arguments", "identification.filter.kalman:_predict"): (
-        "inlined into a compiled kernel, which takes numbers and arrays and no records"
-    ),
-    ("arguments", "identification.filter.kalman:innovations"): (
-        "compiled kernel: takes numbers and arrays and no records; Filter is its only caller"
-    ),
-    ("arguments", "identification.filter.sensitivity:sensitivities"): (
-        "compiled kernel: takes numbers and arrays and no records; Filter is its only caller"
-    ),
     ("long function", "identification.filter.sensitivity:sensitivities"): (
-        "a third documents its arrays; parts of the loop would each take the state and all arrays"
-    ),
-    ("long function", "identification.filter.kalman:innovations"): (
         "a third documents its arrays; parts of the loop would each take the state and all arrays"
     ),
     ("arguments", "identification.simulate.closed_loop_kernel:closed_loop"): (

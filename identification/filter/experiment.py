@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -10,25 +9,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.filter.kalman import innovations
+from identification.filter.kalman import DEVIATION, ERROR, FILTERED, innovations
+from identification.filter.lanes import LANES
 from identification.filter.noise import Noise
-from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
+from identification.filter.segment_table import FIRST, LAST
 from identification.filter.segments import Motion
 from identification.filter.sensitivity import sensitivities
-from identification.filter.tangents import seeded
 from identification.model.parameters import COULOMB_OF, INDEX
-from identification.numerics.arrays import Array, BoolArray
+from identification.numerics.arrays import Array
 from identification.numerics.two_threads import both
 from identification.recording import Model
-
-_FORGOTTEN = math.pi**2 / 3.0
-"""Exponent of the share of the quantisation error that is the same in all readings despite noise of
-the angle (M20). Averaged over noise of variance v, the first harmonic of the quantisation error
-falls by exp(-(2 pi)^2 v / (12 q)), where q is a twelfth of the squared encoder step (Widrow, IRE
-Trans. Circuit Theory 3 (1956) 266).
-"""
-_LEAST_SHARED = 30000.0
-"""Number of integration steps above which a second thread saves time."""
 
 COST_OF_SENSITIVITIES = 3
 """Computing time of a pass with sensitivities, in passes without sensitivities."""
@@ -36,10 +26,35 @@ COST_OF_SENSITIVITIES = 3
 _Place = tuple[bytes, tuple[bytes, ...], Noise]
 """Parameters, breakaway times and noise of a run."""
 
-_Part = list[tuple[int, slice]]
-"""A subset of the segments: pairs of the number of a recording and rows of the table of its
-segments.
-"""
+
+@dataclass(frozen=True, eq=False)
+class Lineup:
+    """Segments in the order in which the filter takes them, the longest first.
+
+    Attributes:
+        table: Table of segments, shape (m, 7).
+        order: Number of each of these segments in the experiment, shape (m,).
+    """
+
+    table: Array
+    order: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, table: Array) -> Lineup:
+        """Return the line-up of the segments of a table; segments without samples are left out."""
+        lengths = table[:, LAST] - table[:, FIRST]
+        order = np.argsort(-lengths, kind="stable")
+        order = order[lengths[order] > 0.0]
+        return cls(table[order], order)
+
+    @cached_property
+    def halves(self) -> tuple[Lineup, ...]:
+        """The segments in one part, or in two parts of about equal computing time if they do not
+        fit into the lanes of one thread.
+        """
+        if len(self.order) <= LANES:
+            return (self,)
+        return tuple(Lineup(self.table[k::2], self.order[k::2]) for k in (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,16 +63,12 @@ class Heads:
     segment.
 
     Attributes:
-        tables: Tables of segments that end after these samples, one per recording, shape (m, 4).
-        inside: Whether a sample is among these first samples, one array per recording.
-        rows: Whether an innovation belongs to one of these first samples, shape (r - m,).
-        halves: Two sets of the segments of about equal computing time.
+        lineup: Segments that end after these samples.
+        rows: Numbers of the innovations of these first samples, shape (q,).
     """
 
-    tables: tuple[Array, ...]
-    inside: tuple[BoolArray, ...]
-    rows: BoolArray
-    halves: tuple[_Part, _Part]
+    lineup: Lineup
+    rows: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,45 +100,56 @@ class Experiment:
     @cached_property
     def owners(self) -> NDArray[np.int64]:
         """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
-        inside = [self._owners(m, j) for j, m in enumerate(self.motions)]
-        return np.concatenate([*inside, np.arange(self.breakaways)])
-
-    def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
-        """Return the segment number, over all recordings, of each sample inside a segment."""
-        offset = sum(len(other.table) for other in self.motions[:j])
-        owner = np.zeros(len(m.time), dtype=np.int64)
-        for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
-            owner[first:last] = offset + k
-        return owner[m.inside]
+        inside = np.repeat(np.arange(self.breakaways), self.lengths)
+        return np.concatenate([inside, np.arange(self.breakaways)])
 
     @cached_property
     def lengths(self) -> NDArray[np.int64]:
         """Samples of each segment, shape (m,)."""
-        inside = self.owners[: len(self.owners) - self.breakaways]
-        return np.bincount(inside, minlength=self.breakaways)
+        table = np.concatenate([m.table for m in self.motions])
+        return np.asarray((table[:, LAST] - table[:, FIRST]).astype(np.int64))
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
         """Number of each innovation's sample in its segment, from zero, shape (r - m,)."""
         starts = np.cumsum(self.lengths) - self.lengths
-        inside = self.owners[: len(self.owners) - self.breakaways]
-        return np.asarray(np.arange(len(inside)) - starts[inside])
+        return np.asarray(np.arange(int(self.lengths.sum())) - np.repeat(starts, self.lengths))
+
+    @cached_property
+    def table(self) -> Array:
+        """Table of all segments, whose samples are rows of :attr:`table_of_samples`, shape (m, 7);
+        columns of :mod:`identification.filter.segment_table`.
+        """
+        parts = []
+        for m in self.motions:
+            before = m.angle[m.table[:, FIRST].astype(np.int64) - 1]
+            known = np.broadcast_to([m.extra_inertia, m.angle_variance], (len(before), 2))
+            parts.append(np.column_stack([m.table, before, known]))
+        out = np.concatenate(parts)
+        out[:, LAST] = np.cumsum(self.lengths)
+        out[:, FIRST] = out[:, LAST] - self.lengths
+        return out
+
+    @cached_property
+    def table_of_samples(self) -> Array:
+        """Table of the samples inside segments, over all recordings, shape (r - m, 8)."""
+        parts = []
+        for m in self.motions:
+            at = np.flatnonzero(m.inside)
+            signals = (m.angle, m.torque, m.slope, m.moment, m.steps, m.unsure)
+            parts.append(np.column_stack([m.time[at], m.time[at - 1], *(s[at] for s in signals)]))
+        return np.ascontiguousarray(np.concatenate(parts))
+
+    @cached_property
+    def lineup(self) -> Lineup:
+        """All segments in the order in which the filter takes them."""
+        return Lineup.of(self.table)
 
     def heads(self, samples: int) -> Heads:
-        """Return the first ``samples`` samples of every segment that starts from rest."""
-        tables, inside = [], []
-        for m in self.motions:
-            table, mask = m.table.copy(), np.zeros(len(m.time), dtype=bool)
-            from_rest = table[:, TORQUE_RATE] > 0.0
-            longest = np.where(from_rest, samples, 0)
-            table[:, LAST] = np.minimum(table[:, LAST], table[:, FIRST] + longest)
-            for first, last in table[:, [FIRST, LAST]].astype(np.int64):
-                mask[first:last] = True
-            tables.append(table)
-            inside.append(mask)
-        rows = [mask[m.inside] for m, mask in zip(self.motions, inside, strict=True)]
-        halves = _halves(self.motions, tables)
-        return Heads(tuple(tables), tuple(inside), np.concatenate(rows), halves)
+        """Return the first ``samples`` samples of every segment."""
+        table = self.table.copy()
+        table[:, LAST] = np.minimum(table[:, LAST], table[:, FIRST] + samples)
+        return Heads(Lineup.of(table), np.flatnonzero(self.samples < samples))
 
     @cached_property
     def matching_count(self) -> Array:
@@ -158,11 +180,7 @@ class Filter:
         self.experiment = experiment
         self.evaluations = 0
         self._last: tuple[_Place, tuple[Array, Array]] | None = None
-        motions = experiment.motions
-        self._errors, self._deviations, self._speeds, self._correlated = (
-            [np.zeros(len(m.time)) for m in motions] for _ in range(4)
-        )
-        self._halves = _halves(motions, [m.table for m in motions])
+        self._found = np.zeros((3, int(experiment.lengths.sum())))
 
     def run(
         self, p: Array, times: Sequence[Array], noise: Noise, heads: Heads | None = None
@@ -178,9 +196,8 @@ class Filter:
                 for whole segments.
         """
         if heads is not None:
-            tables = heads.tables
-            self._shared(heads.halves, lambda part: self._filter(part, tables, p, times, noise))
-            return self._found(heads.inside)
+            self._filter(heads.lineup, p, times, noise)
+            return self._found[ERROR, heads.rows], self._found[DEVIATION, heads.rows]
         place = (p.tobytes(), tuple(t.tobytes() for t in times), noise)
         if self._last is None or self._last[0] != place:
             self._last = place, self._run(p, times, noise)
@@ -188,22 +205,18 @@ class Filter:
 
     def _run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
         """Filter whole segments; return the innovations and their standard deviations, rad."""
-        motions = self.experiment.motions
-        tables = [m.table for m in motions]
         self.evaluations += 1
-        self._shared(self._halves, lambda part: self._filter(part, tables, p, times, noise))
-        return self._found([m.inside for m in motions])
+        self._filter(self.experiment.lineup, p, times, noise)
+        found = self._found[: DEVIATION + 1].copy()
+        found.flags.writeable = False
+        return found[ERROR], found[DEVIATION]
 
-    def _found(self, inside: Sequence[BoolArray]) -> tuple[Array, Array]:
-        """Return read-only copies of the last innovations and standard deviations, rad."""
-        return _joined(self._errors, inside), _joined(self._deviations, inside)
-
-    def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> list[Array]:
-        """Return the filtered correlated noise of the torque, N m, one array per recording; only
-        the values inside segments are meaningful. The arguments are those of :meth:`run`.
+    def correlated_torque(self, p: Array, times: Sequence[Array], noise: Noise) -> Array:
+        """Return the filtered correlated noise of the torque inside segments, N m, shape (r - m,).
+        The arguments are those of :meth:`run`.
         """
         self._run(p, times, noise)
-        return [hidden.copy() for hidden in self._correlated]
+        return self._found[FILTERED].copy()
 
     def sensitivities(
         self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
@@ -215,89 +228,41 @@ class Filter:
             p: Vector of :mod:`identification.model.parameters`.
             times: Breakaway times, s, one array per recording.
             noise: Noise of torque and angle, which is constant.
-            seeds: Directions, shape (d, :data:`identification.filter.sensitivity.SEEDS`).
+            seeds: Directions, shape (d, :data:`identification.filter.tangents.SEEDS`).
         """
-        motions = self.experiment.motions
         self.evaluations += COST_OF_SENSITIVITIES
-        shape = len(seeds)
-        slopes, widenings = ([np.zeros((len(m.time), shape)) for m in motions] for _ in range(2))
-
-        def part_of(part: _Part) -> None:
-            tangents = seeded(seeds)
-            for j, rows in part:
-                m = motions[j]
-                samples = (m.time, m.angle, m.torque, m.slope, m.moment, m.steps, m.unsure)
-                sensitivities(
-                    m.table[rows], times[j][rows], samples, m.extra_inertia, _levels(m, noise), p,
-                    tangents, slopes[j], widenings[j],
-                )  # fmt: skip
-
-        self._shared(self._halves, part_of)
-        inside = [m.inside for m in motions]
-        return _joined(slopes, inside), _joined(widenings, inside)
+        slopes, widenings = (np.zeros((self._found.shape[1], len(seeds))) for _ in range(2))
+        samples, begins = self.experiment.table_of_samples, np.concatenate(times)
+        levels = _levels(noise)
+        self._shared(
+            self.experiment.lineup,
+            lambda part: sensitivities(
+                part.table, begins[part.order], samples, levels, p, seeds, slopes, widenings
+            ),
+        )
+        return slopes, widenings
 
     @staticmethod
-    def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
-        """Do both halves of the work, the second half in another thread unless it is empty."""
-        one, other = halves
-        if other:
-            both(lambda: work(one), lambda: work(other))
+    def _shared(lineup: Lineup, work: Callable[[Lineup], None]) -> None:
+        """Do the work on all segments, a half of it in another thread if there are many."""
+        one, *others = lineup.halves
+        if others:
+            both(lambda: work(one), lambda: work(others[0]))
         else:
             work(one)
 
-    def _filter(
-        self,
-        part: _Part,
-        tables: Sequence[Array],
-        p: Array,
-        times: Sequence[Array],
-        noise: Noise,
-    ) -> None:
-        """Filter a subset of the segments; another thread may filter the others at the same
-        time.
-        """
-        for j, rows in part:
-            m = self.experiment.motions[j]
-            innovations(
-                tables[j][rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, _levels(m, noise), m.steps, m.unsure, p,
-                self._errors[j], self._deviations[j], self._speeds[j], self._correlated[j],
-            )  # fmt: skip
+    def _filter(self, lineup: Lineup, p: Array, times: Sequence[Array], noise: Noise) -> None:
+        """Filter segments; results go into the filter's buffer."""
+        samples, begins = self.experiment.table_of_samples, np.concatenate(times)
+        levels = _levels(noise)
+        self._shared(
+            lineup,
+            lambda part: innovations(
+                part.table, begins[part.order], samples, levels, p, self._found
+            ),
+        )
 
 
-def _levels(m: Motion, noise: Noise) -> Array:
-    """Return the noise of a recording as the noise vector of the compiled kernels, shape (5,)."""
-    variance = m.angle_variance + noise.angle**2
-    staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
-    return np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
-
-
-def _joined(values: Sequence[Array], inside: Sequence[BoolArray]) -> Array:
-    """Return a read-only copy of the values of the samples that are inside, over all recordings."""
-    joined = np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
-    joined.flags.writeable = False
-    return joined
-
-
-def _halves(motions: Sequence[Motion], tables: Sequence[Array]) -> tuple[_Part, _Part]:
-    """Split the segments into two sets of about equal computing time.
-
-    The second set is empty where a second thread would not save time. A segment that does not start
-    from rest continues the segment before it, and both stay in one set.
-    """
-    costs = [
-        [float(np.sum(m.steps[int(a) : int(b)])) for a, b in table[:, : LAST + 1]]
-        for m, table in zip(motions, tables, strict=True)
-    ]
-    whole = sum(map(sum, costs))
-    left = 0.5 * whole if whole > _LEAST_SHARED else math.inf
-    parts: tuple[_Part, _Part] = ([], [])
-    for j, (table, cost) in enumerate(zip(tables, costs, strict=True)):
-        cut = int(np.searchsorted(np.cumsum(cost), left))
-        while 0 < cut < len(cost) and not table[cut, TORQUE_RATE] > 0.0:
-            cut += 1
-        left -= sum(cost[:cut])
-        for part, rows in zip(parts, (slice(0, cut), slice(cut, len(cost))), strict=True):
-            if rows.stop > rows.start:
-                part.append((j, rows))
-    return parts
+def _levels(noise: Noise) -> Array:
+    """Return the noise as the noise vector of the compiled kernels, shape (4,)."""
+    return np.array([noise.torque, noise.angle, noise.correlated, noise.correlation_s])

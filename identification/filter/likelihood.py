@@ -313,7 +313,7 @@ class Weighted:
         felt = ~(np.abs(after[inside] - here[inside]) <= _UNFELT)
         samples = int(np.max(experiment.samples[felt], initial=_LEAST_SAMPLES - 1)) + 1
         heads = experiment.heads(samples)
-        rows = np.append(np.flatnonzero(heads.rows), np.arange(inside.stop, len(here)))
+        rows = np.append(heads.rows, np.arange(inside.stop, len(here)))
         owners, deviations = self.point.owners[rows], self.deviations[rows]
         return NearBreakaways(self.point, heads, rows, here[rows], owners, deviations)
 

@@ -97,8 +97,11 @@ def repeating_share(point: Point) -> float:
     """
     common, power = 0.0, 0.0
     filtered = point.filter.correlated_torque(point.vector, point.breakaway_times, point.noise)
-    for m, hidden in zip(point.motions, filtered, strict=True):
-        first, last = m.table[:, [FIRST, LAST]].astype(np.int64).T
+    cuts = np.cumsum([int(np.sum(m.inside)) for m in point.motions])[:-1]
+    for m, hidden in zip(point.motions, np.split(filtered, cuts), strict=True):
+        lengths = (m.table[:, LAST] - m.table[:, FIRST]).astype(np.int64)
+        last = np.cumsum(lengths)
+        first = last - lengths
         same = (
             m.matching & m.matching.T & np.equal.outer(m.table[:, DIRECTION], m.table[:, DIRECTION])
         )

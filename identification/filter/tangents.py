@@ -2,16 +2,41 @@
 compiled.
 
 A tangent is the derivative of the filter's state in one direction of the parameters or breakaway
-times; several directions are computed together.
+times. All lanes (:mod:`identification.filter.lanes`) are computed together, direction by direction.
 """
 
 from __future__ import annotations
 
-import numpy as np
-
-from identification.filter.kalman import LEAST_SPEED, State, corrected
-from identification.model.friction_slopes import Slopes, friction_slopes
+from identification.filter.lanes import (
+    L_DIFFUSION,
+    L_ERROR,
+    L_HIDDEN,
+    L_INVERSE,
+    L_LENGTH,
+    L_MIDDLE,
+    L_MOMENT,
+    L_MOVED,
+    L_NOW,
+    L_OMEGA,
+    L_P11,
+    L_P12,
+    L_P13,
+    L_P22,
+    L_P23,
+    L_P33,
+    L_SHARE,
+    L_SIDE,
+    L_SLOPE,
+    L_STEPS,
+    L_TORQUE,
+    L_VARIANCE,
+    LANES,
+    LEAST_SPEED,
+)
+from identification.model.friction import Law, law
+from identification.model.friction_slopes import friction_slopes
 from identification.model.parameters import (
+    ALPHA,
     INERTIA,
     LOAD_RISE,
     MC,
@@ -30,324 +55,218 @@ START = OFFSET + 1
 """Column of the seeds for the breakaway time; the columns before it are parameters."""
 SEEDS = START + 1
 """Columns of the seeds."""
-WIDTH = 8
-"""Number of directions in one block; a constant, so that the compiler combines several directions
-in one instruction.
-"""
-_ANGLE, _OMEGA, _P11, _P12, _P22, _HIDDEN, _P13, _P23, _P33 = (WIDTH * k for k in range(9))
-"""First place of each derivative of the state in the flat array of tangents."""
-_STATES = 9 * WIDTH
-_MC, _RISE, _OMEGA_SF, _SIGMA_2, _INERTIA = (
-    _STATES + WIDTH * k for k in (MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA)
+T_ANGLE, T_OMEGA, T_P11, T_P12, T_P22, T_HIDDEN, T_P13, T_P23, T_P33 = (LANES * k for k in range(9))
+"""Places of the derivatives of the state in one direction."""
+_T_DH, _T_DB, _T_DC, _T_DG = (LANES * k for k in range(9, 13))
+"""Places of the derivatives of h, b, c and growth of one step, for the correlated noise."""
+TANGENTS = 13 * LANES
+"""Places of one direction."""
+_FRICTION = 15
+_SLOW, _PUSH, _C, _HALF_J, _HALF_G, _C_J, _C_HALF, _GROWTH_HALF, _MOVING, _H, _PATH = (
+    LANES * (_FRICTION + k) for k in range(11)
 )
-_MU_C, _LOAD_RISE, _OMEGA_SL, _MU_2, _OFFSET, _START = (
-    _STATES + WIDTH * k for k in (MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET, START)
+_H_START, _HALF_START, _C_START, _PUSH_START = (LANES * (_FRICTION + k) for k in range(11, 15))
+_P11_B, _B, _GROWTH, _CENTRE, _TWICE, _Q, _MISSING, _Q_J, _Q_START = (
+    LANES * (_FRICTION + k) for k in range(15, 24)
 )
-"""First places of the seeds in the same array; in one array the compiler knows that they do not
-overlap.
-"""
-_DH, _DB, _DC, _DG = (_STATES + WIDTH * k for k in range(SEEDS, SEEDS + 4))
-"""First places, in the same array, of the terms of the third state that depend on the first two
-states.
-"""
-_SIZE = _STATES + (SEEDS + 4) * WIDTH
+(
+    _F_S, _F_V, _G_S, _F_DM, _F_OF, _F_S2, _G_DM, _G_OF, _F_MC, _F_DL, _F_OL, _F_M2, _G_DL, _G_OL,
+    _G_M2,
+) = (LANES * k for k in range(_FRICTION))  # fmt: skip
+"""Places of the factors of one step, which all directions have in common."""
+GAINS = (_FRICTION + 24) * LANES
 
 _MOST = 1e60
 """Greatest tangent after a sample. Where friction falls with speed, tangents of a joint that sticks
 and slips may grow without bound, and a tangent that overflows would make all later tangents
 undefined.
 """
-Gains = tuple[float, ...]
-Covariance = tuple[float, ...]
+
+
+@inlined
+def _factors(g: Array, t: Array, wide: int, number: float, p: Law) -> None:
+    """Store the factors of one lane's tangents for integration step ``number`` (M16, M17)."""
+    for lane in range(wide):
+        speed = max(t[L_SIDE + lane] * t[L_OMEGA + lane], LEAST_SPEED)
+        force, grade, slopes = friction_slopes(speed, t[L_P22 + lane], t[L_MOMENT + lane], p)
+        g[_F_S + lane], g[_F_V + lane], g[_G_S + lane] = slopes[0], slopes[1], slopes[2]
+        g[_F_DM + lane], g[_F_OF + lane], g[_F_S2 + lane] = slopes[3], slopes[4], slopes[5]
+        g[_G_DM + lane], g[_G_OF + lane], g[_F_MC + lane] = slopes[6], slopes[7], slopes[8]
+        g[_F_DL + lane], g[_F_OL + lane], g[_F_M2 + lane] = slopes[9], slopes[10], slopes[11]
+        g[_G_DL + lane], g[_G_OL + lane], g[_G_M2 + lane] = slopes[12], slopes[13], slopes[14]
+        side, inverse, steps = t[L_SIDE + lane], t[L_INVERSE + lane], t[L_STEPS + lane]
+        p12, p22, taken = t[L_P12 + lane], t[L_P22 + lane], number < steps
+        slope, period_moved = t[L_SLOPE + lane], 1.0 if t[L_MOVED + lane] > 0.0 else 0.0
+        h = t[L_LENGTH + lane] if taken else 0.0
+        h_start = -period_moved / steps if taken else 0.0
+        centre_start = period_moved * (1.0 - (number + 0.5) / steps) if taken else 0.0
+        push = t[L_TORQUE + lane] + slope * (t[L_NOW + lane] + 0.5 * h - t[L_MIDDLE + lane])
+        push = side * (push - p[OFFSET] + t[L_HIDDEN + lane]) - force
+        half = -0.5 * h * inverse * grade
+        share = 1.0 / max(1.0 - half, 0.5)
+        c = h * inverse * share
+        after = speed + c * push
+        missing = max(LEAST_SPEED - after, 0.0)
+        after += missing
+        growth = min((1.0 + half) * share, 3.0)
+        b = 0.5 * h * (1.0 + growth)
+        q = t[L_DIFFUSION + lane] * h
+        centre = p12 + b * p22
+        share_half = share * share if 1.0 - half > 0.5 else 0.0
+        growing = 1.0 if (1.0 + half) * share < 3.0 else 0.0
+        g[_SLOW + lane] = side if side * t[L_OMEGA + lane] > LEAST_SPEED else 0.0
+        g[_MOVING + lane] = 0.0 if missing > 0.0 else 1.0
+        g[_PUSH + lane], g[_C + lane], g[_H + lane], g[_PATH + lane] = push, c, h, speed + after
+        g[_HALF_J + lane], g[_HALF_G + lane] = -half * inverse, -0.5 * h * inverse
+        g[_C_J + lane], g[_C_HALF + lane] = -c * inverse, h * inverse * share_half
+        g[_GROWTH_HALF + lane] = growing * (share + (1.0 + half) * share_half)
+        g[_H_START + lane], g[_HALF_START + lane] = h_start, -0.5 * h_start * inverse * grade
+        g[_C_START + lane] = h_start * inverse * share
+        g[_PUSH_START + lane] = side * slope * centre_start
+        g[_P11_B + lane], g[_B + lane], g[_GROWTH + lane] = 2.0 * centre, b, growth
+        g[_CENTRE + lane], g[_TWICE + lane], g[_Q + lane] = centre, 2.0 * growth * p22, q
+        g[_MISSING + lane], g[_Q_J + lane] = missing, -2.0 * q * inverse
+        g[_Q_START + lane] = t[L_DIFFUSION + lane] * h_start
 
 
 @compiled
-def _step(t: Array, friction: Slopes, gains: Gains, covariance: Covariance) -> None:
-    """Step the tangents of angle, speed and their covariance (M16, M17).
+def factors(g: Array, t: Array, wide: int, number: int, p: Array) -> None:
+    """Store the factors of the tangents of the first ``wide`` lanes for one integration step.
 
     Args:
-        t: Tangents and seeds of one block, shape (_SIZE,).
-        friction: Derivatives of friction and of its slope, from :func:`friction_slopes`.
-        gains: Values of :func:`predict`.
-        covariance: Values of :func:`predict`.
+        g: Factors, shape (GAINS,).
+        t: Workspace of the lanes before the step, shape (WORKSPACE,).
+        wide: Number of lanes.
+        number: Number of the step in the period.
+        p: Vector of :mod:`identification.model.parameters`.
     """
-    f_s, f_v, g_s, f_dm, f_of, f_s2, g_dm, g_of, f_mc, f_dl, f_ol, f_m2, g_dl, g_ol, g_m2 = friction
-    slow, side, push, c, half_j, half_g, c_j, c_half, growth_half, moving, h, path = gains[:12]
-    h_start, half_start, c_start, push_start = gains[12:]
-    p11_b, b, p22, growth, middle, twice, q, missing, q_j, q_start, half_h = covariance
-    for d in range(WIDTH):
-        start, inertia = t[_START + d], t[_INERTIA + d]
-        rise, omega_sf, sigma_2 = t[_RISE + d], t[_OMEGA_SF + d], t[_SIGMA_2 + d]
-        load_rise, omega_sl, mu_2 = t[_LOAD_RISE + d], t[_OMEGA_SL + d], t[_MU_2 + d]
-        d12, d22, ds = t[_P12 + d], t[_P22 + d], slow * t[_OMEGA + d]
-        d_force = f_s * ds + f_v * d22 + t[_MC + d]
-        d_force += f_dm * rise + f_of * omega_sf + f_s2 * sigma_2
-        d_force += f_mc * t[_MU_C + d] + f_dl * load_rise + f_ol * omega_sl + f_m2 * mu_2
-        d_grade = g_s * ds + g_dm * rise + g_of * omega_sf + sigma_2
-        d_grade += g_dl * load_rise + g_ol * omega_sl + g_m2 * mu_2
-        d_push = push_start * start + side * (t[_HIDDEN + d] - t[_OFFSET + d]) - d_force
-        d_half = half_start * start + half_j * inertia + half_g * d_grade
-        dc = c_start * start + c_j * inertia + c_half * d_half
-        d_free = ds + push * dc + c * d_push
-        d_after = moving * d_free
-        d_growth = growth_half * d_half
-        dh = h_start * start
-        db = half_h * d_growth + 0.5 * (1.0 + growth) * dh
-        dq = q_start * start + q_j * inertia
-        t[_ANGLE + d] += side * 0.5 * (dh * path + h * (ds + d_after))
-        t[_OMEGA + d] = side * d_after
-        t[_P11 + d] += (
-            p11_b * db + 2.0 * b * d12 + b * b * d22 + (h * h * dq + 2.0 * q * h * dh) / 3.0
-        )
-        t[_P12 + d] = (
-            d_growth * middle + growth * (d12 + p22 * db + b * d22) + 0.5 * (h * dq + q * dh)
-        )
-        t[_P22 + d] = (
-            twice * d_growth + growth * growth * d22 + dq - 2.0 * missing * (d_free - d_after)
-        )
-        t[_DH + d], t[_DB + d], t[_DC + d], t[_DG + d] = dh, db, dc, d_growth
+    if p[ALPHA] == 2.0:
+        _factors(g, t, wide, float(number), law(p, 2.0))
+    else:
+        _factors(g, t, wide, float(number), law(p, p[ALPHA]))
 
 
 @compiled
-def _step_hidden(
-    t: Array, hidden: tuple[float, float, float], gains: tuple[float, float, float, float]
-) -> None:
-    """Step the tangents of the correlated torque noise, after :func:`_step`.
+def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
+    """Step the tangents of angle, speed and their covariance in one direction (M16, M17).
 
     Args:
-        t: Tangents and seeds of one block, shape (_SIZE,).
-        hidden: Covariances of the noise with angle and speed, and its variance, before the step.
-        gains: Length of the step, s, and the values b, c and growth of :func:`predict`.
+        d: Tangents of the direction, shape (TANGENTS,).
+        seed: The direction, shape (SEEDS,).
+        g: Factors of the step, shape (GAINS,).
+        t: Workspace of the lanes before the step, shape (WORKSPACE,).
+        wide: Number of lanes.
     """
-    p13, p23, p33 = hidden
-    h, b, c, growth = gains
-    a = 0.5 * h * c
-    along = p13 + b * p23 + a * p33
-    twice = 2.0 * growth * p23 + c * p33
-    for d in range(WIDTH):
-        db, dc, d_growth = t[_DB + d], t[_DC + d], t[_DG + d]
-        da = 0.5 * (t[_DH + d] * c + h * dc)
-        d13, d23, d33 = t[_P13 + d], t[_P23 + d], t[_P33 + d]
+    mc, rise, omega_sf, sigma_2 = seed[MC], seed[SYSTEM_RISE], seed[OMEGA_SF], seed[SIGMA_2]
+    mu_c, load_rise, omega_sl, mu_2 = seed[MU_C], seed[LOAD_RISE], seed[OMEGA_SL], seed[MU_2]
+    inertia, offset, start = seed[INERTIA], seed[OFFSET], seed[START]
+    for k in range(wide):
+        d12, d22, ds = d[T_P12 + k], d[T_P22 + k], g[_SLOW + k] * d[T_OMEGA + k]
+        h, b, q, growth = g[_H + k], g[_B + k], g[_Q + k], g[_GROWTH + k]
+        side, p22, centre = t[L_SIDE + k], t[L_P22 + k], g[_CENTRE + k]
+        d_force = g[_F_S + k] * ds + g[_F_V + k] * d22 + mc
+        d_force += g[_F_DM + k] * rise + g[_F_OF + k] * omega_sf + g[_F_S2 + k] * sigma_2
+        d_force += g[_F_MC + k] * mu_c + g[_F_DL + k] * load_rise
+        d_force += g[_F_OL + k] * omega_sl + g[_F_M2 + k] * mu_2
+        d_grade = g[_G_S + k] * ds + g[_G_DM + k] * rise + g[_G_OF + k] * omega_sf + sigma_2
+        d_grade += g[_G_DL + k] * load_rise + g[_G_OL + k] * omega_sl + g[_G_M2 + k] * mu_2
+        d_push = g[_PUSH_START + k] * start + side * (d[T_HIDDEN + k] - offset) - d_force
+        d_half = g[_HALF_START + k] * start + g[_HALF_J + k] * inertia + g[_HALF_G + k] * d_grade
+        dc = g[_C_START + k] * start + g[_C_J + k] * inertia + g[_C_HALF + k] * d_half
+        d_free = ds + g[_PUSH + k] * dc + g[_C + k] * d_push
+        d_after = g[_MOVING + k] * d_free
+        d_growth = g[_GROWTH_HALF + k] * d_half
+        dh = g[_H_START + k] * start
+        db = 0.5 * h * d_growth + 0.5 * (1.0 + growth) * dh
+        dq = g[_Q_START + k] * start + g[_Q_J + k] * inertia
+        d[T_ANGLE + k] += side * 0.5 * (dh * g[_PATH + k] + h * (ds + d_after))
+        d[T_OMEGA + k] = side * d_after
+        d[T_P11 + k] += (
+            g[_P11_B + k] * db + 2.0 * b * d12 + b * b * d22 + (h * h * dq + 2.0 * q * h * dh) / 3.0
+        )
+        d[T_P12 + k] = (
+            d_growth * centre + growth * (d12 + p22 * db + b * d22) + 0.5 * (h * dq + q * dh)
+        )
+        d[T_P22 + k] = (
+            g[_TWICE + k] * d_growth
+            + growth * growth * d22
+            + dq
+            - 2.0 * g[_MISSING + k] * (d_free - d_after)
+        )
+        d[_T_DH + k], d[_T_DB + k], d[_T_DC + k], d[_T_DG + k] = dh, db, dc, d_growth
+
+
+@compiled
+def step_hidden(d: Array, g: Array, t: Array, wide: int) -> None:
+    """Step the tangents of the correlated torque noise in one direction, after :func:`step`;
+    arguments as there.
+    """
+    for k in range(wide):
+        p13, p23, p33 = t[L_P13 + k], t[L_P23 + k], t[L_P33 + k]
+        h, b, c, growth = g[_H + k], g[_B + k], g[_C + k], g[_GROWTH + k]
+        a = 0.5 * h * c
+        along = p13 + b * p23 + a * p33
+        twice = 2.0 * growth * p23 + c * p33
+        db, dc, d_growth = d[_T_DB + k], d[_T_DC + k], d[_T_DG + k]
+        da = 0.5 * (d[_T_DH + k] * c + h * dc)
+        d13, d23, d33 = d[T_P13 + k], d[T_P23 + k], d[T_P33 + k]
         d_along = d13 + db * p23 + b * d23 + da * p33 + a * d33
         d_twice = 2.0 * (d_growth * p23 + growth * d23) + dc * p33 + c * d33
         # p11 grows by 2 a (p13 + b p23) + a^2 p33 = a (2 along - a p33).
-        t[_P11 + d] += da * (2.0 * along - a * p33) + a * (2.0 * d_along - da * p33 - a * d33)
-        t[_P12 + d] += a * (d_growth * p23 + growth * d23) + growth * p23 * da
-        t[_P12 + d] += dc * along + c * d_along
-        t[_P22 + d] += dc * twice + c * d_twice
-        t[_P13 + d] = d_along
-        t[_P23 + d] = d_growth * p23 + growth * d23 + dc * p33 + c * d33
-
-
-@inlined
-def predict(
-    state: State,
-    tangents: Array,
-    times: tuple[float, float, float, float],
-    drive: tuple[float, float, float, float, float, float],
-    p: Array,
-) -> State:
-    """Return the state after one integration step (M16, M17), and advance its tangents too.
-
-    Args:
-        state: Before.
-        tangents: Tangents and seeds, shape (b, _SIZE).
-        times: Length of the step, s; its middle, from the middle of the period, s; and their
-            derivatives with respect to the breakaway time.
-        drive: Torque, N m; its rate, N m/s; contact moment, N m; inertia, kg m^2; direction of
-            motion; growth of the speed's variance, (rad/s)^2/s.
-        p: Vector of :mod:`identification.model.parameters`.
-    """
-    _, omega, _, p12, p22, hidden, p13, p23, p33 = state
-    h, centre, h_start, centre_start = times
-    torque, slope, moment, inertia, side, noise_rate = drive
-    inverse = 1.0 / inertia
-    speed = max(side * omega, LEAST_SPEED)
-    force, grade, friction = friction_slopes(speed, p22, moment, p)
-    push = side * (torque + slope * centre - p[OFFSET] + hidden) - force
-    half = -0.5 * h * inverse * grade
-    share = 1.0 / max(1.0 - half, 0.5)
-    c = h * inverse * share
-    after = speed + c * push
-    missing = max(LEAST_SPEED - after, 0.0)
-    after += missing
-    growth = min((1.0 + half) * share, 3.0)
-    b = 0.5 * h * (1.0 + growth)
-    q = noise_rate * h
-    middle = p12 + b * p22
-    share_half = share * share if 1.0 - half > 0.5 else 0.0
-    growing = 1.0 if (1.0 + half) * share < 3.0 else 0.0
-    slow, moving = side if side * omega > LEAST_SPEED else 0.0, 0.0 if missing > 0.0 else 1.0
-    by_half = (h * inverse * share_half, growing * (share + (1.0 + half) * share_half))
-    by_inertia = (-half * inverse, -0.5 * h * inverse, -c * inverse)
-    by_start = (
-        h_start,
-        -0.5 * h_start * inverse * grade,
-        h_start * inverse * share,
-        side * slope * centre_start,
-    )
-    gains = (slow, side, push, c, *by_inertia, *by_half, moving, h, speed + after, *by_start)
-    noise = (q, missing, -2.0 * q * inverse, noise_rate * h_start)
-    covariance = (2.0 * middle, b, p22, growth, middle, 2.0 * growth * p22, *noise, 0.5 * h)
-    for block in range(len(tangents)):
-        _step(tangents[block], friction, gains, covariance)
-        if p33 > 0.0:
-            _step_hidden(tangents[block], (p13, p23, p33), (h, b, c, growth))
-    motion = (side * h * 0.5 * (speed + after), side * after, missing * missing + q)
-    return _moved(state, motion, (h, b, q, growth, c))
-
-
-@inlined
-def _moved(
-    state: State,
-    motion: tuple[float, float, float],
-    gains: tuple[float, float, float, float, float],
-) -> State:
-    """Return the state after one integration step (M16, M17).
-
-    Args:
-        state: Before.
-        motion: Change of the angle, rad; speed after the step, rad/s; increase of the variance of
-            the speed.
-        gains: Length of the step, s, and the values b, q, growth and c of :func:`predict`.
-    """
-    angle, _, p11, p12, p22, hidden, p13, p23, p33 = state
-    change, omega, gained = motion
-    h, b, q, growth, c = gains
-    p11 += 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
-    p12 = growth * (p12 + b * p22) + 0.5 * q * h
-    p22 = growth * growth * p22 + gained
-    if p33 > 0.0:
-        a = 0.5 * h * c
-        along = p13 + b * p23 + a * p33
-        p11 += 2.0 * a * (p13 + b * p23) + a * a * p33
-        p12 += growth * a * p23 + c * along
-        p22 += c * (2.0 * growth * p23 + c * p33)
-        p13 = along
-        p23 = growth * p23 + c * p33
-    return angle + change, omega, p11, p12, p22, hidden, p13, p23, p33
+        d[T_P11 + k] += da * (2.0 * along - a * p33) + a * (2.0 * d_along - da * p33 - a * d33)
+        d[T_P12 + k] += a * (d_growth * p23 + growth * d23) + growth * p23 * da
+        d[T_P12 + k] += dc * along + c * d_along
+        d[T_P22 + k] += dc * twice + c * d_twice
+        d[T_P13 + k] = d_along
+        d[T_P23 + k] = d_growth * p23 + growth * d23 + dc * p33 + c * d33
 
 
 @compiled
-def _correct_block(
-    t: Array, state: State, error: float, variance: float, news: tuple[float, float], side: float
-) -> None:
-    """Correct the tangents of one block by a reading (M19); arguments as for :func:`correct`."""
-    _, omega, p11, p12, _, _, p13, _, _ = state
-    new, new_start = news
-    g1, g2, g3, less = p11 / variance, p12 / variance, p13 / variance, new * (2.0 - new)
-    kept, inverse = 1.0 - less * g1, 1.0 / variance
-    missing = max(LEAST_SPEED - side * (omega + new * g2 * error), 0.0)
-    moving = 0.0 if missing > 0.0 else 1.0
-    for d in range(WIDTH):
-        d_new = new_start * t[_START + d]
+def correct_tangents(d: Array, seed: Array, t: Array, wide: int) -> None:
+    """Correct the tangents of one direction by a reading (M19), before the state is corrected.
+
+    Args:
+        d: Tangents of the direction, shape (TANGENTS,).
+        seed: The direction, shape (SEEDS,).
+        t: Workspace of the lanes before the correction, shape (WORKSPACE,).
+        wide: Number of lanes.
+    """
+    start = seed[START]
+    for k in range(wide):
+        error, variance, side = t[L_ERROR + k], t[L_VARIANCE + k], t[L_SIDE + k]
+        p12, p13, new = t[L_P12 + k], t[L_P13 + k], t[L_SHARE + k]
+        inverse = 1.0 / variance
+        g1, g2, g3 = t[L_P11 + k] * inverse, p12 * inverse, p13 * inverse
+        less = new * (2.0 - new)
+        kept = 1.0 - less * g1
+        missing = max(LEAST_SPEED - side * (t[L_OMEGA + k] + new * g2 * error), 0.0)
+        moving = 0.0 if missing > 0.0 else 1.0
+        d_new = -t[L_MOVED + k] * start
         d_less = 2.0 * d_new * (1.0 - new)
-        d11, d12, d13 = t[_P11 + d], t[_P12 + d], t[_P13 + d]
-        d_error = -t[_ANGLE + d]
+        d11, d12, d13, d_error = d[T_P11 + k], d[T_P12 + k], d[T_P13 + k], -d[T_ANGLE + k]
         d1, d2, d3 = (
             (d11 - g1 * d11) * inverse,
             (d12 - g2 * d11) * inverse,
             (d13 - g3 * d11) * inverse,
         )
         d_kept = -d_less * g1 - less * d1
-        d_free = t[_OMEGA + d] + d_new * g2 * error + new * (d2 * error + g2 * d_error)
-        t[_ANGLE + d] += d_new * g1 * error + new * (d1 * error + g1 * d_error)
-        t[_OMEGA + d] = moving * d_free
-        t[_P22 + d] -= (
-            2.0 * missing * side * (1.0 - moving) * d_free
-            + d_less * g2 * p12
-            + less * (d2 * p12 + g2 * d12)
-        )
-        t[_HIDDEN + d] += d_new * g3 * error + new * (d3 * error + g3 * d_error)
-        t[_P33 + d] -= d_less * g3 * p13 + less * (d3 * p13 + g3 * d13)
-        t[_P23 + d] -= d_less * g3 * p12 + less * (d3 * p12 + g3 * d12)
-        t[_P13 + d] = d13 * kept + p13 * d_kept
-        t[_P11 + d] = d11 * kept + p11 * d_kept
-        t[_P12 + d] = d12 * kept + p12 * d_kept
-    for k in range(_STATES):
-        t[k] = min(max(t[k], -_MOST), _MOST)
+        d_free = d[T_OMEGA + k] + d_new * g2 * error + new * (d2 * error + g2 * d_error)
+        d22 = 2.0 * missing * side * (1.0 - moving) * d_free
+        d22 += d_less * g2 * p12 + less * (d2 * p12 + g2 * d12)
+        hidden = d_new * g3 * error + new * (d3 * error + g3 * d_error)
+        angle = d_new * g1 * error + new * (d1 * error + g1 * d_error)
+        d[T_ANGLE + k] = _limited(d[T_ANGLE + k] + angle)
+        d[T_OMEGA + k] = _limited(moving * d_free)
+        d[T_P22 + k] = _limited(d[T_P22 + k] - d22)
+        d[T_HIDDEN + k] = _limited(d[T_HIDDEN + k] + hidden)
+        d33, d23 = d_less * g3 * p13 + less * (d3 * p13 + g3 * d13), d_less * g3 * p12
+        d[T_P33 + k] = _limited(d[T_P33 + k] - d33)
+        d[T_P23 + k] = _limited(d[T_P23 + k] - d23 - less * (d3 * p12 + g3 * d12))
+        d[T_P13 + k] = _limited(d13 * kept + p13 * d_kept)
+        d[T_P11 + k] = _limited(d11 * kept + t[L_P11 + k] * d_kept)
+        d[T_P12 + k] = _limited(d12 * kept + p12 * d_kept)
 
 
 @inlined
-def correct(
-    state: State,
-    tangents: Array,
-    error: float,
-    variance: float,
-    news: tuple[float, float],
-    unsure: float,
-    side: float,
-) -> State:
-    """Return the state after a reading (M19), and correct its tangents too.
-
-    Args:
-        state: Before.
-        tangents: Tangents and seeds, shape (b, _SIZE).
-        error: Innovation, rad.
-        variance: Variance of the innovation, rad^2.
-        news: Share of the period since the breakaway, and its derivative with respect to the
-            breakaway time.
-        unsure: Variance that is added to the variance of the speed, (rad/s)^2.
-        side: Direction of motion.
-    """
-    for block in range(len(tangents)):
-        _correct_block(tangents[block], state, error, variance, news, side)
-    return corrected(state, error, variance, news[0], unsure, side)
-
-
-@compiled
-def begun(tangents: Array, p22_inertia: float, speed: float, follows: bool) -> None:
-    """Set the tangents at the start of a segment.
-
-    Args:
-        tangents: Tangents and seeds.
-        p22_inertia: Derivative of the speed's variance with respect to the inertia.
-        speed: Speed at the end of the segment before it, rad/s.
-        follows: Whether the segment continues the segment before it.
-    """
-    for t in tangents:
-        for d in range(WIDTH):
-            omega = t[_OMEGA + d]
-            for k in range(d, _STATES, WIDTH):
-                t[k] = 0.0
-            t[_P22 + d] = p22_inertia * t[_INERTIA + d]
-            if follows:
-                t[_OMEGA + d] = omega
-                t[_P22 + d] = 2.0 * speed * omega
-
-
-@compiled
-def forgotten(tangents: Array, kept: float) -> None:
-    """Let the tangents of the correlated torque noise decay over a period to a share ``kept``."""
-    for t in tangents:
-        for d in range(WIDTH):
-            t[_HIDDEN + d] *= kept
-            t[_P13 + d] *= kept
-            t[_P23 + d] *= kept
-            t[_P33 + d] *= kept * kept
-
-
-@compiled
-def slopes_of_reading(tangents: Array, variance: float, error: Array, deviation: Array) -> None:
-    """Fill the derivatives of one innovation and of its log standard deviation, shape (d,) each."""
-    for j in range(len(error)):
-        t, d = tangents[j // WIDTH], j % WIDTH
-        error[j] = -t[_ANGLE + d]
-        deviation[j] = 0.5 * t[_P11 + d] / variance
-
-
-def seeded(seeds: Array) -> Array:
-    """Return the workspace of tangents and seeds for directions, shape (b, _SIZE).
-
-    Args:
-        seeds: Directions, shape (d, SEEDS): derivative of each parameter, and in column ``START``
-            that of all breakaway times.
-    """
-    blocks = -(-len(seeds) // WIDTH)
-    padded = np.zeros((blocks * WIDTH, SEEDS))
-    padded[: len(seeds)] = seeds
-    out = np.zeros((blocks, _SIZE))
-    out[:, _STATES:_DH] = (
-        padded.reshape(blocks, WIDTH, SEEDS).transpose(0, 2, 1).reshape(blocks, -1)
-    )
-    return out
+def _limited(tangent: float) -> float:
+    return min(max(tangent, -_MOST), _MOST)

@@ -33,11 +33,16 @@ from identification.model.parameters import (
 )
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import inlined
+from identification.numerics.exponential import exponential
 
+Law = tuple[float, ...]
+"""First parameters of the vector, up to ``ALPHA``, as numbers."""
 NEGLIGIBLE = 37.0
 """Exponent beyond which the falling part, less than exp(-37) of the rise, is below the rounding
 error of the other parts.
 """
+LEAST_OMEGA = 1e-100
+"""Stribeck speed that stands for zero, rad/s, at which no falling part is left at any speed."""
 
 
 @inlined
@@ -92,6 +97,14 @@ def static_friction(moment: float, p: Array) -> float:
 
 
 @inlined
+def law(p: Array, alpha: float) -> Law:
+    """Return the parameters of the friction law as numbers, which a compiled loop keeps at hand; a
+    constant ``alpha`` makes the powers of the loop multiplications.
+    """
+    return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], alpha
+
+
+@inlined
 def _falling(
     height: float, speed: float, omega_s: float, alpha: float, variance: float
 ) -> tuple[float, float]:
@@ -101,40 +114,39 @@ def _falling(
     The expectation is over a speed of this ``variance``, to second order (M15). A variance above
     omega_s^2, where the expansion does not hold, counts as omega_s^2.
     """
+    omega_s = max(omega_s, LEAST_OMEGA)
     within = omega_s * omega_s
     rate = 1.0 / within
     x = speed * speed * rate
     if alpha != 2.0:
         x = (speed / omega_s) ** alpha
         rate = x / (speed * speed)
-    if x >= NEGLIGIBLE:
-        return 0.0, 0.0
-    part = height * math.exp(-x)
+    part = height * exponential(-min(NEGLIGIBLE, x))
+    part = 0.0 if x >= NEGLIGIBLE else part
     curved = part * alpha * rate
     return part + 0.5 * min(variance, within) * curved * (alpha * x - alpha + 1.0), -curved * speed
 
 
 @inlined
-def expected_friction(
-    speed: float, variance: float, moment: float, p: Array
-) -> tuple[float, float]:
+def expected_friction(speed: float, variance: float, moment: float, p: Law) -> tuple[float, float]:
     """Return the expected magnitude of friction, N m, and its slope, for an uncertain speed > 0
     (M15).
+
+    The function has no branches, so that the compiler combines several lanes in one instruction.
 
     Args:
         speed: Magnitude of the mean speed, rad/s.
         variance: Variance of the speed, (rad/s)^2; with zero the result is :func:`friction`, in
             fewer operations if alpha is 2.
-        moment: Contact moment F_P L1, N m.
-        p: Vector of :mod:`identification.model.parameters`.
+        moment: Contact moment F_P L1, N m, not negative.
+        p: Parameters, from :func:`law`.
     """
     part, slope = _falling(p[SYSTEM_RISE], speed, p[OMEGA_SF], p[ALPHA], variance)
     value = p[MC] + p[SIGMA_2] * speed + part
     slope += p[SIGMA_2]
-    if moment > 0.0:
-        part, fall = _falling(moment * p[LOAD_RISE], speed, p[OMEGA_SL], p[ALPHA], variance)
-        value += moment * (p[MU_C] + p[MU_2] * speed) + part
-        slope += moment * p[MU_2] + fall
+    part, fall = _falling(moment * p[LOAD_RISE], speed, p[OMEGA_SL], p[ALPHA], variance)
+    value += moment * (p[MU_C] + p[MU_2] * speed) + part
+    slope += moment * p[MU_2] + fall
     return value, slope
 
 

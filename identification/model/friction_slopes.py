@@ -4,9 +4,7 @@ compiled.
 
 from __future__ import annotations
 
-import math
-
-from identification.model.friction import NEGLIGIBLE
+from identification.model.friction import LEAST_OMEGA, NEGLIGIBLE, Law
 from identification.model.parameters import (
     ALPHA,
     LOAD_RISE,
@@ -18,8 +16,8 @@ from identification.model.parameters import (
     SIGMA_2,
     SYSTEM_RISE,
 )
-from identification.numerics.arrays import Array
 from identification.numerics.compiled import inlined
+from identification.numerics.exponential import exponential
 
 Slopes = tuple[float, ...]
 
@@ -34,21 +32,22 @@ def _falling_slopes(
         The value and the slope; the derivatives of the value with respect to speed, variance and
         omega_s; the derivatives of the slope with respect to speed and omega_s.
     """
+    omega_s = max(omega_s, LEAST_OMEGA)
     within = omega_s * omega_s
     x = speed * speed / within
     if alpha != 2.0:
         x = (speed / omega_s) ** alpha
-    if x >= NEGLIGIBLE:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    kept = 0.0 if x >= NEGLIGIBLE else 1.0
+    x = min(NEGLIGIBLE, x)
     rate = x / (speed * speed)
-    part = math.exp(-x)
+    part = kept * exponential(-x)
     x_speed, x_omega = alpha * x / speed, -alpha * x / omega_s
     curved = part * alpha * rate
     curved_speed = curved * ((alpha - 2.0) / speed - x_speed)
     curved_omega = curved * (-alpha / omega_s - x_omega)
-    spread, spread_variance, spread_omega = variance, 1.0, 0.0
-    if variance >= within:
-        spread, spread_variance, spread_omega = within, 0.0, 2.0 * omega_s
+    spread = within if variance >= within else variance
+    spread_variance = 0.0 if variance >= within else 1.0
+    spread_omega = 2.0 * omega_s if variance >= within else 0.0
     bend = alpha * x - alpha + 1.0
     return (
         part + 0.5 * spread * curved * bend,
@@ -65,15 +64,15 @@ def _falling_slopes(
 
 @inlined
 def friction_slopes(
-    speed: float, variance: float, moment: float, p: Array
+    speed: float, variance: float, moment: float, p: Law
 ) -> tuple[float, float, Slopes]:
     """Return expected friction, N m, its slope (M15), and their derivatives.
 
     Args:
         speed: Magnitude of the mean speed, rad/s.
         variance: Variance of the speed, (rad/s)^2.
-        moment: Contact moment F_P L1, N m.
-        p: Vector of :mod:`identification.model.parameters`.
+        moment: Contact moment F_P L1, N m, not negative.
+        p: Parameters, from :func:`identification.model.friction.law`.
 
     Returns:
         The friction F; its slope S; and their derivatives in this order: F with respect to speed
@@ -89,18 +88,16 @@ def friction_slopes(
     grade = p[SIGMA_2] + rise * own_slope
     force_speed, force_variance = p[SIGMA_2] + rise * f_s, rise * f_v
     grade_speed, force_omega, grade_omega = rise * g_s, rise * f_o, rise * g_o
-    load, load_slope, load_omega, load_slope_omega = 0.0, 0.0, 0.0, 0.0
-    if moment > 0.0:
-        load, load_slope, f_s, f_v, f_o, g_s, g_o = _falling_slopes(
-            speed, p[OMEGA_SL], p[ALPHA], variance
-        )
-        rise = moment * p[LOAD_RISE]
-        force += moment * (p[MU_C] + p[MU_2] * speed) + rise * load
-        grade += moment * p[MU_2] + rise * load_slope
-        force_speed += moment * p[MU_2] + rise * f_s
-        force_variance += rise * f_v
-        grade_speed += rise * g_s
-        load_omega, load_slope_omega = rise * f_o, rise * g_o
+    load, load_slope, f_s, f_v, f_o, g_s, g_o = _falling_slopes(
+        speed, p[OMEGA_SL], p[ALPHA], variance
+    )
+    rise = moment * p[LOAD_RISE]
+    force += moment * (p[MU_C] + p[MU_2] * speed) + rise * load
+    grade += moment * p[MU_2] + rise * load_slope
+    force_speed += moment * p[MU_2] + rise * f_s
+    force_variance += rise * f_v
+    grade_speed += rise * g_s
+    load_omega, load_slope_omega = rise * f_o, rise * g_o
     return (
         force,
         grade,

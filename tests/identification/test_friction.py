@@ -8,10 +8,12 @@ import pytest
 from identification.model.friction import (
     expected_friction,
     friction,
+    law,
     load_coefficient,
     system_friction,
 )
 from identification.model.parameters import (
+    ALPHA,
     INDEX,
     SIZE,
     STRIBECK_TERMS,
@@ -29,7 +31,7 @@ GEAR = {"mu_gc": 0.03, "mu_gs": 0.05}
 
 @compiled
 def expected(speed: float, variance: float, moment: float, p: np.ndarray) -> tuple[float, float]:
-    return expected_friction(speed, variance, moment, p)
+    return expected_friction(speed, variance, moment, law(p, p[ALPHA]))
 
 
 @compiled
@@ -86,6 +88,7 @@ def test_expectation_over_a_certain_speed_is_the_law(alpha: float, moment: float
 def test_an_absent_rise_needs_no_stribeck_speed() -> None:
     p = pack({"Mc": 2.0, "Ms": 2.0, "omega_sf": 0.0}, 2.0)
     assert sure(0.0, 0.0, 0.0, p) == (2.0, 0.0)
+    assert expected(1e-7, 0.0, 0.0, p) == pytest.approx((2.0, 0.0))
 
 
 def test_expectation_over_an_uncertain_speed_is_that_of_a_quadrature() -> None:

@@ -9,10 +9,10 @@ import pytest
 from scipy import linalg
 
 from identification.filter import kalman as kernel
+from identification.filter.lanes import LANES, slip_variance
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.noise_level import deviance, likeliest_noise
-from identification.filter.segment_table import FIRST, LAST, TORQUE_RATE
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording
@@ -26,8 +26,8 @@ TORQUE_NOISE, ANGLE_NOISE = 0.05, 4.4e-6
 
 HIDDEN, HIDDEN_S = 0.3, 0.02
 """Correlated part of the torque's noise, N m rms, and its correlation time, s."""
-WHITE = np.array([TORQUE_NOISE, ANGLE_NOISE**2, 0.0, 0.0, 0.0])
-CORRELATED = np.array([TORQUE_NOISE, ANGLE_NOISE**2, HIDDEN, HIDDEN_S, 0.0])
+WHITE = Noise(TORQUE_NOISE, ANGLE_NOISE)
+CORRELATED = Noise(TORQUE_NOISE, ANGLE_NOISE, HIDDEN, HIDDEN_S)
 
 
 def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -> np.ndarray:
@@ -68,20 +68,20 @@ def run_kernel(
     torque: np.ndarray,
     side: float,
     steps: float,
-    noise: np.ndarray = WHITE,
+    noise: Noise = WHITE,
     begin: float = 0.0,
+    quantisation: float = 1e-30,
 ) -> np.ndarray:
     n = len(angle)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA}, 2.0)
-    out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
-    kernel.innovations(
-        np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n),
-        side * angle,
-        side * torque, np.zeros(n), np.zeros(n), 0.0, noise, np.full(n, steps), np.zeros(n), p,
-        out, spread,
-        speeds, np.zeros(n),
-    )  # fmt: skip
-    return side * out[1:] / spread[1:]
+    time, zero = STEP_S * np.arange(n), np.zeros(n)
+    signals = (side * angle, side * torque, zero, zero, np.full(n, steps), zero)
+    samples = np.column_stack([time, time - STEP_S, *signals])[1:]
+    segment = [0.0, n - 1.0, side, np.inf, side * angle[0], 0.0, quantisation]
+    levels = np.array([noise.torque, noise.angle, noise.correlated, noise.correlation_s])
+    found = np.zeros((3, n - 1))
+    kernel.innovations(np.array([segment]), np.array([begin]), samples, levels, p, found)
+    return side * found[kernel.ERROR] / found[kernel.DEVIATION]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -131,13 +131,13 @@ def test_correlated_noise_is_a_third_state(side: float) -> None:
 def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: float) -> None:
     rng = np.random.default_rng(4)
     step, rest, moving = 1e-5, 12, 3
-    noise = np.array([1e-6, step**2 / 12.0, 0.0, 0.0, 0.0])
     time = STEP_S * np.maximum(np.arange(rest + moving) - (rest - 1), 0)
     rate = VISCOUS / INERTIA
     unit = (time / rate - (1.0 - np.exp(-rate * time)) / rate**2) / INERTIA
     squares = {}
     for staying in (0.0, step**2 / 12.0):
-        noise[kernel.STAYING] = staying
+        # The same variance, as noise of each reading or as quantisation.
+        noise = Noise(1e-6) if staying else Noise(1e-6, step / np.sqrt(12.0))
         first = []
         for place, push in rng.uniform(
             (0.0, 20.0), (1.0, 28.0), (400, 2)
@@ -145,7 +145,9 @@ def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: f
             angle = step * (np.floor(place + push * unit / step) + 0.5)
             torque = np.where(time > 0.0, COULOMB + push, 0.0)
             first.append(
-                run_kernel(angle, torque, side, 8.0, noise, begin=STEP_S * (rest - 1))[rest - 1]
+                run_kernel(
+                    angle, torque, side, 8.0, noise, STEP_S * (rest - 1), max(staying, 1e-30)
+                )[rest - 1]
             )
         squares[staying] = float(np.mean(np.square(first)))
     assert squares[step**2 / 12.0] == pytest.approx(1.0, abs=0.1)
@@ -171,8 +173,8 @@ def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero(
         )
     excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
     # Coarse steps miss part of what the walk meets at zero.
-    assert kernel.slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
-    assert kernel.slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
+    assert slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
+    assert slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
 
 
 def test_inside_steps_converge() -> None:
@@ -229,58 +231,46 @@ def test_the_last_run_is_not_repeated(motions: tuple[Motion, Motion]) -> None:
 
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    both = at_truth(*motions)
-    found = both.run(Noise(0.06, 1e-6))
-    alone = [at_truth(m).run(Noise(0.06, 1e-6)) for m in motions]
+    """Three copies of the recordings have more segments than one thread has lanes."""
+    alone, many = at_truth(*motions), at_truth(*3 * motions)
+    assert len(alone.experiment.lineup.halves) == 1
+    one, other = many.experiment.lineup.halves
+    assert many.breakaways > LANES
+    assert sorted([*one.order, *other.order]) == list(range(many.breakaways))
+    noise = Noise(0.06, 1e-6)
+    for found, expected in zip(many.run(noise), alone.run(noise), strict=True):
+        assert np.array_equal(found, np.tile(expected, 3))
+
+
+@pytest.mark.parametrize("noise", [Noise(0.06, 1e-6), Noise(0.05, 2e-6, 0.04, 0.01)], ids=str)
+def test_a_lane_does_not_depend_on_the_others(motions: tuple[Motion, Motion], noise: Noise) -> None:
+    free = tuple(INDEX.values())
+    together = at_truth(*motions, free=free)
+    alone = [at_truth(m, free=free) for m in motions]
+    seeds = together._seeds(together.origin())
     for k in (0, 1):
-        assert found[k] == pytest.approx(
-            np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15
-        )
-    filtered = [
-        (j, row)
-        for part in both.filter._halves
-        for j, rows in part
-        for row in range(rows.start, rows.stop)
-    ]
-    assert sorted(filtered) == [
-        (j, row) for j, m in enumerate(motions) for row in range(len(m.table))
-    ]
-    steps = [
-        sum(float(np.sum(_of(motions[j], rows))) for j, rows in part)
-        for part in both.filter._halves
-    ]
-    longest = max(
-        float(np.sum(_of(m, slice(k, k + 1)))) for m in motions for k in range(len(m.table))
-    )
-    assert abs(steps[0] - steps[1]) <= 2.0 * longest
+        found = together.run(noise)[k]
+        assert np.array_equal(found, np.concatenate([a.run(noise)[k] for a in alone]))
+        slopes = [
+            p.filter.sensitivities(p.vector, p.breakaway_times, noise, seeds)[k]
+            for p in (together, *alone)
+        ]
+        assert np.array_equal(slopes[0], np.concatenate(slopes[1:]))
 
 
 def test_an_error_in_the_second_thread_is_raised(
     motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    both = at_truth(*motions)
-    _, second = both.filter._halves
-    assert second
+    many = at_truth(*3 * motions)
+    second = many.experiment.lineup.halves[1]
 
-    def broken(pieces: list[tuple[int, slice]], *_: object) -> None:
-        if pieces is second:
+    def broken(table: np.ndarray, *_: object) -> None:
+        if table is second.table:
             raise FloatingPointError("half of the segments were not filtered")
 
-    monkeypatch.setattr(both.filter, "_filter", broken)
+    monkeypatch.setattr("identification.filter.experiment.innovations", broken)
     with pytest.raises(FloatingPointError, match="were not filtered"):
-        both.run()
-
-
-def _of(m: Motion, rows: slice) -> np.ndarray:
-    return np.concatenate([m.steps[int(a) : int(b)] for a, b in m.table[rows, :2]])
-
-
-def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) -> None:
-    chained = motions[0].table.copy()
-    chained[1:-1, TORQUE_RATE] = 0.0
-    one, other = at_truth(replace(motions[0], table=chained)).filter._halves
-    assert [rows for _, rows in one] == [slice(0, len(chained) - 1)]
-    assert [rows for _, rows in other] == [slice(len(chained) - 1, len(chained))]
+        many.run()
 
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
@@ -304,9 +294,6 @@ def test_sensitivities_are_the_slopes_of_the_predictions(
     )
     free = tuple(INDEX[n] for n in names)
     short = first_segments(motions[case], 3)
-    if alpha == 2.0:
-        # The second segment continues the first, as far as the filter knows.
-        short.table[1, [FIRST, TORQUE_RATE]] = short.table[0, LAST], 0.0
     point = Point.of([short], pack({**TRUTH, "offset": 0.02}, alpha), free, Model(), noise)
     x = point.origin()
     errors, deviations = point.predictions(x)
