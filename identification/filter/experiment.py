@@ -12,7 +12,19 @@ from numpy.typing import NDArray
 from identification.filter.kalman import DEVIATION, ERROR, FILTERED, innovations
 from identification.filter.lanes import LANES
 from identification.filter.noise import Noise
-from identification.filter.segment_table import FIRST, LAST
+from identification.filter.segment_table import (
+    ANGLE,
+    BEFORE,
+    FIRST,
+    LAST,
+    MOMENT,
+    SAMPLE_COLUMNS,
+    SLOPE,
+    STEPS,
+    TIME,
+    TORQUE,
+    UNSURE,
+)
 from identification.filter.segments import Motion
 from identification.filter.sensitivity import sensitivities
 from identification.model.parameters import COULOMB_OF, INDEX
@@ -54,7 +66,8 @@ class Lineup:
         """
         if len(self.order) <= LANES:
             return (self,)
-        return tuple(Lineup(self.table[k::2], self.order[k::2]) for k in (0, 1))
+        # Kernels are compiled for contiguous arrays.
+        return tuple(Lineup(self.table[k::2].copy(), self.order[k::2]) for k in (0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,8 +119,8 @@ class Experiment:
     @cached_property
     def lengths(self) -> NDArray[np.int64]:
         """Samples of each segment, shape (m,)."""
-        table = np.concatenate([m.table for m in self.motions])
-        return np.asarray((table[:, LAST] - table[:, FIRST]).astype(np.int64))
+        lengths = [(m.table[:, LAST] - m.table[:, FIRST]).astype(np.int64) for m in self.motions]
+        return np.concatenate([np.zeros(0, dtype=np.int64), *lengths])
 
     @cached_property
     def samples(self) -> NDArray[np.int64]:
@@ -133,12 +146,17 @@ class Experiment:
     @cached_property
     def table_of_samples(self) -> Array:
         """Table of the samples inside segments, over all recordings, shape (r - m, 8)."""
-        parts = []
+        out = np.empty((int(self.lengths.sum()), SAMPLE_COLUMNS))
+        row = 0
         for m in self.motions:
             at = np.flatnonzero(m.inside)
-            signals = (m.angle, m.torque, m.slope, m.moment, m.steps, m.unsure)
-            parts.append(np.column_stack([m.time[at], m.time[at - 1], *(s[at] for s in signals)]))
-        return np.ascontiguousarray(np.concatenate(parts))
+            here = out[row : row + len(at)]
+            here[:, TIME], here[:, BEFORE] = m.time[at], m.time[at - 1]
+            here[:, ANGLE], here[:, TORQUE], here[:, SLOPE] = m.angle[at], m.torque[at], m.slope[at]
+            here[:, MOMENT], here[:, STEPS] = m.moment[at], m.steps[at]
+            here[:, UNSURE] = m.unsure[at]
+            row += len(at)
+        return out
 
     @cached_property
     def lineup(self) -> Lineup:
@@ -165,8 +183,9 @@ class Experiment:
 class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    A filter keeps the result of the last run over whole segments, because searches begin and end
-    where the last run was. Results are read-only copies. A filter is not thread-safe.
+    A filter keeps the results of the last run over whole segments and of the last derivatives,
+    because searches begin and end where the last run was. Results are read-only copies. A filter is
+    not thread-safe.
 
     Args:
         experiment: The recordings.
@@ -180,6 +199,7 @@ class Filter:
         self.experiment = experiment
         self.evaluations = 0
         self._last: tuple[_Place, tuple[Array, Array]] | None = None
+        self._slopes: tuple[_Place, Array, tuple[Array, Array]] | None = None
         self._found = np.zeros((3, int(experiment.lengths.sum())))
 
     def run(
@@ -198,7 +218,7 @@ class Filter:
         if heads is not None:
             self._filter(heads.lineup, p, times, noise)
             return self._found[ERROR, heads.rows], self._found[DEVIATION, heads.rows]
-        place = (p.tobytes(), tuple(t.tobytes() for t in times), noise)
+        place = _place(p, times, noise)
         if self._last is None or self._last[0] != place:
             self._last = place, self._run(p, times, noise)
         return self._last[1]
@@ -216,7 +236,7 @@ class Filter:
         The arguments are those of :meth:`run`.
         """
         self._run(p, times, noise)
-        return self._found[FILTERED].copy()
+        return np.array(self._found[FILTERED], dtype=np.float64)
 
     def sensitivities(
         self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
@@ -230,6 +250,22 @@ class Filter:
             noise: Noise of torque and angle, which is constant.
             seeds: Directions, shape (d, :data:`identification.filter.tangents.SEEDS`).
         """
+        place = _place(p, times, noise)
+        if self._slopes is not None and self._slopes[0] == place:
+            known, found = self._slopes[1:]
+            same = np.all(seeds[:, None] == known[None], axis=2)
+            if np.all(np.any(same, axis=1)):
+                columns = np.argmax(same, axis=1)
+                slopes, widenings = (np.ascontiguousarray(s[:, columns]) for s in found)
+                return slopes, widenings
+        found = self._differentiate(p, times, noise, seeds)
+        self._slopes = place, seeds, found
+        return found
+
+    def _differentiate(
+        self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
+    ) -> tuple[Array, Array]:
+        """Compute the derivatives of :meth:`sensitivities`."""
         self.evaluations += COST_OF_SENSITIVITIES
         slopes, widenings = (np.zeros((self._found.shape[1], len(seeds))) for _ in range(2))
         samples, begins = self.experiment.table_of_samples, np.concatenate(times)
@@ -261,6 +297,10 @@ class Filter:
                 part.table, begins[part.order], samples, levels, p, self._found
             ),
         )
+
+
+def _place(p: Array, times: Sequence[Array], noise: Noise) -> _Place:
+    return p.tobytes(), tuple(t.tobytes() for t in times), noise
 
 
 def _levels(noise: Noise) -> Array:

@@ -18,6 +18,7 @@ from identification.filter.tangents import SEEDS, START
 from identification.model.parameters import ALPHA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.compiled import compiled
 from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
@@ -190,12 +191,10 @@ class Point:
         self, x: Array, _errors: Array, deviations: Array
     ) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x, divided by the deviations, and d log deviations / d x."""
-        errors, widening = self._sensitivities(x, deviations)
-        return self._arrow(errors), self._arrow(widening)
+        return self.sensitivities(x, deviations)
 
-    def _sensitivities(self, x: Array, deviations: Array) -> tuple[Array, Array]:
-        """Return d errors / d x, divided by the deviations, and d log deviations / d x, shape
-        (r, p + 1) each; the last column belongs to the breakaway time of the row's segment.
+    def sensitivities(self, x: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
+        """Return d errors / d x, divided by the deviations, and d log deviations / d x.
 
         The derivatives are bounded as finite differences are: in stick-slip an error depends
         irregularly on the parameters, and its slope does not predict the change over a step.
@@ -209,9 +208,11 @@ class Point:
         ties = -np.concatenate(limits) - np.concatenate(offsets) + along[:, None] * seeds[:, START]
         steps = PARAMETER_STEP * np.maximum(np.abs(x[: len(self.free)]), _LEAST_SCALE)
         bound = _GREATEST_CHANGE / np.append(steps, _TIME_STEP)
-        slopes = np.concatenate([errors, ties]) / deviations[:, None]
-        widening = np.concatenate([widening, np.zeros_like(ties)])
-        return _bounded(slopes, bound), _bounded(widening, bound)
+        rows, ones = self.owners, np.ones_like(deviations)
+        return (
+            BlockArrow(*_bounded(errors, ties, deviations, bound), rows, self.breakaways),
+            BlockArrow(*_bounded(widening, 0.0 * ties, ones, bound), rows, self.breakaways),
+        )
 
     def _seeds(self, x: Array) -> Array:
         """Return the derivatives of all parameters with respect to each free parameter, and of the
@@ -256,12 +257,6 @@ class Point:
         along = change(there) / _TIME_STEP
         return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
 
-    def _arrow(self, slopes: Array) -> BlockArrow:
-        """Return the Jacobian of slopes of shape (r, p + 1), the breakaway time's last."""
-        return BlockArrow(
-            np.ascontiguousarray(slopes[:, :-1]), slopes[:, -1].copy(), self.owners, self.breakaways
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Weighted:
@@ -290,7 +285,7 @@ class Weighted:
         differences; ``here`` are the residuals at ``x``.
         """
         if self.step == PARAMETER_STEP:
-            return self.point._arrow(self.point._sensitivities(x, self.deviations)[0])
+            return self.point.sensitivities(x, self.deviations)[0]
         parameters, times = self.point.differences(
             x, lambda there: (self.residuals(there) - here)[None], self.step
         )
@@ -391,6 +386,27 @@ class Searched(NamedTuple):
     iterations: int
 
 
-def _bounded(slopes: Array, bound: Array) -> Array:
-    """Return the slopes limited to a bound for each column, zero where undefined, shape (r, d)."""
-    return np.asarray(np.clip(np.nan_to_num(slopes, nan=0.0), -bound, bound))
+def _bounded(slopes: Array, ties: Array, scale: Array, bound: Array) -> tuple[Array, Array]:
+    """Return slopes of innovations, shape (r - m, d), and of ties, shape (m, d), over the scale of
+    their row, limited to a bound for each column, zero where undefined: the columns of the
+    parameters, shape (r, d - 1), and that of the breakaway time, shape (r,).
+    """
+    parameters, own = np.empty((len(scale), len(bound) - 1)), np.empty(len(scale))
+    cut = len(slopes)
+    _limit(slopes, scale[:cut], bound, parameters[:cut], own[:cut])
+    _limit(ties, scale[cut:], bound, parameters[cut:], own[cut:])
+    return parameters, own
+
+
+@compiled
+def _limit(slopes: Array, scale: Array, bound: Array, parameters: Array, own: Array) -> None:
+    """Fill ``parameters`` and ``own`` as described in :func:`_bounded`."""
+    last = slopes.shape[1] - 1
+    for r in range(len(slopes)):
+        for j in range(last + 1):
+            slope = slopes[r, j] / scale[r]
+            slope = min(max(slope, -bound[j]), bound[j]) if slope == slope else 0.0
+            if j < last:
+                parameters[r, j] = slope
+            else:
+                own[r] = slope

@@ -15,3 +15,4 @@ TIME, BEFORE, ANGLE, TORQUE, SLOPE, MOMENT, STEPS, UNSURE = range(8)
 torque over the period between them, N m, and its rate of change, N m/s; mean contact moment F_P L1,
 N m; number of integration steps; variance that is added to the variance of the speed, (rad/s)^2.
 """
+SAMPLE_COLUMNS = UNSURE + 1

@@ -85,7 +85,7 @@ undefined.
 
 @inlined
 def _factors(g: Array, t: Array, wide: int, number: float, p: Law) -> None:
-    """Store the factors of one lane's tangents for integration step ``number`` (M16, M17)."""
+    """Store the factors of the tangents of lanes for integration step ``number`` (M16, M17)."""
     for lane in range(wide):
         speed = max(t[L_SIDE + lane] * t[L_OMEGA + lane], LEAST_SPEED)
         force, grade, slopes = friction_slopes(speed, t[L_P22 + lane], t[L_MOMENT + lane], p)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -61,17 +62,13 @@ class BlockArrow:
         """Return ``self.T @ diag(weight) @ other``, shape (p + m, p + m); ``other`` defaults to
         self.
         """
-        right = self if other is None else other
-        weighted = self if weight is None else self.scaled(weight)
+        found = self._products(weight, self if other is None else other)
         p = self.parameters.shape[1]
         out = np.zeros((p + self.blocks, p + self.blocks))
-        out[:p, :p] = weighted.parameters.T @ right.parameters
-        out[p:, :p] = self._by_block(weighted.own, right.parameters)
-        out[:p, p:] = (
-            out[p:, :p].T if other is None else self._by_block(right.own, weighted.parameters).T
-        )
+        out[:p, :p] = np.sum(found[:, :p, :p], axis=0)
+        out[p:, :p], out[:p, p:] = found[:, p, :p], found[:, :p, p].T
         at = p + np.arange(self.blocks)
-        out[at, at] = np.bincount(self.owners, weighted.own * right.own, self.blocks)
+        out[at, at] = found[:, p, p]
         return out
 
     def back(self, vector: Array) -> Array:
@@ -100,7 +97,7 @@ class BlockArrow:
         )
         held = np.where(own > 0.0, own, np.inf)
         share = cross / held[:, None]
-        scores = self._by_block(weight * residual, self.parameters) - share * pull[:, None]
+        scores = self.by_block(weight * residual, self.parameters) - share * pull[:, None]
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
@@ -108,13 +105,10 @@ class BlockArrow:
         shape (m, p, p).
         """
         p = self.parameters.shape[1]
-        squares = np.zeros((self.blocks, p, p))
-        for k, column in enumerate(self.parameters.T):
-            squares[:, k] = self._by_block(column, self.parameters)
-        cross = self._by_block(self.own, self.parameters)
-        own = np.bincount(self.owners, self.own**2, self.blocks)
+        found = self._products(None, self)
+        cross, own = found[:, p, :p], found[:, p, p]
         share = cross / np.where(own > 0.0, own, np.inf)[:, None]
-        return squares - cross[:, :, None] * share[:, None, :]
+        return np.asarray(found[:, :p, :p] - cross[:, :, None] * share[:, None, :])
 
     def scaled(self, weight: Array) -> BlockArrow:
         """Return the Jacobian with every row multiplied by its weight."""
@@ -140,9 +134,65 @@ class BlockArrow:
         out[np.arange(len(self.own)), p + self.owners] = self.own
         return out
 
-    def _by_block(self, own: Array, columns: Array) -> Array:
-        """Return the sum of ``own`` times each column over the rows of every block, shape (m,
-        p).
+    def by_block(self, factor: Array, columns: Array) -> Array:
+        """Return the sum of ``factor`` times each column over the rows of every block, for columns
+        of shape (r, k), shape (m, k).
         """
-        sums = [np.bincount(self.owners, own * column, self.blocks) for column in columns.T]
-        return np.stack(sums, axis=-1) if sums else np.zeros((self.blocks, 0))
+        out = np.zeros((self.blocks, columns.shape[1]))
+        _add_by_block(np.ascontiguousarray(columns), factor, self.owners, out)
+        return out
+
+    def _products(self, weight: Array | None, other: BlockArrow) -> Array:
+        """Return the weighted sum over each block of the products of its rows, own unknown last,
+        shape (m, p + 1, p + 1).
+        """
+        weight = np.ones(len(self.own)) if weight is None else weight
+        size, width = self.parameters.shape[1] + 1, other.parameters.shape[1] + 1
+        out = np.zeros((self.blocks, size, width))
+        rows = (np.ascontiguousarray(j.parameters) for j in (self, other))
+        left, right = rows
+        _add_products(left, self.own, right, other.own, weight, self.owners, out)
+        return out
+
+
+@compiled
+def _add_by_block(columns: Array, factor: Array, owners: NDArray[np.int64], out: Array) -> None:
+    """Add each row of ``columns``, shape (r, k), times its factor to the row of its block in
+    ``out``.
+    """
+    for r in range(len(columns)):
+        row, scale = out[owners[r]], factor[r]
+        for j in range(columns.shape[1]):
+            row[j] += scale * columns[r, j]
+
+
+@compiled
+def _add_products(
+    left: Array,
+    left_own: Array,
+    right: Array,
+    right_own: Array,
+    weight: Array,
+    owners: NDArray[np.int64],
+    out: Array,
+) -> None:
+    """Add the products of each row's elements, own unknown last, to those of its block.
+
+    Args:
+        left: Shape (r, p).
+        left_own: Shape (r,).
+        right: Shape (r, q).
+        right_own: Shape (r,).
+        weight: Weight of each row, shape (r,).
+        owners: Block of each row, shape (r,).
+        out: Sums, shape (m, p + 1, q + 1).
+    """
+    p, q = left.shape[1], right.shape[1]
+    for r in range(len(left)):
+        sums = out[owners[r]]
+        for i in range(p + 1):
+            scale = weight[r] * (left[r, i] if i < p else left_own[r])
+            row = sums[i]
+            for j in range(q):
+                row[j] += scale * right[r, j]
+            row[q] += scale * right_own[r]

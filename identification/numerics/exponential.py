@@ -16,8 +16,8 @@ LEAST = -700.0
 """Least exponent; below, the result would not be a normal number."""
 _LOG2_E = 1.0 / math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10
-"""Logarithm of 2 as a sum; the first part has 32 bits, so that its small multiples are exact (fdlibm,
-e_exp.c).
+"""Logarithm of 2 as a sum; the first part has 32 bits, so that its small multiples are exact
+(fdlibm, e_exp.c).
 """
 _ROUNDING = 1.5 * 2.0**52
 """Added to a number, this leaves the nearest integer in the last bits of the sum."""

@@ -7,8 +7,9 @@ SIAM 11 (1963) 431; Huber, Ann. Math. Statist. 35 (1964) 73.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol, TypeVar
 
 import numpy as np
@@ -33,11 +34,19 @@ class Slope(Protocol):
 
 @dataclass(frozen=True)
 class Minimum:
-    """End of a search: ``x`` of shape (p,), its cost, and the number of steps tried."""
+    """End of a search.
+
+    Attributes:
+        x: Where it ended, shape (p,).
+        cost: Cost there.
+        steps: Number of steps tried.
+        beaten: Whether it ended because it would not have reached the cost to be reached.
+    """
 
     x: Array
     cost: float
     steps: int
+    beaten: bool = False
 
 
 def huber(residual: Array, threshold: float | Array) -> Array:
@@ -59,6 +68,13 @@ def huber_weight(residual: Array, threshold: float | Array) -> Array:
 def huber_cost(residual: Array, threshold: float) -> float:
     """Return the sum of the Huber costs (:func:`huber`) of the residuals."""
     return float(np.sum(huber(residual, threshold)))
+
+
+def negative_log_likelihood(error: Array, deviation: Array, threshold: float) -> float:
+    """Return the cost of errors with these standard deviations, shape (n,) each (M23), up to a
+    constant; errors beyond the threshold count as in Huber's cost.
+    """
+    return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation)))
 
 
 def minimise(
@@ -90,9 +106,10 @@ def minimise(
         weight = huber_weight(residual, threshold)
         return _normal(slope, weight), _back(slope, weight * residual)
 
-    return _descend(
+    found, _ = _descend(
         evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps
     )
+    return found
 
 
 def minimise_deviance(
@@ -103,6 +120,7 @@ def minimise_deviance(
     threshold: float,
     tolerance: float,
     most_steps: int = 25,
+    reach: float = math.inf,
 ) -> Minimum:
     """Minimise the negative log likelihood of errors whose standard deviations depend on x too
     (M23), by the scoring method with damping.
@@ -119,14 +137,13 @@ def minimise_deviance(
         threshold: Error over deviation up to which the cost is quadratic.
         tolerance: The search ends when a step lowers the cost by no more than this.
         most_steps: Steps tried at most.
+        reach: Cost of another search, which this one should reach; it ends when ``most_steps``
+            steps as good as its last one would not reach it.
     """
 
     def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
         error, deviation = predictions(x)
-        return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation))), (
-            error,
-            deviation,
-        )
+        return negative_log_likelihood(error, deviation, threshold), (error, deviation)
 
     def linearise(x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
         mean, spread = derivatives(x, *here)
@@ -135,7 +152,17 @@ def minimise_deviance(
         normal = _normal(mean, weight) + 2.0 * _normal(spread, np.ones_like(weight))
         return normal, _back(mean, weight * ratio) + _back(spread, 1.0 - weight * ratio**2)
 
-    return _descend(evaluate, linearise, start, lambda gain, _: gain <= tolerance, most_steps)
+    def beaten(gain: float, cost: float) -> bool:
+        return cost - reach > most_steps * gain
+
+    found, gain = _descend(
+        evaluate,
+        linearise,
+        start,
+        lambda gain, cost: gain <= tolerance or beaten(gain, cost),
+        most_steps,
+    )
+    return replace(found, beaten=beaten(gain, found.cost))
 
 
 def _normal(slope: Array | Slope, weight: Array) -> Array:
@@ -156,8 +183,9 @@ def _descend(
     start: Array,
     settled: Callable[[float, float], bool],
     most_steps: int,
-) -> Minimum:
-    """Take damped steps until ``settled`` returns true.
+) -> tuple[Minimum, float]:
+    """Take damped steps until ``settled`` returns true; return the end and the gain of the last
+    step.
 
     Args:
         evaluate: Function of x that returns its cost and the data that ``linearise`` needs at x.
@@ -171,7 +199,7 @@ def _descend(
     x = start.copy()
     cost, here = evaluate(x)
     damping = _FIRST_DAMPING
-    steps = 0
+    steps, gain = 0, 0.0
     while steps < most_steps:
         normal, gradient = linearise(x, here)
         normal, scale = equilibrated(normal)
@@ -188,4 +216,4 @@ def _descend(
         # A NaN cost compares below no other, so the gain stays zero.
         if not gain > 0.0 or settled(gain, cost):
             break
-    return Minimum(x, cost, steps)
+    return Minimum(x, cost, steps), gain

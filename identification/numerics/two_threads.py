@@ -8,14 +8,15 @@ kept because starting one takes as long as a tenth of a pass of the filter.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cache
 from threading import Lock
-from typing import TypeVar
+from typing import TypeVar, cast
 
 One = TypeVar("One")
 Other = TypeVar("Other")
+Item = TypeVar("Item")
 THREAD = "second thread of the kernels"
 """First part of the name of the thread."""
 
@@ -47,3 +48,22 @@ def both(one: Callable[[], One], other: Callable[[], Other]) -> tuple[One, Other
         return first, beside.result()
     finally:
         used.release()
+
+
+def each(function: Callable[[Item], One], items: Iterable[Item]) -> list[One]:
+    """Return the results of a function for all items, in their order, with two items at a time.
+
+    The function must not change what another call reads.
+    """
+    todo, found, taking = iter(enumerate(items)), dict[int, One](), Lock()
+
+    def work() -> None:
+        while True:
+            with taking:
+                number, item = next(todo, (None, None))
+            if number is None:
+                return
+            found[number] = function(cast(Item, item))
+
+    both(work, work)
+    return [found[number] for number in range(len(found))]

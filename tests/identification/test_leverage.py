@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -81,7 +82,7 @@ def test_stretches_are_judged_again_where_the_fit_ends(
     def fit(p: Point) -> Searched:
         return Searched(replace(p, vector=p.vector + 0.1), 1)
 
-    def segment_inflation(p: Point) -> Array:
+    def segment_inflation(p: Point, _others: Sequence[int]) -> Array:
         return np.full(p.breakaways, 1.0 if p.vector is begun else 2.0)
 
     monkeypatch.setattr(instrumental, "segment_inflation", segment_inflation)

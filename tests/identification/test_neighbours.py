@@ -143,13 +143,14 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     """Where it begins is the loaded stage's end itself, so that one which stays the likeliest
     changes nothing.
     """
-    held: list[tuple[int, ...]] = []
+    held: list[tuple[tuple[int, ...], float]] = []
 
-    def refine(point: Point, _tempering: Sequence[float]) -> Searched:
-        held.append(point.free)
+    def search(point: Point, reach: float) -> Searched:
+        held.append((point.free, reach))
         return Searched(replace(point, vector=point.vector + 0.01), 4)
 
-    monkeypatch.setattr(searches, "refine", refine)
+    monkeypatch.setattr(searches, "_likelihood", search)
+    monkeypatch.setattr(searches, "_cost", lambda p: -50.0 * round(p.vector[MU_2] - 0.01, 6))
     monkeypatch.setattr(searches, "_resolved", lambda p: p.vector[OMEGA_SL] > 0.5)
     monkeypatch.setattr(searches, "_deviance", lambda p: -100.0 * p.vector[MU_2])
     free = (MC, INERTIA, OMEGA_SL)
@@ -158,7 +159,8 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     found = searches.likeliest_together(starts)
     assert found.point is starts[1]
     assert found.iterations == 3 * 4
-    assert held == [(MC, OMEGA_SL)] * 3
+    # Each search should reach the least cost of those before it.
+    assert held == [((MC, OMEGA_SL), reach) for reach in (np.inf, -50.0, -75.0)]
 
 
 @pytest.mark.parametrize(
@@ -167,7 +169,8 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
 def test_of_ends_as_likely_one_of_a_far_slower_fall_is_taken(
     monkeypatch: pytest.MonkeyPatch, speed: float, behind: float, taken: int
 ) -> None:
-    monkeypatch.setattr(searches, "refine", lambda point, _tempering: Searched(point, 1))
+    monkeypatch.setattr(searches, "_likelihood", lambda point, reach: Searched(point, 1))
+    monkeypatch.setattr(searches, "_cost", lambda _point: 0.0)
     monkeypatch.setattr(searches, "_resolved", lambda _point: True)
     monkeypatch.setattr(searches, "_deviance", lambda point: point.vector[MU_2])
     starts = [likely(fall, deviance) for fall, deviance in ((1.0, 0.0), (speed, behind))]

@@ -156,8 +156,7 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
 
 def _inflated(point: Point, others: tuple[int, ...]) -> Point:
     """Return the point with these parameters free, and with the variance inflation for them."""
-    there = point.freeing(others)
-    return replace(there, inflation=segment_inflation(there))
+    return replace(point.freeing(others), inflation=segment_inflation(point, others))
 
 
 def _inertia_step(point: Point) -> tuple[float, float]:
@@ -174,13 +173,17 @@ def _inertia_step(point: Point) -> tuple[float, float]:
     )
 
 
-def segment_inflation(point: Point) -> Array:
-    """Return the variance inflation of each segment at a point, shape (m,) (M13); the inflation
-    stored in the point is ignored.
+def segment_inflation(point: Point, others: Sequence[int]) -> Array:
+    """Return the variance inflation of each segment at a point for the estimation of ``others``
+    among its free parameters, shape (m,) (M13); the inflation stored in the point is ignored.
     """
     held = replace(point, inflation=np.ones(point.breakaways)).weighted()
     x = point.origin()
-    return inflation_by(point.experiment, held.jacobian(x, held.residuals(x)))
+    # The derivatives of all free parameters are computed, since the callers need them next.
+    jacobian = held.jacobian(x, held.residuals(x))
+    for j in reversed([j for j, k in enumerate(point.free) if k not in others]):
+        jacobian = jacobian.without(j)
+    return inflation_by(point.experiment, jacobian)
 
 
 def inflation_by(experiment: Experiment, jacobian: BlockArrow) -> Array:

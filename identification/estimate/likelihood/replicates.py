@@ -266,7 +266,8 @@ def _step(
     point = search_breakaway_times(
         Point.of(seen, joint.vector, others, Model(), joint.noise), HUBER_THRESHOLD
     )
-    point = replace(point, inflation=segment_inflation(point)).freeing(joint.free)
+    point = point.freeing(joint.free)
+    point = replace(point, inflation=segment_inflation(point, others))
     return _scored(point, seed, farthest)
 
 

@@ -12,11 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.filter.experiment import Filter
 from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
 from identification.filter.noise_level import HUBER_THRESHOLD, deviance
 from identification.model.parameters import INERTIA, LOAD_RISE, MC, OMEGA_SL, SYSTEM_RISE
 from identification.numerics import levenberg_marquardt as levenberg
-from identification.numerics.levenberg_marquardt import huber
+from identification.numerics.levenberg_marquardt import huber, negative_log_likelihood
+from identification.numerics.two_threads import each
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 """Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
@@ -170,18 +172,12 @@ def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:
     """
     starts = list(starts) or [point]
     followed = starts[:STARTS]
-    begun: list[float] = []
-    ends: list[End] = []
-    for start in followed:
-        begun.append(_deviance(start))
-        if not ends or not spent(start):
-            ends.append(_ended(start, _TEMPERING))
+    begun = [_deviance(start) for start in followed]
+    ends = [_ended(followed[0], _TEMPERING)] if spent(followed[0]) else []
+    ends += _ended_each(followed, _TEMPERING)
     left = min(ends, key=lambda end: end.rank).deviance
-    ends += [
-        _ended(start, (1.0,))
-        for start, deviance_there in zip(followed, begun, strict=True)
-        if deviance_there < left and not spent(start)
-    ]
+    likelier = [s for s, there in zip(followed, begun, strict=True) if there < left]
+    ends += _ended_each(likelier, (1.0,))
     best = _neighbours(min(ends, key=lambda end: end.rank), ends)
     if _missed(best):
         best = _smoothed(starts, best, ends)
@@ -217,16 +213,20 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
     ends, an end with a several times larger Stribeck speed is preferred, because the likelihood is
     flat where the Stribeck speed is below the resolution of the samples.
 
+    A search ends early when as many steps as it may take, each as good as its last one, would not
+    reach the least cost so far.
+
     Args:
         starts: Starts of the joint fit, each from an end of the loaded fit.
 
     Returns:
         The chosen start, not its end, and the iterations of all searches.
     """
-    ends, iterations = [], 0
+    ends, iterations, reached = [], 0, math.inf
     for start in starts:
-        found = refine(start.freeing([k for k in start.free if k != INERTIA]), (1.0,))
+        found = _likelihood(start.freeing([k for k in start.free if k != INERTIA]), reach=reached)
         iterations += found.iterations
+        reached = min(reached, _cost(found.point))
         speed = float(found.point.vector[OMEGA_SL])
         ends.append((not _resolved(found.point), _deviance(found.point), speed))
     unresolved, least, speed = best = min(ends)
@@ -237,6 +237,12 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
     ]
     taken = ends.index(max(slower, key=lambda e: e[2], default=best))
     return Searched(starts[taken], iterations)
+
+
+def _cost(point: Point) -> float:
+    """Return the cost that a search by likelihood lowers; infinite if it is not finite."""
+    cost = negative_log_likelihood(*point.predictions(point.origin()), HUBER_THRESHOLD)
+    return cost if math.isfinite(cost) else math.inf
 
 
 def _missed(end: End) -> bool:
@@ -283,22 +289,42 @@ def _neighbours(best: End, ends: list[End]) -> End:
     for beside in _BESIDE:
         for _ in range(_ROUNDS):
             begun = best
-            for place, factor in beside:
-                if place in best.point.free and not spent(best.point):
-                    ends.append(_searched(begun.point, place, factor))
-                    best = min(best, ends[-1], key=lambda end: end.rank)
+            starts = [
+                _multiplied(begun.point, place, factor)
+                for place, factor in beside
+                if place in best.point.free
+            ]
+            found = _ended_each(starts, (1.0,))
+            ends += found
+            best = min((best, *found), key=lambda end: end.rank)
             if begun.deviance - best.deviance < SAME_END:
                 break
     return best
 
 
-def _searched(begun: Point, place: int, factor: float) -> End:
-    """Return the end of a search that starts from an end with one parameter multiplied by a
-    factor.
-    """
+def _multiplied(begun: Point, place: int, factor: float) -> Point:
+    """Return the point with one parameter multiplied by a factor."""
     vector = begun.vector.copy()
     vector[place] *= factor
-    return _ended(begun.at(vector), (1.0,))
+    return begun.at(vector)
+
+
+def _ended_each(starts: Sequence[Point], tempering: Sequence[float]) -> list[End]:
+    """Search from several points of one fit, two at a time; return the ends in order, without those
+    of searches for which no passes are left after the searches before them.
+    """
+
+    def alone(start: Point) -> tuple[End, int]:
+        own = replace(start, filter=Filter(start.experiment))
+        end = _ended(own, tempering)
+        return replace(end, point=replace(end.point, filter=start.filter)), own.filter.evaluations
+
+    ends = []
+    for start, (end, evaluations) in zip(starts, each(alone, starts), strict=True):
+        if not spent(start):
+            start.filter.evaluations += evaluations
+            ends.append(end)
+    return ends
 
 
 def _ended(start: Point, tempering: Sequence[float], step: float = PARAMETER_STEP) -> End:
@@ -340,9 +366,8 @@ def refine(
     """
     iterations = 0
     for factor in tempering:
-        search = _least_squares if factor > 1.0 else _likelihood
         louder = replace(point, noise=point.noise.louder(factor))
-        found = search(louder, step)
+        found = _least_squares(louder, step) if factor > 1.0 else _likelihood(louder)
         point = replace(found.point, noise=point.noise)
         iterations += found.iterations
     return Searched(point, iterations)
@@ -361,8 +386,13 @@ def _least_squares(point: Point, step: float) -> Searched:
     return Searched(point.moved(found.x), found.steps)
 
 
-def _likelihood(point: Point, _step: float) -> Searched:
-    """Search by likelihood, in alternation with a grid search of the breakaway times."""
+def _likelihood(point: Point, reach: float = math.inf) -> Searched:
+    """Search by likelihood, in alternation with a grid search of the breakaway times.
+
+    Args:
+        point: Start.
+        reach: Cost that the search should reach.
+    """
     iterations = 0
     for _ in range(_SEEKS):
         found = levenberg.minimise_deviance(
@@ -371,10 +401,11 @@ def _likelihood(point: Point, _step: float) -> Searched:
             point.origin(),
             threshold=HUBER_THRESHOLD,
             tolerance=_LEAST_GAIN,
+            reach=reach,
         )
         iterations += found.steps
         there = point.moved(found.x)
         point, moved = there.weighted().with_best_breakaways(HUBER_THRESHOLD)
-        if not moved:
+        if found.beaten or not moved:
             break
     return Searched(point, iterations)

@@ -67,15 +67,15 @@ def solve_unloaded(
     free = system, inertia
     both = bool(system) and bool(inertia)
     at_system = begun.freeing(system)
-    searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
-    starts = [_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,))]
-    starts += [
-        _heavier(start, share)
-        for start in searched[:STARTS]
-        for share in _INERTIAS[: len(inertia) * 3]
-    ]
+
+    def starts() -> Iterator[Point]:
+        yield from (_heavier(begun, share) for share in (_INERTIAS if inertia else (1.0,)))
+        searched = breakaway_starts(at_system, MC, SYSTEM_RISE, OMEGA_SF) if system else []
+        for start in searched[:STARTS]:
+            yield from (_heavier(start, share) for share in _INERTIAS[: len(inertia) * 3])
+
     found: list[float] = []
-    best = _best_of(starts, free, None, found)
+    best = _best_of(starts(), free, None, found)
     last: Solved | None = None
     for _ in range(_AGAIN if both else 0):
         if best is None or best is last or best.chi2 < SOLVED or spent(begun):

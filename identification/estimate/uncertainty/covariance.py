@@ -167,9 +167,8 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
     # A segment may contain no information on its breakaway time.
     inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
-    plain, sums = np.zeros((2, jacobian.blocks, influence.shape[1]))
-    np.add.at(plain, jacobian.owners, influence**2)
-    np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
+    plain = jacobian.by_block(np.ones(len(residual)), influence**2)
+    sums = jacobian.by_block(residual * weight, influence)
     total = np.maximum(np.sum(plain, axis=0), 1e-300)
     sums -= plain / total * np.sum(sums, axis=0)
     segments = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
