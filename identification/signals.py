@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 from scipy import special
 
 from identification.numerics.arrays import Array
 from identification.numerics.arrays import BoolArray as BoolArray
 from identification.numerics.compiled import compiled_sums
+from identification.numerics.low_pass import forwards_and_backwards, sections
 
 _LEAST_STEPS = 8
 """Least steps near the smallest one for which a common divisor is not chance."""
@@ -70,12 +70,9 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
     """Low-pass without phase: fourth-order Butterworth run forwards and backwards."""
     if cutoff >= 0.45 * rate:
         return values
-    sections = scipy.signal.butter(4, cutoff / (0.5 * rate), output="sos")
-    both = scipy.signal.sosfiltfilt(
-        sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff))
-    )
-    # filtfilt returns a reversed view; a contiguous copy avoids compiling kernels a second time.
-    return np.ascontiguousarray(both)
+    padding = min(len(values) - 1, int(3 * rate / cutoff))
+    series = np.asarray(values, dtype=np.float64)
+    return forwards_and_backwards(sections(cutoff / (0.5 * rate)), series, padding)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.filter.bounded_slopes import bounded
 from identification.filter.experiment import Experiment, Filter, Heads
 from identification.filter.noise import Noise
 from identification.filter.segment_table import DIRECTION
@@ -18,7 +19,6 @@ from identification.filter.tangents import SEEDS, START
 from identification.model.parameters import ALPHA, LOGARITHMIC, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
-from identification.numerics.compiled import compiled
 from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
@@ -210,8 +210,8 @@ class Point:
         bound = _GREATEST_CHANGE / np.append(steps, _TIME_STEP)
         rows, ones = self.owners, np.ones_like(deviations)
         return (
-            BlockArrow(*_bounded(errors, ties, deviations, bound), rows, self.breakaways),
-            BlockArrow(*_bounded(widening, 0.0 * ties, ones, bound), rows, self.breakaways),
+            BlockArrow(*bounded(errors, ties, deviations, bound), rows, self.breakaways),
+            BlockArrow(*bounded(widening, 0.0 * ties, ones, bound), rows, self.breakaways),
         )
 
     def _seeds(self, x: Array) -> Array:
@@ -384,29 +384,3 @@ class Searched(NamedTuple):
 
     point: Point
     iterations: int
-
-
-def _bounded(slopes: Array, ties: Array, scale: Array, bound: Array) -> tuple[Array, Array]:
-    """Return slopes of innovations, shape (r - m, d), and of ties, shape (m, d), over the scale of
-    their row, limited to a bound for each column, zero where undefined: the columns of the
-    parameters, shape (r, d - 1), and that of the breakaway time, shape (r,).
-    """
-    parameters, own = np.empty((len(scale), len(bound) - 1)), np.empty(len(scale))
-    cut = len(slopes)
-    _limit(slopes, scale[:cut], bound, parameters[:cut], own[:cut])
-    _limit(ties, scale[cut:], bound, parameters[cut:], own[cut:])
-    return parameters, own
-
-
-@compiled
-def _limit(slopes: Array, scale: Array, bound: Array, parameters: Array, own: Array) -> None:
-    """Fill ``parameters`` and ``own`` as described in :func:`_bounded`."""
-    last = slopes.shape[1] - 1
-    for r in range(len(slopes)):
-        for j in range(last + 1):
-            slope = slopes[r, j] / scale[r]
-            slope = min(max(slope, -bound[j]), bound[j]) if slope == slope else 0.0
-            if j < last:
-                parameters[r, j] = slope
-            else:
-                own[r] = slope

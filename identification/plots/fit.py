@@ -22,6 +22,7 @@ from identification.plots.style import (
     figure,
     legend_above,
     moving,
+    plain_numbers,
     thinned,
 )
 from identification.result import Convergence, Identification, Trace
@@ -55,7 +56,7 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         moments: Recording to its contact moment F_P L1, N m; None where it varies and no curve is
             drawn.
     """
-    made, (axis,) = figure(1, height=5.0)
+    made, (axis,) = figure(1, height=5.0, measured=False)
     draw_stribeck(axis, result, moments)
     made.suptitle(f"Friction against speed, {result.method} method", fontsize=11)
     return made
@@ -115,7 +116,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
         stage: A search with its history.
         truth: Values from which deviations are measured; None for the final ones.
     """
-    made, (upper, lower) = figure(2, height=6.0, sharex=True)
+    made, (upper, lower) = figure(2, height=6.0, sharex=True, measured=False)
     cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")
     costs = stage.cost_history if stage.cost_history is not None else np.array([stage.cost])
     for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
@@ -128,6 +129,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
         shown = broken(deviation, deviation > _LEAST_PERCENT)
         upper.plot(_generations(history), shown, color=color, label=LABELS.get(name, name))
     upper.set_yscale("log")
+    plain_numbers(upper.yaxis)
     upper.set_ylabel(f"deviation from the {'true' if truth else 'final'} value (%)")
     legend_above(upper, 6)
     lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
@@ -141,6 +143,7 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     floor = min(float(np.min(costs)), stage.target or math.inf)
     if 0.0 < _FEW_TIMES * floor < float(np.max(costs)):
         lower.set_yscale("log")
+        plain_numbers(lower.yaxis)
     else:
         lower.set_ylim(0.0, 1.1 * float(np.max(costs)) or 1.0)
     lower.set_ylabel(f"{cost} ({stage.cost_unit})")
@@ -157,7 +160,7 @@ def intervals(
     known.
     """
     names = list(results[0].parameters)
-    made, (axis,) = figure(1, height=1.4 + 0.42 * len(names))
+    made, (axis,) = figure(1, height=1.4 + 0.42 * len(names), measured=False)
     for k, (color, result) in enumerate(zip(CYCLE, results, strict=False)):
         _interval_row(
             axis, result, names, results[0], truth, color, 0.22 * (k - 0.5 * (len(results) - 1))

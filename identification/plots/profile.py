@@ -10,7 +10,7 @@ import numpy as np
 from identification.estimate.likelihood.profile import LEVEL
 from identification.numerics.arrays import Array
 from identification.plots.fit import LABELS
-from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure
+from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure, plain_numbers
 from identification.result import Parameter, Profile, Starts
 
 _COLUMNS = 3
@@ -60,7 +60,7 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
     """Return a figure of the search ends of each search, best first, on a logarithmic scale above
     the least.
     """
-    made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2)
+    made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2, measured=False)
     for axis, search in zip(axes, starts, strict=True):
         ends = np.sort(np.array(search.ends))
         solved = search.absolute
@@ -75,6 +75,7 @@ def waterfall(starts: Sequence[Starts]) -> Figure:
         )
         axis.axhline(limit, color=GREY, linewidth=0.9, linestyle="--")
         axis.set_yscale("log")
+        plain_numbers(axis.yaxis, (1.0,))
         axis.set_xlim(0.5, len(ends) + 0.5)
         axis.set_xticks(range(1, len(ends) + 1))
         axis.set_xlabel("start, best first (1)")

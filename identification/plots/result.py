@@ -47,7 +47,6 @@ def result(
         axis.set_ylabel(label)
     if below:
         below[-1].set_xlabel("time of the recordings, one after the other (s)")
-    made.align_ylabels()
     return made
 
 

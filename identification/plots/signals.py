@@ -33,7 +33,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     """
     rotary = recording.bench.motion == "rotary"
     scale = np.rad2deg(1.0) if rotary else 1e3
-    made, (top, middle, bottom) = figure(3, height=7.0, sharex=True)
+    made, (top, middle, bottom) = figure(3, height=7.0, sharex=True, measured=False)
     few = thinned(len(trace.time))
     time = trace.time[few]
     if "command" in recording.channels:

@@ -11,6 +11,7 @@ import pytest
 
 from identification.design.simulated import PlannedModel, PlannedStage, Sensors, recorded
 from identification.estimate.likelihood import searches
+from identification.estimate.likelihood.starts import breakaway_starts
 from identification.filter.likelihood import Point
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
@@ -63,7 +64,7 @@ def searched(seed: int) -> tuple[float, float, float]:
     )
     free = [INDEX[name] for name in LOAD]
     begun = Point.of([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))
-    starts = searches.breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL)
+    starts = breakaway_starts(begun, MU_C, LOAD_RISE, OMEGA_SL)
     p = searches.refine_from(begun, starts).point.vector
     static = p[MU_C] + p[LOAD_RISE]
     return (

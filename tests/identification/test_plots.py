@@ -13,6 +13,7 @@ from identification.diagnosis.result import ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
+from identification.plots.margins import arrange
 from identification.plots.spread import spread
 from identification.plots.style import MAX_POINTS, continuing, png
 from identification.recording import Bench, Recording
@@ -133,6 +134,9 @@ def test_png_is_reproducible() -> None:
 @pytest.mark.parametrize("name", ["response", "profiles"])
 def test_a_png_is_what_matplotlib_saves(name: str) -> None:
     ours, theirs = FIGURES[name](), FIGURES[name]()
+    theirs.set_dpi(110)
+    if theirs.get_layout_engine() is None:
+        arrange(theirs)
     for _ in range(2):
         saved = io.BytesIO()
         theirs.savefig(saved, format="png", dpi=110, metadata={"Software": None})

@@ -15,7 +15,7 @@ import numpy as np
 from identification.filter.experiment import Filter
 from identification.filter.likelihood import PARAMETER_STEP, Point, Searched
 from identification.filter.noise_level import HUBER_THRESHOLD, deviance
-from identification.model.parameters import INERTIA, LOAD_RISE, MC, OMEGA_SL, SYSTEM_RISE
+from identification.model.parameters import INERTIA, LOAD_RISE, OMEGA_SL
 from identification.numerics import levenberg_marquardt as levenberg
 from identification.numerics.levenberg_marquardt import huber, negative_log_likelihood
 from identification.numerics.two_threads import each
@@ -24,8 +24,6 @@ _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 """Torque noise levels of the searches of the loaded fit, relative to the estimated level; with
 fewer levels the searches miss the best end.
 """
-_START_SPEEDS = 6
-_START_STATICS = 7
 MOST_PASSES = 4000
 """Passes of the filter over the recordings after which a fit starts no further search and returns
 its best end. If the model is right, the unloaded and the loaded fit take some hundred passes each,
@@ -43,7 +41,6 @@ _WIDE_STEP = 0.3
 """Relative step of a coordinate (a parameter, or its logarithm) for finite differences, used after
 searches that failed to converge.
 """
-_START_CLIP = 10.0
 _SEEKS = 3
 """Greatest number of alternations between a fit and a grid search of the breakaway times."""
 _LEAST_GAIN = 0.05
@@ -118,47 +115,6 @@ class LoadedFit:
 def spent(point: Point) -> bool:
     """Return whether the passes of a point's fit are used up (:data:`MOST_PASSES`)."""
     return point.filter.evaluations >= MOST_PASSES
-
-
-def breakaway_starts(point: Point, coulomb: int, rise: int, speed: int) -> list[Point]:
-    """Return start points from a grid of static limits and Stribeck speeds, as far as these
-    parameters are free.
-
-    The static limit is at or below the peak torque before visible motion, because motion becomes
-    visible with a delay.
-
-    Returns:
-        A point for every Stribeck speed with its likeliest static limit, likeliest first.
-    """
-    loaded = rise == LOAD_RISE
-    fastest = max(
-        float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in point.motions
-    )
-    speeds = np.array([point.vector[speed]])
-    if speed in point.free:
-        speeds = np.concatenate([speeds, np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
-    peaks = [m.peak_torque() for m in point.motions]
-    best: dict[float, tuple[float, Point]] = {}
-    for share in np.linspace(0.75, 1.0, _START_STATICS) if rise in point.free else (1.0,):
-        p = point.vector.copy()
-        if rise in point.free:
-            limits = [
-                (share * peak - (p[MC] + p[SYSTEM_RISE] if loaded else 0.0))
-                / (float(np.median(m.breakaway_moment)) if loaded else 1.0)
-                for m, peak in zip(point.motions, peaks, strict=True)
-            ]
-            p[rise] = float(np.median(limits)) - p[coulomb]
-        if p[rise] < 0.0:
-            continue
-        limit = point.at(p)
-        for omega_s in speeds:
-            p = p.copy()
-            p[speed] = omega_s
-            start = replace(limit, vector=p)
-            cost = deviance(*start.run(), _START_CLIP)
-            if omega_s not in best or cost < best[omega_s][0]:
-                best[omega_s] = (cost, start)
-    return [start for _, start in sorted(best.values(), key=lambda found: found[0])]
 
 
 def refine_from(point: Point, starts: Sequence[Point]) -> LoadedFit:

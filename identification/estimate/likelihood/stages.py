@@ -22,12 +22,12 @@ from identification.estimate.likelihood.searches import (
     SAME_END,
     LoadedFit,
     basins,
-    breakaway_starts,
     likeliest_together,
     refine,
     refine_from,
     spent,
 )
+from identification.estimate.likelihood.starts import breakaway_starts
 from identification.estimate.likelihood.unloaded import solve_unloaded
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.filter.likelihood import Point, Searched

@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.inertia.estimating_equations import SOLVED, equations_chi2, solve
-from identification.estimate.likelihood.searches import STARTS, breakaway_starts, refine, spent
+from identification.estimate.likelihood.searches import STARTS, refine, spent
+from identification.estimate.likelihood.starts import breakaway_starts
 from identification.filter.likelihood import Point
 from identification.model.parameters import INERTIA, MC, OMEGA_SF, SYSTEM_RISE
 

@@ -165,12 +165,12 @@ def _identify(options: _Options) -> None:
 def _identify_source(options: _Options, source: Path) -> None:
     """Identify a run or a campaign, write the report and print the tables."""
     # Imported late: --help must not wait for the numerics.
+    from rig.common.ahead import imported_ahead
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
     from rig.common.result_files import RESULT_FILE
     from rig.results.facts import facts_of
     from rig.results.files import PAGE_FILE, write_page, write_record
-    from rig.results.identify.document import identify_document
     from rig.results.identify.identify import Request, compare_methods, identify_source
     from rig.results.identify.record import outcome_record
     from rig.results.terminal import text
@@ -191,7 +191,10 @@ def _identify_source(options: _Options, source: Path) -> None:
         options.partial,
     )
     with ShareBar() as bar:
-        outcome = identify_source(source, request, bar)
+        with imported_ahead("rig.results.identify.document"):  # imports the plotting library
+            outcome = identify_source(source, request, bar)
+        from rig.results.identify.document import identify_document
+
         truth = truth_of(source)
         if options.compared:
             outcome = compare_methods(source, outcome, truth, bar)
