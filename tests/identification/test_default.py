@@ -19,6 +19,7 @@ from identification.estimate.uncertainty.parameter_table import typical_error
 from identification.estimator_settings import AcceptanceLimits
 from identification.filter.likelihood import Point
 from identification.filter.segments import motion
+from identification.numerics.two_threads import both
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 from identification.result import Identification
@@ -56,6 +57,17 @@ def test_innovations_of_the_practical_bench_are_of_unit_size(
     practical_result: Identification,
 ) -> None:
     assert practical_result.stages[-1].cost == pytest.approx(1.0, abs=0.1)
+
+
+def test_one_thread_finds_what_two_find(
+    practical_pair: tuple[Recording, Recording], practical_result: Identification
+) -> None:
+    # Inside a call the second thread is taken.
+    alone, _ = both(lambda: identify(Dataset(practical_pair)), lambda: None)
+    assert alone.values() == practical_result.values()
+    assert alone.evaluations == practical_result.evaluations
+    for name, parameter in alone.parameters.items():
+        assert parameter == practical_result.parameters[name]
 
 
 def test_where_the_starts_ended_is_kept(practical_result: Identification) -> None:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from identification.numerics.levenberg_marquardt import minimise, minimise_deviance
+from identification.numerics.levenberg_marquardt import Minimum, minimise, minimise_deviance
 from identification.recording import Array
 
 SAMPLES = 400
@@ -42,6 +42,26 @@ def test_the_likeliest_mean_and_deviation_have_their_closed_form(seed: int) -> N
     assert found.x[0] == pytest.approx(np.mean(data), rel=1e-6)
     assert np.exp(found.x[1]) == pytest.approx(np.std(data), rel=1e-5)
     assert found.cost == pytest.approx(SAMPLES * (0.5 + np.log(np.std(data))), rel=1e-9)
+
+
+def test_a_search_that_would_not_reach_another_ends_early() -> None:
+    data = drawn(0)
+
+    def search(reach: float) -> Minimum:
+        return minimise_deviance(
+            *predictions_of(data),
+            np.array([0.0, 1.0]),
+            threshold=NEVER,
+            tolerance=1e-12,
+            reach=reach,
+        )  # type: ignore[arg-type]
+
+    whole = search(math.inf)
+    reached, missed = search(whole.cost), search(whole.cost - 1e6)
+    assert (reached.steps, reached.cost, reached.beaten) == (whole.steps, whole.cost, False)
+    assert missed.beaten
+    assert missed.steps < whole.steps
+    assert missed.cost > whole.cost
 
 
 def test_a_mean_that_its_deviation_tells_better_than_itself_is_found_by_the_deviation() -> None:

@@ -13,6 +13,7 @@ from identification.diagnosis.result import ResidualTrace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
+from identification.plots import result as opening
 from identification.plots.margins import arrange
 from identification.plots.spread import spread
 from identification.plots.style import MAX_POINTS, continuing, png
@@ -93,6 +94,7 @@ FIGURES: dict[str, Callable[[], Figure]] = {
     "response": lambda: of_one_trace(signals.response),
     "response, linear": lambda: of_one_trace(signals.response, "linear"),
     "residual": lambda: signals.residual(trace()[0], "rotary", "N m"),
+    "opening": lambda: opening.result(result(), {"run": 0.0}, [trace()[1]]),
     "stribeck": lambda: fit_plots.stribeck(result(), {"run": 0.0}),
     "convergence": lambda: fit_plots.convergence(result().stages[0]),
     "convergence to the truth": lambda: fit_plots.convergence(result().stages[0], {"Mc": 7.1}),
@@ -141,6 +143,30 @@ def test_a_png_is_what_matplotlib_saves(name: str) -> None:
         saved = io.BytesIO()
         theirs.savefig(saved, format="png", dpi=110, metadata={"Software": None})
         assert png(ours) == saved.getvalue()
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_texts_are_within_the_figure_and_axes_apart(name: str) -> None:
+    made = FIGURES[name]()
+    png(made)
+    made.set_dpi(110)
+    engine = made.get_layout_engine()
+    if engine is not None:
+        engine.execute(made)
+    renderer = made.canvas.get_renderer()  # type: ignore[attr-defined]
+    page = made.bbox
+    boxes = [axis.get_tightbbox(renderer) for axis in made.axes]
+    for axis, box in zip(made.axes, boxes, strict=True):
+        assert box is not None
+        # Labels of an axis that is short for them stand out at its ends.
+        assert -3.0 <= box.x0 and box.x1 <= page.width + 3.0, axis.get_ylabel()
+        assert box.y1 <= page.height + 3.0, axis.get_ylabel()
+        assert -3.0 <= box.y0, axis.get_xlabel()
+    for k, box in enumerate(boxes):
+        for other in boxes[:k]:
+            across = min(box.x1, other.x1) - max(box.x0, other.x0)
+            along = min(box.y1, other.y1) - max(box.y0, other.y0)
+            assert min(across, along) < 3.0
 
 
 def test_rest_breaks_the_fitted_line() -> None:

@@ -6,7 +6,7 @@ import threading
 
 import pytest
 
-from identification.numerics.two_threads import THREAD, both
+from identification.numerics.two_threads import THREAD, both, each
 
 
 def _name() -> str:
@@ -39,3 +39,28 @@ def test_a_failure_is_raised_after_both_have_ended_and_the_thread_goes_on(failin
         both(lambda: work(0), lambda: work(1))
     assert ended == [1 - failing]
     assert both(_name, _name)[1].startswith(THREAD)
+
+
+def test_two_items_run_at_the_same_time_and_results_keep_the_order_of_the_items() -> None:
+    meeting = threading.Barrier(2, timeout=10.0)
+
+    def work(item: int) -> int:
+        if item < 2:
+            meeting.wait()  # passes only if another item is worked on meanwhile
+        return 10 * item
+
+    assert each(work, range(5)) == [0, 10, 20, 30, 40]
+    assert each(work, []) == []
+
+
+def test_inside_a_call_the_items_run_one_after_the_other() -> None:
+    names, _ = both(lambda: each(lambda _: _name(), range(3)), lambda: None)
+    assert len(set(names)) == 1
+
+
+def test_a_failure_of_an_item_is_raised() -> None:
+    def work(item: int) -> float:
+        return 1.0 / item
+
+    with pytest.raises(ZeroDivisionError):
+        each(work, [1, 0, 2])
