@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.filter.kalman import DEVIATION, ERROR, FILTERED, innovations
-from identification.filter.lanes import LANES
+from identification.filter.lanes import AT_ONCE, LANES
 from identification.filter.noise import Noise
 from identification.filter.segment_table import (
     ANGLE,
@@ -29,11 +29,13 @@ from identification.filter.segments import Motion
 from identification.filter.sensitivity import sensitivities
 from identification.model.parameters import COULOMB_OF, INDEX
 from identification.numerics.arrays import Array
-from identification.numerics.two_threads import both
+from identification.numerics.two_threads import both, idle
 from identification.recording import Model
 
 COST_OF_SENSITIVITIES = 3
-"""Computing time of a pass with sensitivities, in passes without sensitivities."""
+"""Number of passes as which a pass with sensitivities counts; its computing time is that of about
+ten, because segments that run side by side speed up a plain pass more.
+"""
 
 _Place = tuple[bytes, tuple[bytes, ...], Noise]
 """Parameters, breakaway times and noise of a run."""
@@ -61,10 +63,10 @@ class Lineup:
 
     @cached_property
     def halves(self) -> tuple[Lineup, ...]:
-        """The segments in one part, or in two parts of about equal computing time if they do not
-        fit into the lanes of one thread.
+        """The segments in two parts of about equal computing time; in one part if their lanes fit
+        into one instruction.
         """
-        if len(self.order) <= LANES:
+        if len(self.order) <= AT_ONCE:
             return (self,)
         # Kernels are compiled for contiguous arrays.
         return tuple(Lineup(self.table[k::2].copy(), self.order[k::2]) for k in (0, 1))
@@ -270,33 +272,37 @@ class Filter:
         slopes, widenings = (np.zeros((self._found.shape[1], len(seeds))) for _ in range(2))
         samples, begins = self.experiment.table_of_samples, np.concatenate(times)
         levels = _levels(noise)
-        self._shared(
+        _shared(
             self.experiment.lineup,
             lambda part: sensitivities(
                 part.table, begins[part.order], samples, levels, p, seeds, slopes, widenings
             ),
+            AT_ONCE,
         )
         return slopes, widenings
-
-    @staticmethod
-    def _shared(lineup: Lineup, work: Callable[[Lineup], None]) -> None:
-        """Do the work on all segments, a half of it in another thread if there are many."""
-        one, *others = lineup.halves
-        if others:
-            both(lambda: work(one), lambda: work(others[0]))
-        else:
-            work(one)
 
     def _filter(self, lineup: Lineup, p: Array, times: Sequence[Array], noise: Noise) -> None:
         """Filter segments; results go into the filter's buffer."""
         samples, begins = self.experiment.table_of_samples, np.concatenate(times)
         levels = _levels(noise)
-        self._shared(
+        _shared(
             lineup,
             lambda part: innovations(
                 part.table, begins[part.order], samples, levels, p, self._found
             ),
+            LANES,
         )
+
+
+def _shared(lineup: Lineup, work: Callable[[Lineup], None], most: int) -> None:
+    """Do the work on all segments; a half of it in the second thread, if that is free and there are
+    more than ``most`` segments, so that it saves time.
+    """
+    if len(lineup.order) > most and idle():
+        one, other = lineup.halves
+        both(lambda: work(one), lambda: work(other))
+    else:
+        work(lineup)
 
 
 def _place(p: Array, times: Sequence[Array], noise: Noise) -> _Place:

@@ -30,6 +30,11 @@ def _second(_process: int) -> tuple[ThreadPoolExecutor, Lock]:
     return ThreadPoolExecutor(1, thread_name_prefix=THREAD), Lock()
 
 
+def idle() -> bool:
+    """Return whether the second thread is free."""
+    return not _second(os.getpid())[1].locked()
+
+
 def both(one: Callable[[], One], other: Callable[[], Other]) -> tuple[One, Other]:
     """Return the results of two functions that are called at the same time.
 

@@ -233,7 +233,7 @@ def test_the_last_run_is_not_repeated(motions: tuple[Motion, Motion]) -> None:
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
     """Three copies of the recordings have more segments than one thread has lanes."""
     alone, many = at_truth(*motions), at_truth(*3 * motions)
-    assert len(alone.experiment.lineup.halves) == 1
+    assert alone.breakaways <= LANES
     one, other = many.experiment.lineup.halves
     assert many.breakaways > LANES
     assert sorted([*one.order, *other.order]) == list(range(many.breakaways))

@@ -16,7 +16,7 @@ from identification.plots import profile as profile_plots
 from identification.plots import result as opening
 from identification.plots.margins import arrange
 from identification.plots.spread import spread
-from identification.plots.style import MAX_POINTS, continuing, png
+from identification.plots.style import COMPRESSION, MAX_POINTS, continuing, png
 from identification.recording import Bench, Recording
 from identification.result import (
     Convergence,
@@ -141,7 +141,9 @@ def test_a_png_is_what_matplotlib_saves(name: str) -> None:
         arrange(theirs)
     for _ in range(2):
         saved = io.BytesIO()
-        theirs.savefig(saved, format="png", dpi=110, metadata={"Software": None})
+        theirs.savefig(
+            saved, format="png", dpi=110, metadata={"Software": None}, pil_kwargs=COMPRESSION
+        )
         assert png(ours) == saved.getvalue()
 
 

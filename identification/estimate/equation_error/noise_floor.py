@@ -13,7 +13,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from identification.estimate.equation_error.regression import model_torque
 from identification.numerics.arrays import Array, BoolArray
@@ -167,4 +166,7 @@ def _equal_inputs(p: Prepared, q: Prepared, later: Array, span: float) -> BoolAr
         equal &= np.abs(here - there) <= SAME * max(float(np.ptp(ours)), 1e-300)
     step = float(p.time[1] - p.time[0]) if len(p.time) > 1 else 1.0
     reach = max(round(NEIGHBOURS * span / step), 1)
-    return np.asarray(ndimage.binary_erosion(equal, np.ones(2 * reach + 1), border_value=1))
+    others = np.concatenate(([0], np.cumsum(~equal)))
+    place = np.arange(len(equal))
+    first, last = np.maximum(place - reach, 0), np.minimum(place + reach + 1, len(equal))
+    return np.asarray(others[last] == others[first])

@@ -23,6 +23,7 @@ from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.least_squares import equilibrated
 from identification.numerics.levenberg_marquardt import huber_weight
+from identification.numerics.two_threads import each
 
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
 """Weight of the prior of the scatter, in segments, without and with replicates (M41)."""
@@ -151,7 +152,8 @@ def _spread(
     ratio, segments = _scatter(jacobian, residual)
     prior, worth = np.ones_like(ratio), _PRIOR
     if replicates:
-        prior, worth = np.mean([_scatter(*r)[0] for r in replicates], axis=0), _REPLICATE_PRIOR
+        ratios = each(lambda replicate: _scatter(*replicate)[0], replicates)
+        prior, worth = np.mean(ratios, axis=0), _REPLICATE_PRIOR
     return np.asarray(np.sqrt((worth * prior + segments * ratio) / (worth + segments)))
 
 
