@@ -88,7 +88,9 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
+        """Number of the segment of every residual, over all recordings, shape (r,); the ties come
+        last.
+        """
         inside = [self._owners(m, j) for j, m in enumerate(self.motions)]
         return np.concatenate([*inside, np.arange(self.breakaways)])
 
@@ -143,8 +145,8 @@ class Experiment:
 class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
-    A filter keeps the result of the last run over whole segments, because searches begin and end
-    where the last run was. Results are read-only copies. A filter is not thread-safe.
+    A filter keeps the result of the last run over whole segments, because searches begin and end at
+    the point of the last run. Results are read-only copies. A filter is not thread-safe.
 
     Args:
         experiment: The recordings.
@@ -208,8 +210,8 @@ class Filter:
     def sensitivities(
         self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
     ) -> tuple[Array, Array]:
-        """Return the derivatives of the innovations inside segments, rad, and those of the
-        logarithms of their standard deviations, shape (r - m, d) each.
+        """Return the derivatives of the innovations inside segments, rad, and the derivatives of
+        the logarithms of their standard deviations, shape (r - m, d) each.
 
         Args:
             p: Vector of :mod:`identification.model.parameters`.
@@ -238,7 +240,9 @@ class Filter:
 
     @staticmethod
     def _shared(halves: tuple[_Part, _Part], work: Callable[[_Part], None]) -> None:
-        """Do both halves of the work, the second half in another thread unless it is empty."""
+        """Run a computation for both halves of the segments, the second half in another thread
+        unless that half is empty.
+        """
         one, other = halves
         if other:
             both(lambda: work(one), lambda: work(other))
@@ -253,7 +257,7 @@ class Filter:
         times: Sequence[Array],
         noise: Noise,
     ) -> None:
-        """Filter a subset of the segments; another thread may filter the others at the same
+        """Filter a subset of the segments; another thread may filter the other segments at the same
         time.
         """
         for j, rows in part:
@@ -273,7 +277,7 @@ def _levels(m: Motion, noise: Noise) -> Array:
 
 
 def _joined(values: Sequence[Array], inside: Sequence[BoolArray]) -> Array:
-    """Return a read-only copy of the values of the samples that are inside, over all recordings."""
+    """Return a read-only copy of the values of the samples inside segments, over all recordings."""
     joined = np.concatenate([v[where] for v, where in zip(values, inside, strict=True)])
     joined.flags.writeable = False
     return joined

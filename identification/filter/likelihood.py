@@ -49,7 +49,7 @@ class Point:
     """A point in the search space of an experiment, with everything that the filter needs to run.
 
     A free vector ``x`` has the free parameters first, then the breakaway times of all segments. A
-    point is immutable; a search returns another one.
+    point is immutable; a search returns another point.
 
     Attributes:
         filter: The experiment's filter, which all points of the experiment share.
@@ -106,7 +106,7 @@ class Point:
 
     @property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, ties last, shape (r,)."""
+        """Number of the segment of every residual, shape (r,); the ties come last."""
         return self.experiment.owners
 
     @property
@@ -165,7 +165,7 @@ class Point:
         )
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals, innovations (rad) followed by ties (N m; M22), and their standard
+        """Return the residuals, innovations (rad) followed by ties (N m, M22), and their standard
         deviations, shape (r,) each.
         """
         p = self.parameters(x)
@@ -257,7 +257,9 @@ class Point:
         return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
 
     def _arrow(self, slopes: Array) -> BlockArrow:
-        """Return the Jacobian of slopes of shape (r, p + 1), the breakaway time's last."""
+        """Return the block-arrow Jacobian from slopes of shape (r, p + 1), whose last column
+        belongs to the breakaway times.
+        """
         return BlockArrow(
             np.ascontiguousarray(slopes[:, :-1]), slopes[:, -1].copy(), self.owners, self.breakaways
         )

@@ -232,7 +232,9 @@ def _moved(
 def _correct_block(
     t: Array, state: State, error: float, variance: float, news: tuple[float, float], side: float
 ) -> None:
-    """Correct the tangents of one block by a reading (M19); arguments as for :func:`correct`."""
+    """Correct the tangents of one block by a reading (M19); the arguments are those of
+    :func:`correct`.
+    """
     _, omega, p11, p12, _, _, p13, _, _ = state
     new, new_start = news
     g1, g2, g3, less = p11 / variance, p12 / variance, p13 / variance, new * (2.0 - new)
