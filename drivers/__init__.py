@@ -1,6 +1,6 @@
 """Device access: buses, protocols, devices in SI units, and their simulated counterparts.
 
-Knows nothing of sequences, files or fits.
+This package knows nothing of sequences, files or fits.
 """
 
 from drivers.lean_imports import install as _install

@@ -1,7 +1,7 @@
 """Clock interface. No other module reads a clock or sleeps.
 
-Two implementations: :class:`RealClock` for hardware, :class:`SimulatedClock` for the mock bus,
-where time only moves when somebody waits for it.
+Two implementations: :class:`RealClock` for hardware, and :class:`SimulatedClock` for the simulated
+bus, whose time advances only while the program waits.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class Clock(Protocol):
         ...
 
     def sleep_until_ns(self, deadline_ns: int) -> None:
-        """Wait until ``now_ns() >= deadline_ns``; return at once if that has passed."""
+        """Wait until ``now_ns() >= deadline_ns``; return at once if the deadline has passed."""
         ...
 
 
@@ -41,9 +41,11 @@ class RealClock:
 
 
 class SimulatedClock:
-    """Simulated time: moves only when someone sleeps or waits, firing what falls due on the way.
+    """Simulated time: it advances only while the program sleeps or waits, and executes each event
+    when it falls due.
 
-    Deterministic: events at the same instant fire in the order in which they were scheduled.
+    The order is deterministic: events at the same instant are executed in the order in which they
+    were scheduled.
     """
 
     def __init__(self, start_ns: int = 0) -> None:
@@ -76,7 +78,7 @@ class SimulatedClock:
             self._now = deadline_ns
 
     def fire_next(self, horizon_ns: int) -> None:
-        """Fire the next event, which must exist; it may itself advance time up to
+        """Execute the next event, which must exist; the event may itself advance time up to
         ``horizon_ns``.
         """
         self._now, _, action = heapq.heappop(self._events)
@@ -84,7 +86,7 @@ class SimulatedClock:
         action()
 
     def skip_to(self, when_ns: int) -> bool:
-        """Advance time from inside an event, instead of scheduling another one.
+        """Advance time from inside an event, instead of scheduling another event.
 
         Returns:
             False, without advancing, if another event is due by then or nobody waits that long.

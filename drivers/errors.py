@@ -35,7 +35,7 @@ class ObjectAccessError(DeviceError):
 
 
 class StateError(DeviceError):
-    """The drive is not in the required state, or did not reach the commanded one."""
+    """The drive is not in the required state, or did not reach the commanded state."""
 
 
 class DriveFault(DeviceError):

@@ -67,7 +67,7 @@ class HomingOffer:
         return f"the drive can set its zero by homing, {shown}{more}"
 
     def refusal(self, method: int) -> str:
-        """Return why a method cannot be used; empty where it can."""
+        """Return why a method cannot be used; empty if it can be used."""
         return "" if method in self.methods else f"method {method} is not offered; {self.words}"
 
 
@@ -91,7 +91,7 @@ class HomingOrder:
 
 
 class Homes:
-    """Homing of a drive; a drive of a kind that cannot home keeps these answers."""
+    """Homing of a drive; the methods of this class are those of a drive that cannot home."""
 
     def homing_offer(self) -> HomingOffer:
         """Return whether the drive can home, from its description and from reads. Writes nothing.
@@ -113,13 +113,15 @@ class Homes:
             StateError: It is energised already, or does not show homing mode (6061h) in time; it is
                 then de-energised.
         """
-        raise ConfigurationError(f"{self.homing_offer().words}; method {order.method} is not done")
+        raise ConfigurationError(
+            f"{self.homing_offer().words}; homing method {order.method} is not carried out"
+        )
 
     def start_homing(self) -> None:
         """Stage the start of the homing (controlword bit 4), for the next exchange."""
 
     def homing_state(self) -> HomingState:
-        """Return how the homing stands, by the last exchange."""
+        """Return the state of the homing at the last exchange."""
         return HomingState.FAILED
 
     def end_homing(self) -> tuple[int, int]:

@@ -79,7 +79,7 @@ class LimitSteps:
     """Resolution of the limits that a drive holds: one unit of each object, at the joint and in SI
     units.
 
-    Zero where the drive does not hold that limit itself, or holds it exactly.
+    A step is zero if the drive does not hold the limit, or holds the limit exactly.
     """
 
     angle_rad: float
@@ -108,8 +108,8 @@ class ServoSample(NamedTuple):
 
     ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
     False when a part of the answer is missing or bad; the values are then those of the last good
-    frame. ``motor_torque_N_m`` is the torque at the motor by the drive's own measure, NaN where it
-    has none beside the current; it may be up to ten cycles old.
+    frame. ``motor_torque_N_m`` is the torque at the motor as the drive measures it, or NaN if the
+    drive measures only the current; the value may be up to ten cycles old.
     """
 
     device_time_s: float
@@ -178,9 +178,9 @@ class Link(ABC):
     def exchange(self) -> None:
         """Send every device's outputs, latch all inputs at one instant and collect them.
 
-        Sends the master's heartbeat as well, so that it stops when the control loop does. If a
-        device does not answer in time, its last sample stays, with ``fresh`` False; an error is
-        raised only if the bus itself is gone.
+        The exchange also sends the master's heartbeat, so that the heartbeat ends when the control
+        loop stops. If a device does not answer in time, its last sample stays, with ``fresh``
+        False; an error is raised only if the bus itself fails.
 
         Raises:
             LinkError: The bus failed.
@@ -193,14 +193,14 @@ class Link(ABC):
 
 
 class Servo(SpeedRemedies, Recognised, Homes, ABC):
-    """A position servo. Only :meth:`enable` ever moves it toward power.
+    """A position servo. Only :meth:`enable` ever changes the state of the drive toward power.
 
     Attributes:
-        watch_s: Silence of the control loop after which the drive stops by itself, s; None if it
+        watch_s: Silence of the control loop after which the drive stops by itself, s, or None if it
             never does.
         limits_taken: Fields of :class:`ServoLimits` that :meth:`write_limits` can set.
         limit_places: Field of :class:`ServoLimits` to the name of the place where the drive holds
-            it; None for the objects of CiA 402.
+            it, or None for the objects of CiA 402.
     """
 
     watch_s: float | None = None
@@ -220,15 +220,15 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Read back the limits held in the drive."""
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return what the drive neither holds nor tells. Nothing is sent."""
+        """Return the limits and the values that the drive does not have. Nothing is sent."""
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
-        """Return the resolution of those limits; None where it is not known. Nothing is sent."""
+        """Return the resolution of those limits, or None if it is not known. Nothing is sent."""
         return None
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield what :meth:`write_limits` would refuse before it writes. Nothing is sent."""
+        """Yield the errors that :meth:`write_limits` would raise. Nothing is sent."""
         yield from ()
 
     @abstractmethod
@@ -242,7 +242,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
     def readings(self) -> ServoReadings:
         """Read the drive's values without preparing it.
 
-        Writes nothing, and sends only read requests.
+        The method writes nothing, and sends only read requests.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -256,8 +256,8 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the reasons why :meth:`prepare` would refuse a de-energised drive, as far as reads
-        show. Writes nothing.
+        """Yield the reasons, as found by reads alone, why :meth:`prepare` would refuse a
+        de-energised drive. Writes nothing.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -269,7 +269,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Check units against the drive, map process data, set the cycle, verify the heartbeat
         time-out. Nothing is energised.
 
-        The time-out is written and read back; :meth:`enable` arms it and :meth:`disable` ends it.
+        The heartbeat time-out is read back; :meth:`enable` starts it and :meth:`disable` ends it.
 
         Raises:
             ConfigurationError: Scale, unit or identity differ from the bench file.
@@ -294,21 +294,21 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def quick_stop(self) -> None:
-        """Brake with the drive's own ramp; never leads to power."""
+        """Brake with the drive's own ramp; the method never switches the power on."""
 
     @abstractmethod
     def reset_fault(self) -> None:
-        """Clear a fault. Ends de-energised; never restarts motion."""
+        """Clear a fault. Afterwards the drive is de-energised; motion does not restart."""
 
     @abstractmethod
     def set_target(self, angle_rad: float) -> None:
         """Stage the joint angle that the next exchange sends."""
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, from the next exchange until it is
-        changed.
+        """Stage a joint torque that the drive adds to the torque of its controller, from the next
+        exchange until the value is changed.
 
-        Only if the drive was prepared for it; reset to zero as soon as the drive leaves operation.
+        The drive must be prepared for the offset, which is zero while the drive is not operating.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or has no such input.
@@ -332,7 +332,7 @@ class Encoder(Recognised, ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the joint angle, rad, without preparing the encoder; NaN if it gives none.
+        """Read the joint angle, rad, without preparing the encoder; NaN if there is no angle.
 
         Writes nothing.
 
@@ -342,7 +342,7 @@ class Encoder(Recognised, ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the reasons why :meth:`prepare` would refuse, as far as reads show. Writes nothing.
+        """Yield the reasons why :meth:`prepare` would refuse the encoder, by read requests alone.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -350,7 +350,7 @@ class Encoder(Recognised, ABC):
         yield from ()
 
     def lacks(self) -> Iterator[str]:
-        """Yield what the encoder does not report, for the operator. Writes nothing.
+        """Yield the values that the encoder does not report, by read requests alone.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -374,7 +374,7 @@ class PressureTransmitter(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Read the pressure, Pa, without preparing the transmitter; NaN if it gives none.
+        """Read the pressure, Pa, without preparing the transmitter; NaN if there is no pressure.
 
         Writes nothing.
 
@@ -384,7 +384,7 @@ class PressureTransmitter(ABC):
         return math.nan
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the reasons why :meth:`prepare` would refuse, as far as reads show. Writes nothing.
+        """Yield why :meth:`prepare` would refuse the transmitter, by read requests alone.
 
         Raises:
             LinkError: The transmitter cannot be reached.

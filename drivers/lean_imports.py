@@ -1,7 +1,6 @@
-"""Imports python-can without the library of one of its log formats, until a log has that format.
-
-python-can imports asammdf, and with it pandas, wherever they are installed: a third of a second at
-the start of each command.
+"""Imports python-can without asammdf, until a log file of the format MDF is read. python-can
+imports asammdf, and with it pandas, if they are installed; this takes a third of a second at the
+start of each command.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module with another loader; None for every other module."""
+        """Return the module with another loader, or None for every other module."""
         if fullname != _MODULE or _LIBRARY in sys.modules:
             return None
         spec = PathFinder.find_spec(fullname, path, target)

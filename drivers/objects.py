@@ -24,7 +24,8 @@ V = TypeVar("V")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
-    """Yield the error by which a device or its description refuses a request; nothing if accepted.
+    """Yield the error by which a device or its description refuses a request; yield nothing if the
+    request is accepted.
 
     Raises:
         LinkError: The device cannot be reached; this is not a refusal.
@@ -48,11 +49,11 @@ class ObjectAccess(Protocol):
         ...
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; raises as :meth:`read`."""
+        """Read a visible-string object; the errors are those of :meth:`read`."""
         ...
 
     def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; raises as :meth:`read`."""
+        """Write an integer object; the errors are those of :meth:`read`."""
         ...
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
@@ -66,7 +67,7 @@ class ObjectAccess(Protocol):
 
 @dataclass(frozen=True)
 class PdoLayout:
-    """Objects that travel together once a cycle.
+    """Objects that are exchanged together once a cycle.
 
     Attributes:
         number: PDO number, from 1.
@@ -75,7 +76,7 @@ class PdoLayout:
         slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
             for inputs with slack.
         mean: Object that is a mean over the cycle, which a transport without SYNC interpolates at
-            the instant of the position; None where there is none.
+            the instant of the position, or None if there is none.
     """
 
     number: int
@@ -95,8 +96,8 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def latches(self) -> bool:
-        """Whether all values of an exchange are of one instant, as after a SYNC; else they are read
-        one after another, and reading a mean ends its averaging.
+        """Whether all values of an exchange are of one instant, as after a SYNC; otherwise the
+        values are read one after another, and reading a mean value ends its averaging period.
         """
         ...
 
@@ -112,36 +113,37 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     @property
     def sync_us(self) -> int:
-        """Host's time of the last exchange's sampling, microseconds modulo 2^32; stands in for the
-        time stamp of a device that has none.
+        """Host's time of the last exchange's sampling, microseconds modulo 2^32; this time replaces
+        the time stamp of a device that has none.
         """
         ...
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
         """Return whether the device's description has an object, and, with ``mappable``, allows it
-        in process data. Without ``mappable`` a faulty description of it counts, so that its use is
-        refused.
+        in process data. Without ``mappable``, an object with a faulty description counts as
+        described, so that its use is refused with an error.
 
         Nothing is sent.
         """
         ...
 
     def fit_together(self, addresses: Sequence[ObjectAddress]) -> bool:
-        """Return whether these objects can travel in one layout; True for unknown ones, which
-        :meth:`require_mappable` refuses. Nothing is sent.
+        """Return whether these objects can be exchanged in one layout; the result is True for
+        unknown objects, which :meth:`require_mappable` refuses. Nothing is sent.
         """
         ...
 
     def stated(self, index: int, subindex: int) -> int | None:
-        """Return the value that the description states for an object; None where it states none.
+        """Return the value that the description states for an object, or None if no value is
+        stated.
 
         Sends nothing.
         """
         ...
 
     def require_watchable(self) -> None:
-        """Check against the description that the device can watch the control loop, as far as the
-        transport leaves this to the device. Nothing is sent.
+        """Check against the description that the device can monitor the control loop, unless the
+        transport has another monitor. Nothing is sent.
 
         Raises:
             ConfigurationError: It cannot.
@@ -149,10 +151,11 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an object that must be sent even if no answer can be received; raises as
-        :meth:`write`.
+        """Write an object that must be sent even if no answer can be received; the errors are those
+        of :meth:`write`.
 
-        Only for commands that take the power off, as it may arrive more than once.
+        The method is only for commands that take the power off, because the write may arrive more
+        than once.
         """
         ...
 
@@ -170,7 +173,8 @@ class ProcessChannel(ObjectAccess, Protocol):
     def map_process_data(
         self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
     ) -> None:
-        """Configure what is exchanged and how often, and start it. Energises nothing.
+        """Configure which values are exchanged and how often, and start the exchange. Energises
+        nothing.
 
         Raises:
             ConfigurationError: The device lacks an object, or another device on the link has
@@ -181,12 +185,12 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def stage(self, number: int, *values: int) -> None:
-        """Set the values that output ``number`` carries from the next exchange on."""
+        """Set the values of output ``number`` from the next exchange on."""
         ...
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Set the values that output ``number`` carries in the next exchange, and those from the
-        one after it on unless others are staged.
+        """Set the values of output ``number`` for the next exchange, and the values for the
+        exchanges after it unless others are staged.
         """
         ...
 
@@ -199,8 +203,8 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def watch(self, limit_s: float) -> None:
-        """Make the device watch the control loop: without an exchange for ``limit_s`` it stops by
-        itself.
+        """Make the device monitor the control loop: without an exchange for ``limit_s`` the device
+        stops by itself.
 
         Raises:
             ConfigurationError: The device did not take it.
@@ -208,14 +212,15 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def unwatch(self) -> None:
-        """End the watch; for a device that is de-energised."""
+        """End the monitoring of the control loop; only for a de-energised device."""
         ...
 
 
 def read_identity(objects: ObjectAccess) -> Identity:
-    """Read who the device is (1018h, 1008h, 1009h, 100Ah).
+    """Read the identity of the device (1018h, 1008h, 1009h, 100Ah).
 
-    CiA 301 prescribes only the vendor (1018h:01h); what else a device lacks is empty or 0.
+    CiA 301 prescribes only the vendor (1018h:01h); any other text that a device lacks is empty, and
+    any other number is 0.
 
     Raises:
         ObjectAccessError: The device refuses to tell its vendor.
@@ -243,13 +248,14 @@ def identity_doubts(channel: ProcessChannel) -> Iterator[str]:
         found = optional(channel.read, *address) if stated else None
         if stated and found is not None and found != stated:
             yield (
-                f"{channel.label} says {what} {found:X}h, its EDS file is for {what} {stated:X}h: "
-                f"another device, or another EDS file; check the node numbers and the file"
+                f"{channel.label} says {what} {found:X}h, its EDS file is for {what} "
+                f"{stated:X}h: the device or the EDS file is a wrong one; check the node numbers "
+                "and the file"
             )
 
 
 def optional(read: Callable[[int, int], V], index: int, subindex: int) -> V | None:
-    """Read an object that a device may lack; None where it, or its EDS, has none.
+    """Read an object that a device may lack; return None if the device or its EDS lacks the object.
 
     Raises:
         ObjectAccessError: The device refuses for another reason.

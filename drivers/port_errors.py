@@ -21,8 +21,7 @@ _TRACEBACK = "Traceback (most recent call last)"
 
 
 def words(error: Exception) -> str:
-    """Return the first line of an exception's message, with its type if that is built in.
-
+    """Return the first line of an exception's message, with the type of a built-in exception.
     python-can's socketcand appends a traceback to its message, on the same line.
     """
     # Without the module, as on Windows, nothing can have raised its error.
@@ -76,10 +75,10 @@ def opened(connect: Callable[[], _R], name: str, advice: str) -> _R:
 
 
 def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None:
-    """Check that a device's cycle time is the one of its link.
+    """Check that the cycle time of a device is the cycle time of its link.
 
     Args:
-        running_s: Cycle time of the link, s; None if not set yet.
+        running_s: Cycle time of the link, s, or None if not set yet.
         cycle_s: Cycle time of the device, s.
         who: The device.
 
@@ -94,10 +93,10 @@ def require_one_cycle(running_s: float | None, cycle_s: float, who: str) -> None
 
 
 def close_all(*closers: Callable[[], object]) -> None:
-    """Call every closer in order, whatever earlier ones raise.
+    """Call every closer in order, even if an earlier closer raises an exception.
 
-    Exceptions are dropped: a port that cannot be closed has failed before, which was reported then.
-    KeyboardInterrupt and SystemExit are raised after the last closer.
+    Exceptions are dropped, because a port that cannot be closed has failed before, and that failure
+    has been reported. KeyboardInterrupt and SystemExit are raised after the last closer.
     """
     with ExitStack() as stack:
         for closer in reversed(closers):

@@ -1,6 +1,4 @@
-"""Base classes of the device interfaces: identity, checks and remedies of a device, in addition to
-its work.
-"""
+"""Base classes of device interfaces: identity, checks and remedies of a device."""
 
 from __future__ import annotations
 
@@ -22,18 +20,20 @@ class SpeedRemedies:
     """Corrections of a wrong unit of the reported speed of a drive."""
 
     def speed_remedy(self, factor: float) -> str:
-        """Return the correction, as text, for a reported speed of ``factor`` times the true one."""
+        """Return the correction, as text, for a reported speed of ``factor`` times the true
+        speed.
+        """
         return "correct the unit of its speed in the bench file"
 
     def nearest_speed_factor(self, factor: float, spread: float) -> float:
-        """Return the factor of the known unit that is nearest to a rough factor, which is right up
-        to the ratio ``spread``; the rough factor if no known unit is within this ratio.
+        """Return the factor of the known unit that is nearest to a rough factor, if the ratio of
+        the two factors is within ``spread``; else the rough factor.
         """
         return factor
 
     def speed_settings(self, factor: float) -> Sequence[tuple[str, str | float | None]]:
         """Return the keys in the drive's section of the bench file, and their values, that correct
-        a speed reported as ``factor`` times the true one; empty if no key corrects it.
+        a speed reported as ``factor`` times the true speed; empty if no key corrects it.
         """
         return ()
 

@@ -1,4 +1,4 @@
-"""Serial ports for links: bytes out, bytes in, on a real or a simulated line."""
+"""Serial ports for links: send and receive bytes on a real or a simulated line."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def _require_posix() -> None:
     """
     if termios is None or fcntl is None:
         raise OSError(
-            "this system has no termios, by which serial lines are held and flushed; use Linux or "
-            "macOS, or a CAN adapter of python-can"
+            "this system has no termios, with which serial lines are locked and flushed; use "
+            "Linux or macOS, or a CAN adapter of python-can"
         )
 
 
@@ -59,7 +59,7 @@ class BytePort(Protocol):
         ...
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; wait if there are none. Empty after the time-out.
+        """Return the received bytes; wait if no byte has arrived. Empty after the time-out.
 
         Raises:
             OSError: The line is gone.
@@ -119,7 +119,7 @@ class InheritedPort:
                 termios.tcflush(descriptor, termios.TCOFLUSH)
                 taken = len(data) - len(left)
                 raise TimeoutError(
-                    f"the line took {taken} of {len(data)} bytes within {WRITE_LIMIT_S:g} s"
+                    f"the line accepted {taken} of {len(data)} bytes within {WRITE_LIMIT_S:g} s"
                 )
 
     @os_errors
@@ -172,7 +172,7 @@ class InheritedPort:
     def _drain(self, descriptor: int) -> None:
         """Wait until written bytes are sent, then drop the rest.
 
-        Otherwise closing a blocked line waits up to 30 s in the kernel.
+        Without this, closing a blocked line would wait up to 30 s in the kernel.
         """
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
         while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
@@ -183,11 +183,10 @@ class InheritedPort:
 
 
 class PySerialPort(InheritedPort):
-    """A serial port of the operating system, 8N1, held by this program alone.
-
-    pyserial opens it and sets it up. Reading and writing go by the file descriptor: pyserial raises
+    """A serial port of the operating system, 8N1, locked by this program; pyserial opens and
+    configures the port. Bytes are read and written through the file descriptor: pyserial raises
     exceptions of many types on a port that has vanished, and its write with a time limit waits for
-    room even after the last byte.
+    buffer space even after the last byte.
 
     Args:
         path: Path of the device.

@@ -38,8 +38,8 @@ OBJECTS: Final = tuple(FIELDS)
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
-    """Return the object values that hold ``limits``, each rounded to the drive's unit and never to
-    a wider limit. A limit that the drive does not hold, NaN, is left out.
+    """Return the object values that hold ``limits``, each rounded to the drive's unit so that no
+    limit becomes wider. A limit of NaN, which the drive does not hold, is omitted.
     """
     count, speed = scales.joint_rad_per_count, scales.joint_speed_unit_rad_s
     lower, upper = (limits.angle_min_rad, limits.angle_max_rad)[:: scales.sign]
@@ -67,7 +67,7 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
 
 
 def decode(values: Mapping[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
-    """Return the limits that the object values hold; NaN for those that the drive lacks."""
+    """Return the limits that the object values hold, or NaN for those that the drive lacks."""
 
     def held(address: ObjectAddress, unit: float, offset: float = 0.0) -> float:
         return values[address] * unit + offset if address in values else math.nan
@@ -103,8 +103,8 @@ def steps(scales: ServoScales) -> LimitSteps:
 
 
 def _nearest(units: float) -> int:
-    """Round a deceleration, which is no limit, to the nearest unit; only 0 itself becomes 0, with
-    which a drive would not brake.
+    """Round a deceleration, which is no limit, to the nearest unit; a value above 0 never becomes
+    0, because with 0 a drive would not brake.
     """
     return max(1, round(units)) if units else 0
 
@@ -117,7 +117,7 @@ def _whole(units: float) -> int:
 def read(
     drive: ObjectAccess, scales: ServoScales, held: Sequence[ObjectAddress] = OBJECTS
 ) -> ServoLimits:
-    """Read the limits a drive holds, in those objects that it has."""
+    """Read the limits that a drive holds, from those limit objects that the drive has."""
     return decode({address: drive.read(*address) for address in held}, scales)
 
 
@@ -127,7 +127,7 @@ def write(
     limits: ServoLimits,
     held: Sequence[ObjectAddress] = OBJECTS,
 ) -> None:
-    """Write limits into a drive, into those objects that it has, and verify each by reading back.
+    """Write limits into those limit objects that a drive has, and verify each by reading it back.
 
     Raises:
         ConfigurationError: The drive holds another value, or one does not fit its object.
@@ -139,9 +139,9 @@ def write(
 
 
 def store(drive: ObjectAccess, address: ObjectAddress, value: int) -> None:
-    """Write one object and verify it; raises as :func:`write`.
+    """Write one object and verify it; the errors are those of :func:`write`.
 
-    What the drive holds already is not written, as it may be fixed there.
+    A value that the drive already holds is not written, because the object may be read-only.
     """
     if drive.read(*address) == value:
         return

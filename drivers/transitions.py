@@ -35,9 +35,8 @@ def await_state(
     while not reached(state := read()):
         if clock.now_ns() >= deadline:
             raise StateError(
-                f"the drive reports '{state.value}' {timeout_s:g} s after the command, "
-                f"wanted {wanted}: "
-                "switch the supply of the drive off by hand"
+                f"the drive reports '{state.value}' {timeout_s:g} s after the command, expected "
+                f"{wanted}: switch the supply of the drive off by hand"
             )
         again()
 

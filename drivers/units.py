@@ -28,27 +28,27 @@ class ServoScales:
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
         current_sign: -1 where the drive's current has the opposite sign of its torque, else 1.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh; None for one count per
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch and 607Fh, or None for one count per
             second.
-        acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah;
-            None for one unit of the speed per second.
-        voltage_object: Object of the mean motor voltage; None where it is not known.
+        acceleration_unit_rad_s2: Motor acceleration of one unit of 6083h, 6084h, 6085h and 609Ah,
+            or None for one unit of the speed per second.
+        voltage_object: Object of the mean motor voltage, or None if it is not known.
         voltage_unit_V: Unit of that object, V.
-        temperature_object: Object of the drive's temperature; None where it is not known.
+        temperature_object: Object of the drive's temperature, or None if it is not known.
         temperature_unit_C: Unit of that object, deg C.
         supply_object: Object of the supply voltage.
         supply_unit_V: Unit of that object, V.
-        current_object: The maker's own object of the motor current; None for 6078h, else 6077h.
+        current_object: The maker's own object of the motor current, or None for 6078h, else 6077h.
         named_current_unit_A: Unit of the maker's own object, A.
         torque_constant_N_m_A: Motor torque per ampere, for drives that report torque and no
-            current; None for the ratio of the rated values.
+            current, or None for the ratio of the rated values.
         rated_current_object: Object of the rated current.
         rated_current_object_unit_A: Unit of that object, A.
         rated_torque_object: Object of the rated torque.
         rated_torque_object_unit_N_m: Unit of that object, N m.
         known_objects: Those of these objects that are not named for this one drive, but known of
             drives of its maker, so that it may lack them.
-        vendor_id: Vendor whose drives are known to have these units (1018h:01h); None where they
+        vendor_id: Vendor whose drives are known to have these units (1018h:01h), or None if they
             rest on the bench file alone.
     """
 
@@ -79,7 +79,7 @@ class ServoScales:
 
     @property
     def named_objects(self) -> tuple[ObjectAddress, ...]:
-        """Objects that are named for this drive, so that it must have them."""
+        """Objects that the bench file names for this drive, which the drive must therefore have."""
         usual = ServoScales
         return tuple(
             address
@@ -154,7 +154,7 @@ class ServoScales:
 
     @cached_property
     def torque_as_current_A(self) -> float:
-        """Motor current behind one unit of 6077h, without sign."""
+        """Motor current that corresponds to one unit of 6077h, without sign."""
         rated_A = (
             self.rated_current_A
             if self.torque_constant_N_m_A is None
@@ -185,7 +185,7 @@ class ServoScales:
         objects named instead) and 608Fh, if present.
 
         Values count as equal within 0.1 % or within one unit of the object, as drives may round. An
-        object that the drive lacks is not compared; one that it refuses otherwise is yielded.
+        object that the drive lacks is not compared; any other refusal of a read is yielded.
 
         Raises:
             LinkError: No answer.
@@ -253,7 +253,7 @@ class EncoderScales:
         sign: 1 if rising counts are a rising joint angle, else -1.
         offset_rad: Joint angle at 6004h = 0.
         middle_rad: Middle of the joint's travel, to which the first angle is taken as near as the
-            encoder's range allows; None for the angle at 6004h = 0.
+            encoder's range allows, or None for the angle at 6004h = 0.
     """
 
     counts_per_turn: int
@@ -284,7 +284,7 @@ class EncoderScales:
 
     @cached_property
     def middle(self) -> int:
-        """Count of the middle of the joint's travel; 0 where none is given."""
+        """Count of the middle of the joint's travel; 0 if no middle is given."""
         if self.middle_rad is None:
             return 0
         return round((self.middle_rad - self.offset_rad) / self.rad_per_count)
@@ -293,7 +293,7 @@ class EncoderScales:
 def nearest(value: int, modulus: int, near: int) -> int:
     """Return the count nearest to ``near`` that equals ``value`` modulo ``modulus``.
 
-    The lower one of two that are equally near is returned.
+    Of two counts that are equally near, the lower is returned.
     """
     half = modulus // 2
     return near + (value - near + half) % modulus - half
@@ -302,9 +302,9 @@ def nearest(value: int, modulus: int, near: int) -> int:
 class Unwrapper:
     """Unwraps a counter modulo ``modulus``.
 
-    Each new value is unwrapped to the nearest to the last one, so the counter must move less than
-    half its range between calls. The first value is unchanged or, with ``near``, the nearest to
-    that count.
+    Each new value is unwrapped to the count nearest to the last count, so the counter must move
+    less than half its range between calls. The first value is not changed or, with ``near``, is
+    unwrapped to the count nearest to ``near``.
     """
 
     def __init__(self, modulus: int, near: int | None = None) -> None:

@@ -15,9 +15,9 @@ from identification.signals import resample
 def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
-    The force is the `load_force` channel if there is one; in a hot firing (p_g - p_c0) A_s(theta_r)
-    of eq. 10 from the `pressure` channel, zero where p_g is below p_c0; otherwise the force of the
-    weight, eq. 17.
+    The force is the `load_force` channel if there is one. In a hot firing the force is (p_g - p_c0)
+    A_s(theta_r) of eq. 10, from the `pressure` channel, and zero if p_g is below p_c0. In all other
+    cases the force is that of the weight, eq. 17.
 
     Args:
         recording: The recording.
@@ -44,8 +44,8 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
-    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; arguments as in
-    :func:`contact_force`.
+    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; the arguments are
+    those of :func:`contact_force`.
 
     Raises:
         RecordingError: As in :func:`contact_force`; or a loaded recording has no moment arm.

@@ -28,8 +28,8 @@ def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
     """Return the recording on its even grid and a mask of the samples in gaps too long to use; None
     where the sampling is uneven.
 
-    The grid is fitted to all time stamps, since a median period would drift off it within seconds.
-    An even recording is returned unchanged.
+    The grid is fitted to all time stamps, because a grid with the median period would drift away
+    from them within seconds. An even recording is returned unchanged.
     """
     time = recording.time
     steps = np.diff(time)
@@ -64,7 +64,7 @@ def _grid(
 ) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
     """Return the grid index of each sample, and origin and period of the line through their times.
 
-    The line is fitted twice, the second time without the samples that are off it.
+    The line is fitted twice, the second time without the samples that are far from the line.
     """
     index = np.concatenate(
         ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))

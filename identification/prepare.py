@@ -1,9 +1,9 @@
-"""From a recording to the equation-error view: torque, velocity and acceleration at one stated
+"""Prepares a recording for the equation error: torque, velocity and acceleration at one stated
 bandwidth.
 
 Torque and regressors must pass the same filter, or every parameter is biased. The filter is a
-symmetric FIR filter, so the outputs touched by a sample at rest are known and can be left out: at
-rest friction follows no equation.
+symmetric FIR filter, so that the outputs that depend on a sample at rest are known and can be
+omitted: at rest friction follows no equation.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ rest.
 
 @dataclass(frozen=True)
 class Prepared:
-    """The equation-error view of one recording.
+    """The signals of one recording for the equation error.
 
-    Arrays have shape (n,), all through the same filter, SI, at the joint.
+    Arrays have shape (n,), are in SI units at the joint, and have all passed the same filter.
 
     Attributes:
         recording: The recording it was made from.
@@ -99,7 +99,7 @@ def uniform_grid(recording: Recording) -> Array:
 
 
 def joint_angle(recording: Recording) -> Array | None:
-    """Return the joint angle from the finer of the two encoders, rad; None where neither was
+    """Return the joint angle from the finer of the two encoders, rad, or None if neither was
     recorded.
 
     The motor angle is divided by the gear ratio (assumption 5) and shifted to the joint encoder's
@@ -126,8 +126,8 @@ def finer_joint(recording: Recording) -> bool:
 
 
 def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
-    """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque
-    constant).
+    """Return the drive's torque at the joint on ``grid``, N m (N on a linear bench, A without a
+    torque constant).
 
     The torque comes from the torque channel, else from the current, else from the voltage: I = (U -
     Ke omega_motor)/R, zero while the power stage is off. A channel that is a mean over the period
@@ -175,8 +175,8 @@ def drive_channel(recording: Recording) -> str:
 
 
 def volts_per_torque(recording: Recording) -> float | None:
-    """Return the armature voltage R I of one unit of joint torque, V; None unless torque comes from
-    the voltage.
+    """Return the armature voltage R I of one unit of joint torque, V, or None unless torque comes
+    from the voltage.
     """
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
@@ -187,8 +187,8 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     """Mark runs of at least ``samples`` samples in which the angle changes by at most one encoder
     step.
 
-    What parts two such runs is rest as well where the encoder only flickers: it stays within a step
-    to either side of where the run before ended, and so does the next one.
+    Samples between two such runs are also marked if the encoder only flickers: the angle of these
+    samples, and of the next run, stays within one step of the angle at which the first run ended.
     """
     tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
@@ -231,8 +231,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
 
 
 def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
-    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; if too few remain,
-    ``rare`` ones are allowed.
+    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; if too few outputs
+    remain, outputs that depend on ``rare`` samples are allowed.
     """
     every = low_pass.untouched(bad)
     clean = low_pass.untouched(bad | rare)
@@ -252,8 +252,8 @@ def default_bandwidth(recording: Recording) -> float:
     less where encoder quantisation would dominate the acceleration.
 
     White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12)
-    sqrt(2 b / (5 rate)); the bandwidth keeps that below a tenth of the acceleration's own rms,
-    estimated at the lowest bandwidth tried.
+    sqrt(2 b / (5 rate)); the bandwidth keeps this rms below a tenth of the rms of the acceleration
+    itself, estimated at the lowest bandwidth tried.
     """
     rate = 1.0 / recording.period
     top = max(DEFAULT_SHARE_OF_RATE * rate, min(SLOW_BANDWIDTH_HZ, rate / 6.0))
@@ -332,22 +332,22 @@ def _require_reach(recording: Recording, samples: int, rate: float, bandwidth_Hz
     """
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for "
-            f"more than 0 and at most half the rate, {0.5 * rate:.4g} Hz"
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is not possible; state more "
+            f"than 0 and at most half the sampling rate, {0.5 * rate:.4g} Hz"
         )
     _, half = reach(rate, bandwidth_Hz)
     if samples < 2 * half + 8:
         raise RecordingError(
             f"{recording.name}: {samples} samples are fewer than the {2 * half + 8} that a "
-            f"bandwidth of {bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer "
-            f"recording"
+            f"bandwidth of {bandwidth_Hz:.3g} Hz needs; state a higher bandwidth, or use a "
+            "longer recording"
         )
 
 
 def _motion(
     recording: Recording, grid: Array, rate: float, cutoff: float
 ) -> tuple[Array, Array, BoolArray]:
-    """Return angle and velocity on ``grid``, both smoothed, and which samples are at rest."""
+    """Return smoothed angle and smoothed velocity on ``grid``, and which samples are at rest."""
     position = joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)

@@ -1,4 +1,4 @@
-"""The data contract: what a recording is, in SI units, and the bench it was made on."""
+"""Data types of recordings, in SI units, and of the bench on which recordings were made."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class RecordingError(ValueError):
 
 @dataclass(frozen=True)
 class Bench:
-    """Known constants of the machine a recording was made on.
+    """Known constants of the machine on which a recording was made.
 
     Attributes:
         motion: ``rotary`` (rad, N m) or ``linear`` (m, N).
-        torque_constant: Km, N m/A at the motor shaft; None where a torque channel is given or the
+        torque_constant: Km, N m/A at the motor shaft, or None if a torque channel is given or the
             fit is in amperes.
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
@@ -141,7 +141,7 @@ class Controller:
         (N m at the joint).
         position_gain: kp, output per rad.
         velocity_gain: kv, output per rad/s.
-        limit: Greatest magnitude of the output; None if it is not limited.
+        limit: Greatest magnitude of the output, or None if it is not limited.
     """
 
     output: Literal["duty", "voltage", "torque"]
@@ -193,7 +193,7 @@ class Recording:
         sha256: SHA-256 digest of that file.
         notes: Every correction made on reading, as text.
         partial: Whether its run stopped before the end of its command.
-        start: When its first sample was taken, s on the clock of the session; None where nothing
+        start: When its first sample was taken, s on the clock of the session, or None if nothing
             but its time stamps says so.
         uncertainties: Standard deviations of known constants, by their place in this record
             (``bench.torque_constant``, ``pendulum.mass``, ``weight_mass``); others count as exact.
@@ -258,7 +258,9 @@ class Recording:
 
     @property
     def span(self) -> tuple[float, float]:
-        """When it began and ended, s: on the session's clock if known, else by its stamps."""
+        """Start and end of the recording, s: on the session's clock if known, else by the
+        recording's time stamps.
+        """
         first, last = float(self.time[0]), float(self.time[-1])
         return (first, last) if self.start is None else (self.start, self.start + last - first)
 

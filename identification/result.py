@@ -16,8 +16,8 @@ class Parameter:
     """One estimate with its 90 % interval.
 
     ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then states
-    why. ``floor`` is the half width that the Cramer-Rao bound allows the interval; None
-    where it was not computed.
+    why. ``floor`` is the least half width of the interval by the Cramer-Rao bound, or None if it
+    was not computed.
     """
 
     name: str
@@ -101,14 +101,14 @@ class Starts:
 
 @dataclass(frozen=True)
 class Profile:
-    """Profile likelihood of one parameter, all others optimised at each point.
+    """Profile likelihood of one parameter, with all other parameters optimised at each point.
 
     Attributes:
         name: Name of the parameter.
         unit: Unit of ``values``.
         values: Values at which the parameter was held, rising, shape (n,).
         deviance: Deviance at these values less the deviance at the estimate, shape (n,).
-        low: Lower end of the 90 % range; None where ``values`` do not reach it.
+        low: Lower end of the 90 % range, or None if ``values`` do not reach it.
         high: Upper end of the 90 % range, or None likewise.
         scale: Factor applied to the deviance, so that its curvature agrees with the interval.
     """
@@ -165,7 +165,7 @@ class Resampled:
     Attributes:
         name: Name of the parameter.
         unit: Unit of the parameter.
-        low: Lower end of the central 90 % of the samples; None where too few were solved.
+        low: Lower end of the central 90 % of the samples, or None if too few were solved.
         high: Upper end, likewise.
         draws: Number of bootstrap samples.
         solved: Number of samples whose equations could be solved.
@@ -208,7 +208,8 @@ class MeasuredNoise:
 
 @dataclass(frozen=True)
 class Prior:
-    """What was known of a parameter, what the recordings say, and both together.
+    """The prior value of a parameter, its estimate from the recordings, and the combination of
+    prior and estimate.
 
     Attributes:
         name: The parameter.
@@ -231,7 +232,8 @@ class Prior:
 
 @dataclass(frozen=True)
 class KnownConstant:
-    """A constant that was given with an uncertainty, and what this adds to the estimates.
+    """A constant that was given with an uncertainty, and the uncertainty that this constant adds to
+    the estimates.
 
     Attributes:
         place: Its place in a recording, such as ``bench.torque_constant`` or ``weight_mass``.
@@ -268,7 +270,7 @@ class Identification:
         starts: Search ends of each search; empty where there was one start only.
         tradeoffs: Pairs of parameters that correlate strongly.
         least_pinned: Text that states the least determined combination of parameters.
-        noise: Noise of the measurement; None where refined values were not accepted.
+        noise: Noise of the measurement, or None if refined values were not accepted.
         profiles: Profile likelihoods, if requested.
         resampled: Spread over bootstrap samples, if requested.
         known_constants: Constants given with an uncertainty; the intervals of ``parameters``, not

@@ -23,8 +23,8 @@ def quantum(values: Array) -> float:
     """Return the resolution of a quantised channel, its smallest step; 0.0 if the values look
     continuous.
 
-    A channel counts as quantised when its steps are whole multiples of the smallest one within 2 %,
-    which holds for an encoder after any scale and offset. Steps of up to 20 units determine the
+    A channel counts as quantised when its steps are whole multiples of the smallest step within 2
+    %, which holds for an encoder after any scale and offset. Steps of up to 20 units determine the
     unit and steps of up to 400 units test it, because near a turning point the steps of a smooth
     curve can also be 1, 3 and 5 units at first.
     """
@@ -48,8 +48,8 @@ def resample(time: Array, values: Array, grid: Array, offset: float = 0.0) -> Ar
 
 
 def derivative(values: Array, step: float) -> Array:
-    """Differentiate by the seven-point central difference (error of order step^6); lower orders at
-    the ends.
+    """Differentiate by the seven-point central difference (error of order step^6), with differences
+    of lower order at the ends.
     """
     out = np.gradient(values, step)
     if len(values) >= 7:
@@ -89,7 +89,7 @@ class Decimator:
 
     @property
     def half(self) -> int:
-        """Samples on either side that an output depends on."""
+        """Number of samples on either side on which an output depends."""
         return len(self.taps) // 2
 
     def __call__(self, values: Array) -> Array:
@@ -185,10 +185,11 @@ def reach(rate: float, bandwidth: float) -> tuple[int, int]:
 
 
 def decimator(rate: float, bandwidth: float) -> Decimator:
-    """Design the low-pass for a bandwidth in Hz: -6 dB there, decimated to 2.5 times the bandwidth.
+    """Design the low-pass for a bandwidth in Hz: -6 dB at the bandwidth, decimated to 2.5 times the
+    bandwidth.
 
-    Where the bandwidth leaves nothing to remove (0.45 of the rate or more) the identity is
-    returned.
+    If the bandwidth is 0.45 of the rate or more, the filter has nothing to remove, and the identity
+    is returned.
     """
     factor, half = reach(rate, bandwidth)
     if half == 0:

@@ -68,7 +68,7 @@ def _packaged(kind: str) -> str:
             lambda line: line.startswith("#"), path.read_text(encoding="utf-8").splitlines()
         )
         rows.append((f"`{path.stem}`", " ".join(line.lstrip("# ") for line in lines)))
-    return "\n\n" + keys.table(("packaged", "is"), rows)
+    return "\n\n" + keys.table(("packaged file", "content"), rows)
 
 
 def _channels() -> str:

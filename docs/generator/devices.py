@@ -73,7 +73,7 @@ def page() -> str:
     head = (
         "`servo.device`",
         "drives",
-        "told by",
+        "recognised by",
         "speeds in",
         "accelerations in",
         "objects",

@@ -165,6 +165,6 @@ def page() -> str:
         table(head, rows),
         _BASES,
         _ALL,
-        _FOREIGN + table(("extension", "is"), foreign),
+        _FOREIGN + table(("extension", "content"), foreign),
     )
     return "\n\n".join(part.rstrip("\n") for part in parts) + "\n"

@@ -16,15 +16,18 @@ EVENTS: Mapping[str, tuple[str, str]] = {
         "stage, index, weight_kg",
         "The operator is asked for the load of a stage; the drive is off.",
     ),
-    "answer": ("stage, weight_kg", "The operator confirmed the load; the mass as it was typed."),
+    "answer": (
+        "stage, weight_kg",
+        "The operator confirmed the load; `weight_kg` is the typed mass.",
+    ),
     "fault reset": ("stage", "A fault of the drive was cleared."),
     "ignition": ("stage", "The simulated gas generator was lit."),
     "stage start": ("stage", "The drive is about to be energised."),
     "first pass": ("stage, amplitude", "A first pass begins, at this share of the amplitude."),
     "units": (
         "stage, factors",
-        "What the devices report was compared: quantity to found over expected, null for what the "
-        "motion did not show.",
+        "The reports of the devices were compared. For each quantity, the ratio of the found to "
+        "the expected value; null if the motion did not show the quantity.",
     ),
     "weight check": (
         "stage, verdict, measured_kg, message",
@@ -46,11 +49,14 @@ EVENTS: Mapping[str, tuple[str, str]] = {
 ATTACHMENTS = (
     (
         BENCH_ATTACHMENT,
-        "The bench file. Of a simulated machine only what is known of a real one; its friction "
-        "stays out.",
+        "The bench file. Of a simulated machine it contains only the constants that are known of a "
+        "real machine, without the friction.",
     ),
     (SEQUENCE_ATTACHMENT, "The sequence file."),
-    (FEEDFORWARD_INPUT, "The identification behind the feed-forward, where there was one."),
+    (
+        FEEDFORWARD_INPUT,
+        "The identification from which the feed-forward torque was computed, if there is one.",
+    ),
     (
         "devices.json",
         "Identities of the devices, and the limits that the drive held before the run.",
@@ -59,29 +65,29 @@ ATTACHMENTS = (
 )
 METADATA = (
     ("run", "Name, creation time, seed and operator of the run; number of this recording in it."),
-    ("versions", "Version of this program, of Python and of the libraries that matter."),
+    ("versions", "Version of this program, of Python and of the libraries that it uses."),
     ("sha256", "SHA-256 of bench, sequence, EDS, DBC and feed-forward files."),
     ("servo, encoder, pressure", "Identity of each device as it was read."),
-    ("calibrations", "Device to certificate and last day, where the bench file has any."),
+    ("calibrations", "Certificate and last valid day of each calibrated device."),
 )
 _INTRO = """\
 A run folder contains one recording for the run and one for each `rig resume`, in the format
 [MCAP](https://mcap.dev). PlotJuggler and Foxglove open such files. All times are seconds since
-the start of the recording, stated as log time in nanoseconds.
+the start of the recording; the log times of MCAP state them in nanoseconds.
 
 If the program died while it wrote a file, the file lacks its index and perhaps its last second;
 `rig recover` repairs the file."""
 _SAMPLES = f"""\
-One message per control cycle, protobuf, schema `{mcap_layout.SAMPLE_SCHEMA}`. The file contains
-the schema. Every field is a 64-bit float. Angles, speeds and errors are at the joint,
-`motor_angle`, `current` and `voltage` at the motor. `current` and `voltage` are means over the
-cycle that ends at the sample.
+The topic has one protobuf message per control cycle, with the schema
+`{mcap_layout.SAMPLE_SCHEMA}`, which the file contains. Every field is a 64-bit float. Angles,
+speeds and errors are at the joint, `motor_angle`, `current` and `voltage` at the motor. `current`
+and `voltage` are means over the cycle that ends at the sample.
 
 Fields are numbered in this order; recordings of earlier versions lack the last fields."""
 _FRAMES = f"""\
-One message per control cycle, and one for frames outside a cycle: every frame on the wire, packed
-without padding, little-endian, {mcap_layout.FRAME_BYTES} bytes each. Encoding:
-`{mcap_layout.FRAME_ENCODING}`."""
+The topic has one message per control cycle, and one message for frames outside a cycle. A message
+contains every frame on the wire, packed without padding, little-endian,
+{mcap_layout.FRAME_BYTES} bytes each. Encoding: `{mcap_layout.FRAME_ENCODING}`."""
 
 
 def page() -> str:
@@ -94,7 +100,9 @@ def page() -> str:
         for number, name in enumerate(Sample._fields, start=1)
     ]
     events = [(f"`{name}`", keys, words) for name, (keys, words) in EVENTS.items()]
-    events += [(f"`{ending.value}`", "message, phase", "The run ended so.") for ending in Ending]
+    events += [
+        (f"`{ending.value}`", "message, phase", "The run ended in this state.") for ending in Ending
+    ]
     frames = [
         ("0", "time", "ns, signed 64-bit, on the clock of the recording"),
         (
@@ -104,7 +112,7 @@ def page() -> str:
         ),
         ("12", "length", "unsigned 8-bit: bytes of data"),
         ("13", "data", "8 bytes, the rest zero"),
-        ("21", "sent", "1 where the host sent it, 0 where it received it"),
+        ("21", "sent", "1 if the host sent the frame, 0 if the host received it"),
     ]
     attachments = [(f"`{name}`", words) for name, words in ATTACHMENTS]
     metadata = [(f"`{name}`".replace(", ", "`, `"), words) for name, words in METADATA]
@@ -115,7 +123,7 @@ def page() -> str:
         _SAMPLES,
         table(("number", "field", "unit", "meaning"), samples),
         f"## Events: {mcap_layout.EVENT_TOPIC}",
-        "One JSON object per event, with `time` (s), `event` and further keys.",
+        "The topic has one JSON object per event, with `time` (s), `event` and further keys.",
         table(("event", "further keys", "meaning"), events),
         f"## Raw frames: {mcap_layout.FRAMES_TOPIC}",
         _FRAMES,

@@ -243,7 +243,7 @@ def page() -> str:
         )
     parts += [
         "## rig run: run.json",
-        "The state of a run; replaced as a whole whenever something changes.",
+        "The file states the progress of a run, and is replaced as a whole at every change.",
     ]
     for record, path in (
         (RunRecord, ""),

@@ -1,7 +1,8 @@
 """Driver of the AMT21 absolute encoder on RS-485; checks the plausibility of its answers.
 
-The check bits of an answer pass 46 % of double-bit errors and 25 % of random words, so every
-position must also be one that the joint can have reached (:class:`PlausibilityGate`).
+The check bits of an answer do not detect 46 % of double-bit errors and 25 % of random words;
+therefore every position must also be one that the joint can have reached
+(:class:`PlausibilityGate`).
 """
 
 from __future__ import annotations
@@ -34,9 +35,7 @@ _STILL_COUNTS: Final = 2
 
 
 def encode(value: int) -> bytes:
-    """Return the answer that carries a 14-bit value: check bit 15 over its odd bits, 14 over its
-    even bits.
-    """
+    """Return the answer with a 14-bit value; bit 15 checks the odd bits, bit 14 the even bits."""
     value &= _VALUE
     odd = 1 - ((value & _ODD).bit_count() & 1)
     even = 1 - ((value & _EVEN).bit_count() & 1)
@@ -44,7 +43,7 @@ def encode(value: int) -> bytes:
 
 
 def decode(answer: bytes) -> int | None:
-    """Return the 14-bit value of an answer, or None where its length or a check bit is wrong."""
+    """Return the 14-bit value of an answer, or None if its length or a check bit is wrong."""
     if len(answer) != 2:
         return None
     value = (answer[0] | answer[1] << 8) & _VALUE
@@ -52,8 +51,8 @@ def decode(answer: bytes) -> int | None:
 
 
 class PlausibilityGate:
-    """Tracks positions modulo a turn and rejects those that the joint cannot have reached since the
-    last good one.
+    """Tracks positions modulo a turn, and rejects positions that the joint cannot have reached
+    since the last good position.
 
     Args:
         speed_counts_s: Greatest speed.
@@ -78,7 +77,7 @@ class PlausibilityGate:
         self.position = 0
 
     def start(self, value: int, period_s: float, near: int = 0) -> None:
-        """Begin with a trusted position, of all turns the one nearest to ``near``.
+        """Start from a trusted position: of all turns, the turn nearest to ``near`` is taken.
 
         The joint is assumed at rest until the next position, which may differ by the motion of one
         period.
@@ -147,7 +146,7 @@ class Amt21Encoder(Encoder):
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
     def reading(self) -> float:
-        """Ask for the position once; NaN where the answer is bad.
+        """Ask for the position once; return NaN if the answer is bad.
 
         Raises:
             LinkError: No encoder answers.
@@ -167,7 +166,7 @@ class Amt21Encoder(Encoder):
         yield from refusal(self._trusted)
 
     def prepare(self, cycle_s: float) -> None:
-        """Find the encoder, and start from a position that several answers agree on, at rest.
+        """Find the encoder, and start from a position at rest on which several answers agree.
 
         Raises:
             LinkError: No encoder answers.
@@ -178,8 +177,8 @@ class Amt21Encoder(Encoder):
         self._fresh = True
 
     def turns(self) -> int | None:
-        """Read the turn counter of a multi-turn version, as a signed number; None where the answer
-        is bad.
+        """Read the turn counter of a multi-turn version, as a signed number; return None if the
+        answer is bad.
 
         Raises:
             LinkError: The line is gone.
@@ -188,8 +187,8 @@ class Amt21Encoder(Encoder):
         return None if value is None else (value ^ 0x2000) - 0x2000
 
     def set_zero(self) -> None:
-        """Make the present position the zero of a single-turn version; it restarts, and must be
-        prepared again.
+        """Make the present position the zero of a single-turn version; the encoder then restarts
+        and must be prepared again.
 
         Raises:
             LinkError: The line is gone.
@@ -198,7 +197,7 @@ class Amt21Encoder(Encoder):
         self._fresh = False
 
     def reset(self) -> None:
-        """Restart the encoder; it must be prepared again.
+        """Restart the encoder, which must then be prepared again.
 
         Raises:
             LinkError: The line is gone.
@@ -236,7 +235,9 @@ class Amt21Encoder(Encoder):
         return counts * self._scales.rad_per_count + self._scales.offset_rad
 
     def _trusted(self) -> int:
-        """Return a position that several answers agree on, at rest; raises as :meth:`prepare`."""
+        """Return a position at rest on which several answers agree; the errors are those of
+        :meth:`prepare`.
+        """
         line = self.line
         line.find_echo()
         values = [self._ask() for _ in range(_PROBES)]

@@ -54,7 +54,7 @@ class FramePort(Protocol):
         ...
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames, oldest first; wait if there is none.
+        """Return the received frames, oldest first; wait if no frame has arrived.
 
         Empty after the time-out.
 
@@ -72,7 +72,8 @@ class PythonCanPort:
     """A bus of python-can; frames are stamped when they are read.
 
     A garbled message from a serial or socket interface raises one error, because python-can does
-    not say how much of it was read; the port stays usable. CAN FD frames are ignored.
+    not report how many bytes of the message were read; the port stays usable. CAN FD frames are
+    ignored.
 
     Args:
         bus: The opened interface; closed by :meth:`shutdown`.
@@ -104,7 +105,7 @@ class PythonCanPort:
             self._bus.send(message, timeout=SEND_LIMIT_S)
         except BlockingIOError as error:
             raise TimeoutError(
-                f"the interface did not take a frame within {SEND_LIMIT_S:g} s"
+                f"the CAN interface did not accept a frame within {SEND_LIMIT_S:g} s"
             ) from error
 
     @os_errors
@@ -144,7 +145,9 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Let the kernel end blocking calls: some socket interfaces ignore the time-out of a send."""
+    """Set a time-out in the kernel for blocking calls, because some socket interfaces ignore the
+    time-out of a send.
+    """
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():
         if isinstance(part, socket.socket):

@@ -1,9 +1,10 @@
-"""Frames of the LAWICEL protocol ("slcan") of CAN adapters on a serial line, both ways. No I/O.
+"""Encodes and decodes frames of the LAWICEL protocol ("slcan") of CAN adapters on a serial line. No
+I/O.
 
-A frame is one line of ASCII that ends in a carriage return: ``t`` identifier (3 hexadecimal
-digits), length (1 digit), data (2 digits a byte); ``T`` with 8 digits of identifier in extended
-format; ``r`` and ``R`` for remote frames, without data. An adapter that stamps its frames appends 4
-digits.
+A frame is one line of ASCII that ends in a carriage return. A data frame in base format consists of
+``t``, the identifier (3 hexadecimal digits), the length (1 digit) and the data (2 digits a byte). A
+data frame in extended format begins with ``T`` and has 8 digits of identifier. Remote frames begin
+with ``r`` or ``R``, and have no data. An adapter that stamps its frames appends 4 digits.
 """
 
 from __future__ import annotations
@@ -83,8 +84,8 @@ class LineDecoder:
         return frames
 
     def _line(self, end: bytes) -> bytes:
-        """Return the line that ends with these bytes; if it is too long, enough of it to be
-        rejected.
+        """Return the line that ends with these bytes; a line that is too long is shortened to a
+        length that is still rejected.
         """
         self._keep(end)
         line = bytes(self._rest)

@@ -25,10 +25,10 @@ class SlcanPort:
     never returns, a read without data takes a millisecond, and a byte outside ASCII stops all
     further reading.
 
-    A garbled line is dropped and counted, and later frames are read. This is safer than an error:
-    one frame is lost, which the link treats as any other lost frame (stale sample, no answer, no
-    heartbeat), whereas an error could abort the exchange that takes the power off. A permanently
-    garbled line yields no frames and runs into the link's time-outs.
+    A garbled line is dropped and counted, and later frames are read. Dropping a garbled line is
+    safer than an error: one frame is lost, which the link treats as any other lost frame (stale
+    sample, no answer, no heartbeat), whereas an error could abort the exchange that takes the power
+    off. A permanently garbled line yields no frames and runs into the link's time-outs.
 
     Args:
         line: The adapter's serial line, opened; closed by :meth:`shutdown`.

@@ -26,7 +26,7 @@ def description_refusals(
     for address, purpose in {**objects.NEEDED, **motion.needed}.items():
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
-            yield ConfigurationError(f"{error}; every run needs it: {purpose}")
+            yield ConfigurationError(f"{error}; every run needs this object: {purpose}")
     for address in scales.named_objects:
         for error in refusal(channel.require_fit, *address, 0):
             lacking = True
@@ -90,7 +90,9 @@ def lacks(
 def _replaced(
     channel: ProcessChannel, scales: ServoScales, sent: Cyclic, cycle_s: float
 ) -> Iterator[str]:
-    """Yield texts on the values that are not monitored, and on what replaces a missing object."""
+    """Yield texts on the values that are not monitored, and on the substitute of each missing
+    object.
+    """
 
     def place(address: ObjectAddress | None) -> str:
         if address is None:
@@ -117,8 +119,8 @@ def _replaced(
         *(
             (
                 channel.describes(*rated) or None,
-                f"not checked: {what} ({_name(rated)}), in thousandths of which the drive's "
-                f"values are; read it with the maker's tool",
+                f"not checked: {what} ({_name(rated)}): the drive's values are in thousandths of "
+                "this value; read it with the maker's tool",
             )
             for what, rated in (
                 ("rated current", scales.rated_current_object),
@@ -132,8 +134,8 @@ def _replaced(
         ),
         (
             channel.describes(*objects.ON_ABORT) or None,
-            "no reaction to a lost master (6007h), so that the drive counts as one without a "
-            "watchdog; set servo.stops_alone: true if its manual states that it takes the "
+            "no reaction to a lost master (6007h), so that the drive counts as a drive without "
+            "a watchdog; set servo.stops_alone: true if its manual states that it takes the "
             "power off when the heartbeat of this program ends",
         ),
     ):
@@ -167,7 +169,9 @@ def refusals(
 def unit_refusals(
     channel: ProcessChannel, scales: ServoScales, motion: Motion, cycle_s: float
 ) -> Iterator[DeviceError]:
-    """Yield errors that mapping the process data does not detect."""
+    """Yield the errors of units, vendor and cycle time that mapping the process data does not
+    detect.
+    """
     if scales.vendor_id is not None and channel.read(*VENDOR) != scales.vendor_id:
         yield ConfigurationError(
             f"vendor 1018h:01h: the drive says {channel.read(*VENDOR):X}h, its EDS file "

@@ -52,20 +52,22 @@ class Homing(Motion):
         self.started = False
 
     def reset(self) -> None:
-        """Forget the start as well: switching on must never begin a homing by itself."""
+        """Clear the start of the homing as well, because switching the drive on must never start a
+        homing.
+        """
         super().reset()
         self.started = False
 
     @property
     def outputs(self) -> tuple[ObjectAddress, ...]:
-        """Objects that travel with the controlword."""
+        """Objects that are sent with the controlword."""
         return self.usual.outputs
 
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the controlword; only an energised drive is started. Commands of other modes are
-        0.
+        """Stage the controlword for the next exchange; the homing starts only if the drive is
+        energised. Commands of other modes are 0.
         """
         if word == cia402.ENABLE_OPERATION and self.started:
             word |= _START
@@ -74,7 +76,7 @@ class Homing(Motion):
 
 
 def offer(channel: ProcessChannel) -> HomingOffer:
-    """Return how a drive can home: what its EDS describes and a trial read confirms."""
+    """Return which homing the drive supports, by its EDS and by a trial read."""
     try:
         why = _missing(channel, METHOD, OFFSET) or _mode_missing(channel)
         if why:
@@ -92,7 +94,7 @@ def offer(channel: ProcessChannel) -> HomingOffer:
 
 
 def _missing(channel: ProcessChannel, *addresses: ObjectAddress) -> str:
-    """Return which object the drive lacks; empty where it has all."""
+    """Return the object for homing that the drive lacks; empty if none is missing."""
     for address in addresses:
         name = _name(address)
         if not channel.describes(*address):
@@ -117,7 +119,7 @@ def _mode_missing(channel: ProcessChannel) -> str:
 
 
 def _listed(channel: ProcessChannel) -> tuple[int, ...] | None:
-    """Return the methods that 60E3h lists; None for a drive without it."""
+    """Return the methods that 60E3h lists, or None for a drive without this object."""
     count = optional(channel.read, SUPPORTED, 0) if channel.describes(SUPPORTED, 0) else None
     if count is None:
         return None
@@ -204,12 +206,12 @@ class HomingServo(Servo, ABC):
         return HomingState.ATTAINED if word & _ATTAINED else HomingState.INTERRUPTED
 
     def end_homing(self) -> tuple[int, int]:
-        """Select the mode of the bench again, with the power off; returns 6061h and 6060h."""
+        """Select the usual mode of the bench again, with the power off; return 6061h and 6060h."""
         state = self.state()
         if state.energised:
             raise StateError(
-                f"the drive is in state '{state.value}', so that its mode is left at homing: take "
-                f"the power off first"
+                f"the drive is in state '{state.value}' and its mode stays at homing: take the "
+                "power off first"
             )
         if isinstance(self._motion, Homing):
             self._motion = self._motion.usual

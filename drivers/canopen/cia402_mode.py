@@ -17,7 +17,7 @@ mode only when they are switched on.
 
 
 def not_offered(channel: ProcessChannel, motion: Motion) -> StateError | None:
-    """Return the reason why the drive cannot be used in this mode (6502h); None if the drive
+    """Return the reason why the drive cannot be used in this mode (6502h), or None if the drive
     supports the mode or has no 6502h.
     """
     offered = None
@@ -51,7 +51,7 @@ def in_force(channel: ProcessChannel, motion: Motion) -> bool:
 def not_shown(
     channel: ProcessChannel, motion: Motion, state: ServoState, waited_s: float
 ) -> StateError:
-    """Return the error of a drive that does not activate the mode."""
+    """Return the error for a drive that does not activate the mode."""
     return StateError(
         f"mode of operation 6061h still reads {channel.read(*objects.MODE_DISPLAY)} in state "
         f"'{state.value}', {waited_s:g} s after {motion.mode} ({motion.words}) was written to "

@@ -47,7 +47,7 @@ NEEDED: Final[Mapping[ObjectAddress, str]] = {
 
 @dataclass(frozen=True)
 class Cyclic:
-    """Objects that the drive sends in every cycle; None for each object that the drive lacks.
+    """Objects that the drive sends in every cycle, or None for each object that the drive lacks.
 
     Attributes:
         current: Motor current, or the torque from which the current is computed.
@@ -73,7 +73,8 @@ class Cyclic:
 def cyclic(channel: ProcessChannel, scales: ServoScales) -> Cyclic:
     """Return the objects that a drive sends in every cycle, according to its EDS. Nothing is sent.
 
-    Objects that are named for this drive are taken for there; the checks refuse those that are not.
+    Objects that the bench file names for this drive are assumed to exist; the checks report an
+    error for each named object that the drive lacks.
     """
     named = scales.named_objects
 
@@ -127,8 +128,8 @@ def inputs(sent: Cyclic, channel: ProcessChannel) -> list[PdoLayout]:
 def _beside(
     layouts: list[PdoLayout], torque: ObjectAddress, channel: ProcessChannel
 ) -> list[PdoLayout]:
-    """Return the layouts with the torque in the last one that has room for it. The torque serves
-    only for a comparison with the current, and gets no PDO of its own.
+    """Return the layouts, with the torque added to the last layout that has room for it. The torque
+    serves only for a comparison with the current, and gets no PDO of its own.
     """
     for at in reversed(range(1, len(layouts))):
         if channel.fit_together([*layouts[at].objects, torque]):

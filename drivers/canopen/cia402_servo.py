@@ -48,7 +48,8 @@ _INT16: Final = range(-(1 << 15), 1 << 15)
 
 
 class Cia402Servo(HomingServo):
-    """A drive that follows a position. Only :meth:`enable` ever moves it toward power.
+    """A drive that follows a position. Of all methods, only :meth:`enable` ever changes the state
+    of the drive toward power.
 
     Args:
         channel: The device.
@@ -60,7 +61,7 @@ class Cia402Servo(HomingServo):
         state_timeout_s: Time-out for reaching a state, s.
         motion: Mode of operation; cyclic synchronous position unless given.
         stops_alone: Whether the drive takes the power off by itself when the control loop is
-            silent; None where its EDS shows it (6007h).
+            silent, or None if its EDS shows it (6007h).
     """
 
     def __init__(
@@ -156,7 +157,7 @@ class Cia402Servo(HomingServo):
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
-        """Read each value by SDO; NaN for values that the drive does not have."""
+        """Read each value by SDO; A value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
 
     def fault(self) -> DriveFault:
@@ -269,7 +270,7 @@ class Cia402Servo(HomingServo):
         self._channel.unwatch()
 
     def quick_stop(self) -> None:
-        """Brake with the drive's own ramp (605Ah, 6085h); never leads to power.
+        """Brake with the drive's own ramp (605Ah, 6085h); the method never switches the power on.
 
         Raises:
             StateError: The drive does not stop and is not stopped already.
@@ -281,7 +282,7 @@ class Cia402Servo(HomingServo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. The drive is then in SWITCH ON DISABLED; motion never restarts.
+        """Clear a fault. Afterwards the drive is in SWITCH ON DISABLED; motion does not restart.
 
         Raises:
             StateError: There is no fault to reset, or the fault occurs again.
@@ -310,7 +311,7 @@ class Cia402Servo(HomingServo):
         """Set a joint torque that the drive adds to the torque of its controller (60B2h), to the
         nearest per mille of the rated torque.
 
-        While the drive is not commanded to operate, zero is sent instead.
+        While the drive is not commanded to operate, a torque offset of zero is sent instead.
 
         Raises:
             ConfigurationError: The drive was not prepared for a torque offset, or the torque is

@@ -131,8 +131,8 @@ class CyclicValues:
 
 
 def read_once(channel: ProcessChannel, scales: ServoScales, sent: Cyclic) -> ServoReadings:
-    """Read each value of a drive outside the control cycle; NaN for values that the drive does not
-    have.
+    """Read each value of a drive outside the control cycle; a value that the drive does not have is
+    NaN.
     """
     counts, speed, current, supply, temperature = (
         _read_or_nan(channel, address)

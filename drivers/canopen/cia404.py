@@ -44,7 +44,9 @@ class Cia404Transmitter(PressureTransmitter):
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h); NaN if the transmitter refuses it or marks it invalid."""
+        """Read the process value (9130h); The result is NaN if the transmitter refuses the read or
+        marks the pressure as invalid.
+        """
         try:
             status, value = self._channel.read(*_STATUS), self._channel.read(*_VALUE)
         except (ConfigurationError, ObjectAccessError):
@@ -92,15 +94,14 @@ class Cia404Transmitter(PressureTransmitter):
         found = unit_of(code, channel.read(*_DIGITS))
         if found is None:
             raise ConfigurationError(
-                f"{channel.label}: 6131h says {code:08X}h, which is no known unit of pressure; "
+                f"{channel.label}: 6131h reads {code:08X}h, which is no known unit of pressure; "
                 "set the transmitter to bar or Pa"
             )
         if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
             raise ConfigurationError(
-                f"{channel.label}: 6131h and 6132h make {found:g} Pa per unit, the bench file "
-                "states "
-                f"{self._unit_Pa:g} Pa; "
-                "correct unit_Pa, or check that this is the right transmitter"
+                f"{channel.label}: 6131h and 6132h give {found:g} Pa per unit, the bench file "
+                f"states {self._unit_Pa:g} Pa; correct unit_Pa, or check that this is the right "
+                "transmitter"
             )
 
     def _require_valid(self) -> None:
@@ -112,7 +113,7 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return the unit of an integer process value in Pa; None if the unit is not a unit of
+    """Return the unit of an integer process value in Pa, or None if the unit is not a unit of
     pressure.
 
     Args:

@@ -60,7 +60,7 @@ class Cia406Encoder(Encoder):
         yield from identity_doubts(self._channel)
 
     def reading(self) -> float:
-        """Read the position (6004h); NaN if the encoder refuses it."""
+        """Read the position (6004h); return NaN if the encoder refuses it."""
         try:
             counts = nearest(self._channel.read(*_VALUE), self._modulus(), self._scales.middle)
         except (ConfigurationError, ObjectAccessError):
@@ -89,7 +89,9 @@ class Cia406Encoder(Encoder):
             yield from refusal(self._channel.read, *_VALUE)
 
     def lacks(self) -> Iterator[str]:
-        """Yield what this encoder does not report: class 1 of the profile has fewer objects."""
+        """Yield the values that this encoder does not report; an encoder of class 1 has fewer
+        objects.
+        """
         read = self._channel.read
 
         def absent(*addresses: ObjectAddress) -> bool:
@@ -149,8 +151,8 @@ class Cia406Encoder(Encoder):
         """Return the range of the position in steps.
 
         An encoder of class 1 has the steps and turns of its discs instead of 6002h. If an encoder
-        has none of these objects, one turn is assumed as the range; every true range is a multiple
-        of one turn.
+        has none of these objects, one turn is assumed as the range, because every true range is a
+        multiple of one turn.
         """
         channel, turn = self._channel, self._scales.counts_per_turn
         span = optional(channel.read, *_RANGE)

@@ -35,7 +35,8 @@ VelocityUnit = Literal["counts_per_s", "rpm"]
 
 
 class DeviceData(BaseModel):
-    """Data of a family of drives. A field without a value is as in CiA 402, or is not known.
+    """Data of a family of drives. An empty field means that the value is that of CiA 402, or is not
+    known.
 
     Attributes:
         name: Maker and family.
@@ -60,7 +61,7 @@ class DeviceData(BaseModel):
         rated_current_object_unit_A: Current of one unit of it, or of 6075h.
         rated_torque_object: Object of the rated torque.
         rated_torque_object_unit_N_m: Torque of one unit of it, or of 6076h.
-        mode: Mode of operation in which it is commanded; None for cyclic synchronous position.
+        mode: Mode of operation in which it is commanded, or None for cyclic synchronous position.
         remarks: What the operator has to know, one sentence each.
     """
 
@@ -93,7 +94,9 @@ class DeviceData(BaseModel):
     @model_validator(mode="after")
     def _stated_once(self) -> Self:
         if self.velocity_unit is not None and self.velocity_unit_counts_per_s is not None:
-            raise ValueError("velocity_unit and velocity_unit_counts_per_s are both set")
+            raise ValueError(
+                "velocity_unit and velocity_unit_counts_per_s are both set; remove one"
+            )
         acceleration = (self.acceleration_unit_counts_per_s2, self.acceleration_unit_turns_per_s2)
         if None not in acceleration:
             raise ValueError("the unit of the acceleration is stated twice")
@@ -176,7 +179,7 @@ def devices() -> Mapping[str, DeviceData]:
 
 
 def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
-    """Return vendor and product code in a device's EDS; None for a number that the EDS does not
+    """Return vendor and product code in a device's EDS, or None for a number that the EDS does not
     state.
     """
     found = (dictionary.get_variable(*address) for address in (VENDOR, PRODUCT))
@@ -189,7 +192,7 @@ def identity(dictionary: ObjectDictionary) -> tuple[int | None, int | None]:
 
 
 def match(dictionary: ObjectDictionary) -> DeviceData | None:
-    """Return the data of the drive that an EDS describes; None if there are no such data."""
+    """Return the data of the drive that an EDS describes, or None if there are no such data."""
     vendor, product = identity(dictionary)
     if vendor is None:
         return None

@@ -1,4 +1,6 @@
-"""Reads the object dictionary of a CANopen device from its EDS or DCF file, even a faulty one."""
+"""Reads the object dictionary of a CANopen device from its EDS or DCF file, even from a faulty
+file.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,7 @@ class Described(ObjectDictionary):
     Attributes:
         faults: Index and subindex of each object whose description cannot be used, to why; with
             file and line. Such an object is left out.
-        identity: Vendor and product number of the file's header; None where it has none.
+        identity: Vendor and product number of the file's header, or None if it has none.
     """
 
     def __init__(self) -> None:

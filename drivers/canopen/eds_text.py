@@ -2,8 +2,8 @@
 
 Makers' files differ from CiA 306 in ways that change no object: local encodings, a byte order mark,
 text before the first section, repeated sections and keys. This module reads files as the Windows
-functions for such files do, which most tools use: upper and lower case of names are equal, and the
-first of two values counts.
+functions for such files do, which most tools use: upper and lower case of names are equal, and of
+two values with one name the first counts.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ class Section:
 
 
 def decode(content: bytes) -> str:
-    """Return the text of a file. CiA 306 allows only ASCII, and only ASCII is used; other bytes
-    occur in names and comments, in local encodings.
+    """Return the text of a file. CiA 306 allows only ASCII, and the program uses only the ASCII
+    text; names and comments may contain other bytes, in local encodings.
     """
     for encoding in ("utf-8-sig", "utf-16" if content[:2] in _WIDE else "latin-1"):
         try:

@@ -248,7 +248,7 @@ class CanopenLink(Link):
         return self._port
 
     def _receive(self, timeout_s: float) -> None:
-        """Dispatch the received frames; wait if there are none."""
+        """Dispatch the received frames; wait if no frame has arrived."""
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)

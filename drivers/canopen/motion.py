@@ -92,7 +92,7 @@ class Motion(ABC):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Object that the mode needs, to its purpose."""
+        """Objects that the mode needs, each with its purpose."""
         return {self.target: "it carries the command of a run"}
 
     def settings(self, limits: ServoLimits) -> Iterator[tuple[ObjectAddress, int]]:
@@ -162,8 +162,8 @@ class CyclicPosition(Motion):
 class _HostLoop(Motion):
     """Base of the modes in which this program closes the position loop.
 
-    A command holds for one exchange: if none follows, the next one sends 0, and so does a loop
-    whose samples are no longer whole.
+    A command is valid for one exchange: if no new command follows, or if the samples of the loop
+    are incomplete, the next exchange sends the command 0.
 
     Args:
         scales: Units of the drive.
@@ -264,8 +264,8 @@ class _HostLoop(Motion):
 
     def _speed(self, seen: Observed, torque_N_m: float) -> float:
         """Return the joint speed from the change of the position, which does not depend on the unit
-        of the drive's speed. If one count of this speed would cause too much torque, return the
-        drive's own speed.
+        of the drive's speed. If the resolution of this speed would cause too much torque, the
+        drive's own speed is returned.
         """
         then, before = self._passed[0] if self._passed else (0, 0.0)
         now, angle = self._passed[-1] if self._passed else (0, 0.0)
@@ -316,7 +316,8 @@ class CyclicTorque(_HostLoop):
 def _within(units: int, allowed: range, target: ObjectAddress) -> int:
     if units not in allowed:
         raise ConfigurationError(
-            f"{units} is beyond the range of {target[0]:04X}h: check the scales in the bench file"
+            f"the command {units} is beyond the range of object {target[0]:04X}h: check the "
+            "scales in the bench file"
         )
     return units
 
@@ -350,7 +351,7 @@ class ProfilePosition(Motion):
 
     @property
     def needed(self) -> Mapping[ObjectAddress, str]:
-        """Object that the mode needs, to its purpose."""
+        """Objects that the mode needs, each with its purpose."""
         return {
             **super().needed,
             PROFILE_SPEED: "it limits the speed of the profile",
@@ -376,7 +377,7 @@ class ProfilePosition(Motion):
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
         """Stage the set-point. The set-point is announced as new in every other exchange, after the
-        drive has accepted the last one.
+        drive has accepted the last set-point.
         """
         if word == cia402.ENABLE_OPERATION:
             if channel.cycle != self._staged_in:

@@ -164,7 +164,7 @@ class CanopenNode:
         """
         for error in refusal(self._packed, *_CONSUMER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs it: with it the drive detects that this "
+                f"{error}; every run needs this object, with which the drive detects that this "
                 "program has ended"
             ) from error
 
@@ -190,7 +190,8 @@ class CanopenNode:
         """
         for error in refusal(self._packed, *_PRODUCER, 0):
             raise ConfigurationError(
-                f"{error}; every run needs it: with it this program detects that the device is lost"
+                f"{error}; every run needs this object, with which this program detects that the "
+                "device is lost"
             ) from error
         for direction, layouts in ((RECEIVE, outputs), (TRANSMIT, inputs)):
             plan(self._dictionary, self.label, direction, layouts)

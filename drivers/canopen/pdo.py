@@ -80,7 +80,7 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
         if item.data_type not in _CODES:
             raise ConfigurationError(
                 f"object {index:04X}h:{subindex:02X}h ({item.name}) is no integer of at most 32 "
-                "bits: remove the object"
+                "bits and fits no PDO: remove the object"
             )
         codes += _CODES[item.data_type]
     packed = struct.Struct(codes)

@@ -61,7 +61,7 @@ class LoopLimits:
 
 
 class LoopState(NamedTuple):
-    """State of the loop: the last target, rad (NaN for none), and the integral, N m."""
+    """State of the loop: the last target, rad (NaN if there is none), and the integral, N m."""
 
     target_rad: float = math.nan
     integral_N_m: float = 0.0
@@ -77,7 +77,7 @@ def derived(
 
     Args:
         cycle_s: Control cycle, s.
-        inertia_kg_m2: Inertia at the joint; None for a drive that takes a speed.
+        inertia_kg_m2: Inertia at the joint, or None for a drive that takes a speed.
         wanted: Gains that the bench file states, 0 for each that it leaves open.
     """
     stated = wanted or LoopGains(0.0)
@@ -102,8 +102,9 @@ def step(
 ) -> tuple[LoopState, float, float]:
     """Return the new state, the speed command and the torque command of one cycle.
 
-    Neither leads over an end of the angle: near an end the speed command is one from which the
-    joint can still stop there. A torque that would raise a speed beyond its limit is 0.
+    Neither command leads beyond an end of the angle range: near an end, the speed command is
+    limited to a speed from which the joint can still stop before the end. A torque that would raise
+    a speed beyond its limit is 0.
 
     Args:
         state: From the last cycle.

@@ -68,7 +68,8 @@ class PumpedSdoClient(SdoClient):
     def read_response(self) -> bytes:
         """Return the next response; a late response to an earlier request is skipped.
 
-        Otherwise every later request would receive the answer to the request before it.
+        If a late response were not skipped, every later request would receive the response to the
+        request before it.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
@@ -147,7 +148,7 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
         fault = getattr(dictionary, "faults", {}).get((index, subindex))
         name = f"object {index:04X}h:{subindex:02X}h"
         if fault:
-            raise ConfigurationError(f"{name} cannot be used: {fault}; correct the file")
+            raise ConfigurationError(f"{name} cannot be used: {fault}; correct the EDS file")
         raise NotDescribedError(f"{name} is not in the device's EDS")
     return found
 

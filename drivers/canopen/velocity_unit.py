@@ -42,8 +42,8 @@ _WORDS: Final[Mapping[str, str]] = {"rpm": "rpm", "counts_per_s": "counts per se
 
 
 def decode(word: int) -> float | None:
-    """Return the motor speed of one unit, rad/s, as object 60A9h states it; None for units without
-    SI meaning, such as counts.
+    """Return the motor speed of one unit, rad/s, as object 60A9h states it, or None for units
+    without SI meaning, such as counts.
     """
     numerator = _NUMERATORS.get(word >> 16 & 0xFF)
     denominator = _DENOMINATORS.get(word >> 8 & 0xFF)
@@ -54,8 +54,8 @@ def decode(word: int) -> float | None:
 
 
 def decode_acceleration(word: int) -> float | None:
-    """Return the motor acceleration of one unit, rad/s^2, as object 60AAh states it; None for units
-    without SI meaning.
+    """Return the motor acceleration of one unit, rad/s^2, as object 60AAh states it, or None for
+    units without SI meaning.
     """
     if word >> 8 & 0xFF == _SQUARE_SECOND:
         return decode(word & ~0xFF00 | 0x0300)
@@ -87,7 +87,9 @@ def refusals(channel: ProcessChannel, scales: ServoScales) -> Iterator[Configura
 def _stated(
     channel: ProcessChannel, address: ObjectAddress, meaning: Callable[[int], float | None]
 ) -> tuple[int, float | None]:
-    """Return the value of an object of a unit, and the unit; None where it states none."""
+    """Return the value of an object of a unit, and the unit, or None if the object states no
+    unit.
+    """
     word = optional(channel.read, *address) if channel.describes(*address) else None
     if word is None:
         return 0, None
@@ -122,8 +124,8 @@ def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float
 
 
 def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the other unit with a name that is nearest to a rough one, where it is
-    within ``spread``; else the nearest power of ten.
+    """Return the factor of the named unit nearest to a rough factor if their ratio is within
+    ``spread``, else the nearest power of ten; the present unit is excluded.
     """
     if factor <= 0.0:
         return factor
@@ -140,13 +142,15 @@ def _units(scales: ServoScales) -> dict[str, float]:
 
 
 def _others(scales: ServoScales) -> dict[str, float]:
-    """Return those of them that are not the unit of the bench file."""
+    """Return the named units other than the unit of the bench file."""
     own = scales.motor_speed_unit_rad_s
     return {name: unit for name, unit in _units(scales).items() if abs(unit - own) > _SAME * own}
 
 
 def _decimal(scales: ServoScales) -> dict[str, float]:
-    """Return decimal multiples of the unit of the bench file: drives are set to a power of ten."""
+    """Return decimal multiples of the unit of the bench file, because drives are set to powers of
+    ten.
+    """
     own = scales.motor_speed_unit_rad_s
     name = next((n for n, unit in _units(scales).items() if abs(unit - own) <= _SAME * own), None)
     words = "times the stated unit" if name is None else _WORDS[name]
@@ -154,7 +158,9 @@ def _decimal(scales: ServoScales) -> dict[str, float]:
 
 
 def _nearest(unit: float, known: Mapping[str, float], spread: float) -> tuple[str, float] | None:
-    """Return name and value of the nearest of known units; None where none is within a ratio."""
+    """Return name and value of the nearest of known units, or None if no unit is within the ratio
+    ``spread``. None where none is within a ratio.
+    """
     if not known:
         return None
     name = min(known, key=lambda name: _apart(unit, known[name]))
@@ -166,11 +172,12 @@ def _apart(first: float, second: float) -> float:
 
 
 def _recognised(unit: float, scales: ServoScales, exact: bool = False) -> tuple[str | None, float]:
-    """Return name and value of a known unit; no name for one that is unknown.
+    """Return name and value of a known unit; the name of an unknown unit is empty.
 
-    A measured one may be off by rounding and by peaks of the speed between samples. A decimal
-    multiple is less likely than a unit with a name, so that it counts only where the latter is
-    farther than a motion shows without rounding, and where it is itself nearer by far.
+    A measured value may differ from the true unit by rounding, and by peaks of the speed between
+    samples. A decimal multiple is less likely than a named unit. A decimal multiple is therefore
+    chosen only if the nearest named unit is farther from the value than the error of a measured
+    motion, and if the multiple is much nearer.
     """
     one = 1.0 + _SAME
     named = _nearest(unit, _others(scales), one if exact else KNOWN_SPREAD)

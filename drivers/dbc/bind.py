@@ -109,7 +109,7 @@ class _Binder:
         ):
             self._names.report(
                 ("torque_offset", "signal"),
-                "shares its bits with the target or is on another page; use a signal beside it",
+                "shares its bits with the target or is on another page; use another signal",
             )
 
     def _inputs(self) -> dict[str, BoundQuantity]:
@@ -245,7 +245,9 @@ class _Binder:
         return bound
 
     def _turn(self, name: str, guard: Protection, signal: Signal | None) -> int:
-        """Return the number of values of a counter."""
+        """Return the keys in the bench file that correct the unit of the drive's speed, and their
+        values; the result is empty if no key corrects the unit.
+        """
         last = guard.counter_last
         if signal is None:
             if last is not None:

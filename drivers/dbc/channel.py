@@ -219,7 +219,7 @@ class DbcChannel:
     def push(self, bits: int) -> None:
         """Put a torque offset, as raw bits, into every frame from now on.
 
-        While the drive is not ordered to run, the frames contain zero instead.
+        While the drive is not ordered to run, the frames contain a torque offset of zero.
         """
         if self._holding:
             self._offset_bits = bits
@@ -291,7 +291,9 @@ class DbcChannel:
         }
 
     def pin(self, limits: dict[str, float]) -> None:
-        """Set the limits that the drive is expected to report; none for no check."""
+        """Set the limits that the drive is expected to report; if ``limits`` is empty, no limit
+        is checked.
+        """
         self._pinned = limits
 
     def begin(self, now_ns: int) -> None:
@@ -325,10 +327,10 @@ class DbcChannel:
 
     @property
     def state(self) -> ServoState | None:
-        """State of the drive in the last valid frames; None for a value that is not in the map.
+        """State of the drive in the last valid frames, or None for a value that is not in the map.
 
-        A fault code counts as a fault for every value of the status signal: as a fault with power
-        on until the power is off.
+        Any fault code means a fault, whatever the value of the status signal: a fault with power on
+        until the power is off.
         """
         wiring = self.wiring
         shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))

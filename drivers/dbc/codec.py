@@ -36,7 +36,7 @@ class Signal:
         offset: Physical value at raw 0.
         labels: Names of raw values (``VAL_``).
         selector: In a multiplexed message, the signal whose value determines whether this signal is
-            in the frame; None for a signal that is in every frame.
+            in the frame, or None for a signal that is in every frame.
         pages: Raw values of the selector for which this signal is in the frame.
     """
 

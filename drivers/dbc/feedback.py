@@ -43,7 +43,7 @@ class Feedback:
         self._time = Unwrapper(1 if time is None else 1 << time.signal.width)
 
     def unasked(self, *names: str) -> list[float]:
-        """Return quantities from their next valid frames; NaN for a quantity that the drive does
+        """Return quantities from their next valid frames, or NaN for a quantity that the drive does
         not report, or that the drive sends only in answer to a command.
         """
         slots = {name: self._reads[name][0] for name in names if name in self._reads}
@@ -81,7 +81,7 @@ class Feedback:
             self._await(slot)
 
     def value(self, name: str) -> float:
-        """Return a quantity from its last valid frame; NaN if the drive does not report the
+        """Return a quantity from its last valid frame, or NaN if the drive does not report the
         quantity.
         """
         if name not in self._reads:

@@ -48,7 +48,7 @@ class Layout:
         name: Name in the DBC.
         identifier: CAN identifier; bit 31 is set if the identifier has 29 bits.
         size: Number of bytes.
-        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s; None if the DBC has none.
+        period_s: Cycle time in the DBC (``GenMsgCycleTime``), s, or None if the DBC has none.
         signals: Signals by name.
         obstacle: Reason why the message cannot be used; empty if it can.
     """
@@ -80,14 +80,16 @@ def load_dbc(path: Path) -> tuple[Database, dict[int, str]]:
 
 @lru_cache(maxsize=4)
 def _loaded(data: bytes) -> tuple[Database, dict[int, str]]:
-    """Return a database with the faults of its messages; a run reads its file several times."""
+    """Return a database with the faults of its messages; the result is kept, because a run reads
+    its file several times.
+    """
     database = _load(data)
     faults = {at: _fault(message) for at, message in enumerate(database.messages)}
     return database, {at: words for at, words in faults.items() if words}
 
 
 def _fault(message: Message) -> str:
-    """Return what is wrong with the bits of a message; empty where nothing is."""
+    """Return what is wrong with the bits of a message; empty if nothing is wrong."""
     try:
         message.refresh(strict=True)
     except DbcError as error:
@@ -122,7 +124,9 @@ def _content(path: Path) -> bytes:
 
 @lru_cache(maxsize=4)
 def _layouts(data: bytes) -> Mapping[str, Layout]:
-    """Return the layouts of a file by message name; a run reads its file several times."""
+    """Return the layouts of a file by message name; the result is kept, because a run reads its
+    file several times.
+    """
     database, faults = _loaded(data)
     counts = Counter(message.name for message in database.messages)
     layouts = {
@@ -135,7 +139,7 @@ def _layouts(data: bytes) -> Mapping[str, Layout]:
 
 @contextmanager
 def _explained(path: Path) -> Iterator[None]:
-    """Name the file in the errors of its parser."""
+    """Add the file name to the errors of the parser."""
     try:
         yield
     except DbcError as error:
@@ -165,7 +169,7 @@ def _load(data: bytes) -> Database:
     """
     encodings = next((names for mark, names in _MARKS if data.startswith(mark)), _ENCODINGS)
     if encodings is _ENCODINGS and (zero := data.find(0)) >= 0:
-        raise _NotTextError(f"byte {zero} is zero; name the drive's DBC file")
+        raise _NotTextError(f"byte {zero} has the value zero; name the drive's DBC file")
     first: DbcError | None = None
     for encoding in encodings:
         try:
@@ -191,8 +195,8 @@ def _load(data: bytes) -> Database:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Hide the warnings of ``cantools`` from the terminal; those that matter are stored as
-    obstacles.
+    """Hide the warnings of ``cantools`` from the terminal; a fault of a message is reported as the
+    reason why the message cannot be used.
     """
     log, handler = logging.getLogger("cantools"), logging.NullHandler()
     log.addHandler(handler)
@@ -220,8 +224,8 @@ def _layout(message: Message, fault: str) -> Layout:
 
 
 def _period_s(cycle_time_ms: object) -> float | None:
-    """Return a cycle time; None if the attribute is not a number, which ``cantools`` does not
-    check.
+    """Return a cycle time; The result is None if the attribute is not a number, which ``cantools``
+    does not check.
     """
     if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:
         return None

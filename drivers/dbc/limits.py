@@ -51,7 +51,7 @@ class DbcDrive:
         torque_constant_N_m_A: Torque constant, N m/A, which converts a torque signal into a
             current.
         offset_rad: Joint angle at position 0.
-        watchdog_s: Time without a command after which the drive stops by itself, s; None if the
+        watchdog_s: Time without a command after which the drive stops by itself, s, or None if the
             drive has no watchdog.
     """
 
@@ -149,7 +149,7 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
             bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
         except (ValueError, OverflowError) as error:
             raise ConfigurationError(
-                f"limit {name}: {error}; tighten it in the bench file"
+                f"limit {name}: {error}; tighten this limit in the bench file"
             ) from error
         frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
     return frames

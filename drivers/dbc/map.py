@@ -3,8 +3,8 @@
 The bench file contains the map.
 
 Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, with its factor
-and offset applied; ``scale`` and ``sign`` convert them to SI. Position, velocity, torque and target
-are then those of the motor.
+and offset applied; ``scale`` and ``sign`` convert them to SI. After this conversion position,
+velocity, torque and target refer to the motor.
 """
 
 from __future__ import annotations

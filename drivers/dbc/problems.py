@@ -44,7 +44,9 @@ class Names:
         self.problems.append((place, text))
 
     def layout(self, place: Place, message: str) -> Layout | None:
-        """Return a message; None, with a problem reported, if it is unknown or cannot be used."""
+        """Return a message; If the message is unknown or cannot be used, a problem is reported and
+        the result is None.
+        """
         layout = self.layouts.get(message)
         if layout is None:
             self.report(
@@ -56,8 +58,8 @@ class Names:
         return layout
 
     def signal(self, place: Place, name: str) -> tuple[Layout, Signal] | None:
-        """Return the message and signal of ``Message.Signal``; None, with a problem reported, if
-        unknown.
+        """Return the message and signal of ``Message.Signal``; if the name is unknown, a problem is
+        reported and the result is None.
         """
         message, dot, signal = name.partition(".")
         if not dot:
@@ -68,8 +70,8 @@ class Names:
         return None if layout is None or found is None else (layout, found)
 
     def part(self, place: Place, layout: Layout, name: str) -> Signal | None:
-        """Return a signal of a message; None, with a problem reported, if the message has no signal
-        of this name.
+        """Return a signal of a message; If the message has no signal of this name, a problem is
+        reported and the result is None.
         """
         signal = layout.signals.get(name)
         if signal is None:
@@ -117,7 +119,7 @@ class Names:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Return a text with the known names that are closest to a mistyped one, or with all names."""
+    """Return a text with the known names that are closest to a mistyped name, or with all names."""
     names = sorted(known)
     close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
         name, names, n=3

@@ -215,7 +215,7 @@ class DbcServo(Servo):
         if state in _FAULTS:
             raise self._channel.fault()
         if state not in self._wiring.enable:
-            raise StateError(f"'enable' is not allowed in state '{state.value}': disable it first")
+            raise StateError(f"'enable' is not allowed in state '{state.value}': use disable first")
         try:
             self._walk()
         except DeviceError:
@@ -237,7 +237,7 @@ class DbcServo(Servo):
         self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
 
     def quick_stop(self) -> None:
-        """Brake with the drive's own ramp; never leads to power.
+        """Brake with the drive's own ramp; the method never switches the power on.
 
         Raises:
             StateError: The drive does not stop and is not stopped already.
@@ -254,7 +254,7 @@ class DbcServo(Servo):
         )
 
     def reset_fault(self) -> None:
-        """Clear a fault. The drive is then de-energised; motion never restarts.
+        """Clear a fault. Afterwards the drive is de-energised; motion does not restart.
 
         Raises:
             StateError: There is no fault to reset, or the fault occurs again.
@@ -287,7 +287,7 @@ class DbcServo(Servo):
         """Set a joint torque that the drive adds to the torque of its controller; the map must have
         a signal for it.
 
-        While the drive is not ordered to run, zero is sent instead.
+        While the drive is not ordered to run, a torque offset of zero is sent instead.
 
         Raises:
             ConfigurationError: The map has no such signal, or the torque does not fit it.

@@ -101,7 +101,7 @@ class BoundQuantity:
 
 @dataclass(frozen=True)
 class BoundLimit:
-    """The signals that set and report a limit; ``held`` is None if no signal reports it."""
+    """The signals that set and report a limit; ``held`` is None if no signal reports the limit."""
 
     set: BoundQuantity
     held: BoundQuantity | None

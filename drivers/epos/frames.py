@@ -94,8 +94,9 @@ def encode(opcode: int, data: bytes) -> bytes:
 class FrameDecoder:
     """Decodes received bytes into whole frames; never raises.
 
-    A frame with a wrong CRC or broken stuffing is dropped, and the search goes on right after its
-    start, so that a good frame behind or inside the damage is found.
+    A frame with a wrong CRC or broken byte stuffing is dropped, and the search for the next frame
+    starts right after the start of the dropped frame, so that a good frame behind or inside the
+    damage is found.
 
     Attributes:
         bad: Frames dropped so far.
@@ -134,8 +135,8 @@ class FrameDecoder:
 
 
 def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
-    """Decode the frame with its opcode at ``start``; returns its end (0: incomplete) and the
-    frame, None if bad.
+    """Decode the frame with its opcode at ``start``; return the end of the frame (0 if the frame is
+    incomplete), and the frame, or None if the frame is bad.
     """
     wanted = _HEAD + _CRC
     if len(buffer) - start >= _HEAD:

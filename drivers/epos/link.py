@@ -33,9 +33,9 @@ _SUBINDICES: Final = (1, 2, 3, 4)
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
-    An answer does not name its request: after a lost answer, a late one could be mistaken for the
-    next. The line then counts as out of step: a part of the drive's identity is requested, and all
-    answers before it are dropped.
+    An answer does not name its request: after a lost answer, a late answer could be mistaken for
+    the answer to the next request. After a lost answer the link therefore synchronises again: it
+    requests a part of the drive's identity, and drops all answers that arrive before this part.
 
     The protocol has no watchdog in the drive: if the control loop stops, the drive keeps holding
     its last target.
@@ -45,7 +45,7 @@ class EposSerialLink(Link):
         connect: Opens the port.
         name: Name of the line in messages.
         answer_s: Time-out of an answer outside the cycle.
-        guard: Guard that is armed while a drive may be under power; None for none.
+        guard: Guard that is armed while a drive may be under power, or None for none.
         silence_s: Longest time without a complete answer of a drive in the cycle.
 
     Attributes:
@@ -82,7 +82,7 @@ class EposSerialLink(Link):
         self._answer_ns = 0
 
     def add_node(self, node_id: int, eds: Path) -> EposSerialNode:
-        """Declare the drive on the line, or one behind its CAN gateway.
+        """Declare the drive on the line, or a drive behind the CAN gateway of that drive.
 
         Raises:
             ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
@@ -126,7 +126,8 @@ class EposSerialLink(Link):
     def exchange(self) -> None:
         """Write every drive's outputs and read its inputs, at most for 80 % of the cycle.
 
-        A lost answer ends the cycle: the remaining requests are not sent, and their values stay.
+        A lost answer ends the cycle: the remaining requests are not sent, and their values do not
+        change.
 
         Raises:
             LinkError: The line is gone, or a drive was silent for too long.
@@ -183,13 +184,13 @@ class EposSerialLink(Link):
             if answer is not None:
                 return answer
         raise LinkError(
-            f"{self._name}, {what}: no good answer within "
-            f"{attempts * self._answer_wait_ns / NS:g} s; "
-            "check power, cable, rate and node identifier"
+            f"{self._name}, {what}: no correct answer within "
+            f"{attempts * self._answer_wait_ns / NS:g} s; check power, cable, rate and node "
+            "identifier"
         )
 
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
-        """Send a frame and return the data of its answer; None if no reliable answer arrives in
+        """Send a frame and return the data of its answer, or None if no reliable answer arrives in
         time.
         """
         if not self._in_step and not self._find_step(deadline_ns):

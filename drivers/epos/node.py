@@ -32,7 +32,7 @@ _START: Final = 1
 
 
 class _Output:
-    """One object that the cycle writes, and the value it is to have."""
+    """One object that the cycle writes, with its commanded value."""
 
     __slots__ = ("address", "head", "layout", "value")
 
@@ -73,9 +73,9 @@ class EposSerialNode(ObjectAccess):
     :class:`~drivers.objects.ProcessChannel`.
 
     There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the
-    controlword only if changed) and reads the first input layout; the objects of the other layouts
-    are read in turn, one per cycle, the slower ones in every other turn. The time stamp 1013h is
-    not read; the host's time of the cycle's first request replaces it.
+    controlword only if changed) and reads the first input layout. The objects of the other layouts
+    are read in turn, one object per cycle, the slower objects in every other turn only. The time
+    stamp 1013h is not read; the host's time of the cycle's first request replaces it.
 
     The position is read one object before the current, so the current's mean ends too late. The
     mean of the current is replaced by the mean that ends with the position, assuming a constant
@@ -122,7 +122,8 @@ class EposSerialNode(ObjectAccess):
         return self._time_us
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
+        """Check that the EDS has every object of a cycle; the errors are those of
+        :meth:`map_process_data`.
 
         Nothing is sent.
         """
@@ -175,7 +176,7 @@ class EposSerialNode(ObjectAccess):
             output.value = value
 
     def stage_once(self, number: int, values: tuple[int, ...], then: tuple[int, ...]) -> None:
-        """Refuse: on a line without a watchdog no command may outlast this program.
+        """Refuse the command: on a line without a watchdog no command may outlast this program.
 
         Raises:
             ConfigurationError: Always.
@@ -267,8 +268,8 @@ class EposSerialNode(ObjectAccess):
 
 
 def _turns(layouts: Sequence[PdoLayout]) -> list[ObjectAddress]:
-    """Return the order in which objects take turns: those of every cycle, then one of the slower
-    ones, and again.
+    """Return the order in which objects are read: the objects of every cycle, then one of the
+    slower objects, and so on.
     """
     quick = [
         a for layout in layouts if layout.every == 1 for a in layout.objects if a != _HOST_TIME

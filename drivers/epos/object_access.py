@@ -31,7 +31,7 @@ class Guard(Protocol):
     """Switches the power off if this program dies or hangs, because the drive has no watchdog."""
 
     def arm(self, limit_s: float) -> None:
-        """Arm the guard; it acts if it is not fed for this time, s.
+        """Arm the guard; the guard acts if :meth:`feed` is not called for this time, s.
 
         Raises:
             LinkError: There is no guard.
@@ -41,7 +41,7 @@ class Guard(Protocol):
     def feed(self) -> None:
         """Show that the control loop is alive; called before every request.
 
-        Takes little time; does nothing unless armed.
+        The method takes little time, and does nothing while the guard is not armed.
 
         Raises:
             LinkError: It has taken over, or is gone: the line must not be used.
@@ -49,7 +49,7 @@ class Guard(Protocol):
         ...
 
     def release(self) -> None:
-        """Disarm the guard; the drive is verified off."""
+        """Disarm the guard, after it is verified that the drive is off."""
         ...
 
 
@@ -63,8 +63,8 @@ class Line(Protocol):
     def request(
         self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
     ) -> bytes:
-        """Send one request and return the data of its answer; :class:`LinkError` if there is
-        none.
+        """Send one request and return the data of its answer; :class:`LinkError` if no answer
+        arrives.
         """
         ...
 
@@ -109,7 +109,7 @@ class ObjectAccess:
         return int(layout.unpack_from(answer)[0])
 
     def read_bytes(self, index: int, subindex: int = 0) -> bytes:
-        """Read an object of any length, in segments; raises as :meth:`read`."""
+        """Read an object of any length, in segments; the errors are those of :meth:`read`."""
         fields = OBJECT.pack(self.node_id, index, subindex)
         answer = self._request(Opcode.INITIATE_SEGMENTED_READ, fields, index, subindex)
         if len(answer) <= TOTAL.size:
@@ -134,7 +134,7 @@ class ObjectAccess:
         return data
 
     def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; raises as :meth:`read`."""
+        """Read a visible-string object; the errors are those of :meth:`read`."""
         return self.read_bytes(index, subindex).decode("ascii", errors="replace").rstrip("\0")
 
     def write(self, index: int, subindex: int, value: int) -> None:
@@ -155,7 +155,7 @@ class ObjectAccess:
         return described(self._dictionary, index, subindex, mappable=False)
 
     def fit_together(self, addresses: Sequence[tuple[int, int]]) -> bool:
-        """Return True: objects are asked for one by one."""
+        """Return True, because each object is requested on its own."""
         return True
 
     def stated(self, index: int, subindex: int) -> int | None:
@@ -165,18 +165,19 @@ class ObjectAccess:
         return default if isinstance(default, int) else None
 
     def require_watchable(self) -> None:
-        """Check nothing: the protocol has no watchdog, and the link's guard stands in for it."""
+        """Do nothing, because the protocol has no watchdog and the link's guard replaces it."""
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
+        """Check that the EDS has an object and its type can hold a value; the errors are those of
+        :meth:`write`.
 
         Nothing is sent.
         """
         self._written(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object, sending it even while the line is out of step; raises as
-        :meth:`write`.
+        """Write an integer object; the request is sent even while an old answer may be pending on
+        the line; the errors are those of :meth:`write`.
         """
         self._request(
             Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
@@ -193,7 +194,7 @@ class ObjectAccess:
         return OBJECT.pack(self.node_id, index, subindex) + data.ljust(VALUE_BYTES, b"\0")
 
     def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object of any length, in segments; raises as :meth:`write`."""
+        """Write an object of any length, in segments; the errors are those of :meth:`write`."""
         fields = OBJECT.pack(self.node_id, index, subindex) + TOTAL.pack(len(data))
         self._request(Opcode.INITIATE_SEGMENTED_WRITE, fields, index, subindex)
         toggle = 0

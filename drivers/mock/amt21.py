@@ -1,4 +1,4 @@
-"""Simulated AMT21 encoder at the joint: answers serial requests with the bytes of the real one."""
+"""Simulated AMT21 encoder at the joint: answers serial requests with the bytes of a real AMT21."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class SimulatedAmt21:
         address: Address of the encoder, a multiple of 4.
 
     Attributes:
-        distort: Function that changes the counts as a faulty sensor does; None for a sensor without
-            fault.
+        distort: Function that changes the counts as a faulty sensor does, or None for a sensor
+            without fault.
     """
 
     counts_per_turn: Final = COUNTS_PER_TURN

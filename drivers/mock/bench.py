@@ -59,7 +59,8 @@ def simulated_bench(
         bitrate: Bit rate of the bus, bit/s.
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
-        transmitter_node: Node identifier of the pressure transmitter; None for a bench without one.
+        transmitter_node: Node identifier of the pressure transmitter, or None for a bench without
+            one.
         rating: Rated values of the drive; 15 A unless given.
         traits: What the drive differs in from the simulated drive's own kind.
 

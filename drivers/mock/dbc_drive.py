@@ -1,7 +1,7 @@
 """Simulated servo drive with its own CAN frames (``dbc_drive.dbc``), states and watchdog.
 
 The drive does not use CANopen. This module packs frames with its own code, not with the codec under
-test, so that an error in the codec cannot cancel.
+test: an error of the codec would otherwise be made twice and stay hidden.
 """
 
 from __future__ import annotations
@@ -100,8 +100,8 @@ POWERED: Final = frozenset({State.RUN, State.STOPPING, State.BRAKING})
 
 
 class DbcDrive:
-    """The drive. At each command it samples the sensors, executes the command, and answers with two
-    frames.
+    """The drive. At each command the drive samples the sensors, executes the command, and answers
+    with two frames.
 
     Attributes:
         state: State of the drive.
@@ -314,8 +314,8 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send at once; while commands arrive, send after the next answer, when the bus is free for
-        long enough.
+        """Send a frame at once; while commands arrive, send the frame after the next answer, when
+        the bus is free for long enough.
         """
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:
             self._waiting.append(send)

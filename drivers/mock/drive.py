@@ -72,7 +72,7 @@ class Rating:
 
     Attributes:
         current_A: Rated motor current (6075h).
-        torque_N_m: Rated motor torque (6076h); None for the torque at the rated current.
+        torque_N_m: Rated motor torque (6076h), or None for the torque at the rated current.
     """
 
     current_A: float = 15.0
@@ -188,7 +188,7 @@ class SimulatedDrive(SimulatedNode):
         self._enter(State.SWITCH_ON_DISABLED)
 
     def use_speed_unit(self, counts_per_s: float) -> None:
-        """Show and take speeds in another unit from now on, as a drive does that was made so."""
+        """Report and accept speeds in another unit from now on, as drives of some makes do."""
         values = self._values
         for address in (key(0x607F), key(0x6084), key(0x6085)):
             if values[address] != _NO_LIMIT:

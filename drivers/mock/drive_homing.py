@@ -57,7 +57,7 @@ class Homing:
 
     Attributes:
         shift: Drive position less the motor's counts.
-        switches_deg: Joint angles of the limit switches; None for switches that never close.
+        switches_deg: Joint angles of the limit switches, or None for switches that never close.
         endless: Whether a homing never ends.
         jammed: Whether the motor has too little torque to move the joint, as if that were jammed.
     """
@@ -90,17 +90,21 @@ class Homing:
         return self._bits
 
     def begin(self, counts: int) -> None:
-        """Stand still, as the power comes on in this mode; a start needs a rising bit 4."""
+        """Hold still when the power is switched on in homing mode; the homing starts at a rising
+        edge of bit 4.
+        """
         self._bits = REACHED
         self._word = self._values[_CONTROLWORD]
         self._demand, self._speed = float(counts), 0.0
 
     def stop(self) -> None:
-        """End the motion, as the power goes off or the drive brakes."""
+        """End the motion, because the power is switched off or the drive brakes."""
         self._timer.stop()
 
     def obey(self) -> None:
-        """Start at a rising bit 4 of the controlword, and interrupt where it falls."""
+        """Start the homing at a rising edge of bit 4 of the controlword, and interrupt the homing
+        at a falling edge.
+        """
         word = self._values[_CONTROLWORD]
         rising, falling = word & ~self._word & _START, ~word & self._word & _START
         self._word = word
@@ -129,7 +133,9 @@ class Homing:
         self._sampler.machine.track(self._demand, _STEP_NS)
 
     def _advance(self) -> None:
-        """Take one step: to the switch, then off it slowly; its edge is the home position."""
+        """Take one step: move to the switch, then slowly away from it; the edge of the switch is
+        the home position.
+        """
         now = self._clock.now_ns()
         self._sampler.advance(now)
         reading = self._sampler.peek(now)

@@ -34,7 +34,7 @@ _BIT_12: Final = 0x1000
 
 
 class Mover:
-    """Commands the machine as the mode and the targets in the dictionary say.
+    """Commands the machine according to the mode and the targets in the dictionary.
 
     Args:
         sampler: Access to the machine.
@@ -97,7 +97,7 @@ class Mover:
         return _BIT_12 if follows else 0
 
     def start(self, counts: int) -> None:
-        """Begin at a position by the motor's counts, as the power comes on."""
+        """Start at a position in motor counts, when the power is switched on."""
         self.demand = self._goal = float(counts)
         self._speed = 0.0
         self.acknowledged = False

@@ -29,8 +29,8 @@ class SimulatedEncoder(SimulatedNode):
     6002h.
 
     Attributes:
-        distort: Function that changes the joint counts as a faulty sensor does; None for a sensor
-            without fault.
+        distort: Function that changes the joint counts as a faulty sensor does, or None for a
+            sensor without fault.
     """
 
     def __init__(

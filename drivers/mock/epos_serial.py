@@ -79,7 +79,9 @@ class SimulatedEposPort:
         drive.entered.append(self._entered)
 
     def receive(self, data: bytes) -> bytes:
-        """Return the answers to the frames that ``data`` completes; none to invalid frames."""
+        """Return the answers to the frames that ``data`` completes; an invalid frame gets no
+        answer.
+        """
         return b"".join(
             encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
         )

@@ -47,7 +47,7 @@ class LineFaults:
         self._add(from_host, count, lambda _data, _host: b"")
 
     def drop_byte(self, from_host: bool | None, count: int, at: int) -> None:
-        """Lose one byte, counted from 0; the last byte of a shorter message."""
+        """Lose one byte, counted from 0; in a shorter message, lose the last byte."""
 
         def change(data: bytes, _host: bool) -> bytes:
             place = min(at, len(data) - 1)
@@ -56,8 +56,8 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert one bit, counted from the lowest bit of the first byte; a bit of the last byte in
-        a shorter message.
+        """Invert one bit, counted from the lowest bit of the first byte; in a shorter message,
+        invert a bit of the last byte.
         """
 
         def change(data: bytes, _host: bool) -> bytes:

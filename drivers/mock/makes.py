@@ -1,10 +1,10 @@
-"""Drives of common makes: the objects that their EDS files lack of those of the simulated drive,
-and those that they have instead, in their units.
+"""Drives of common makes: which objects of the simulated drive their EDS files lack, which other
+objects they have, and in which units.
 
-A simulated drive that is given such a description shows only its objects. The lists are those of
-files of the makers, shortened to what a servo uses; those of Nanotec, Copley and Technosoft follow
-their manuals. The lists are written apart from the drivers' data on makes, so that one tests the
-other.
+A simulated drive with such a description has only the objects of the description. The lists follow
+files of the makers, shortened to the objects that a servo uses; the lists of Nanotec, Copley and
+Technosoft follow the manuals of these makers. These lists and the drivers' data on makes are
+written independently of each other, so that each tests the other.
 """
 
 from __future__ import annotations
@@ -115,8 +115,8 @@ _TYPES: Final = {"b": 2, "h": 3, "i": 4, "B": 5, "H": 6, "I": 7}
 
 
 def description(make: str) -> str:
-    """Return the text of the EDS file of a make: that of the simulated drive, without the objects
-    that the make lacks, and with its additional objects.
+    """Return the text of the EDS file of a make: the EDS file of the simulated drive, without the
+    objects that the make lacks, and with the additional objects of the make.
     """
     traits = MAKES[make]
     kept, keep = [], True
@@ -138,8 +138,8 @@ def description(make: str) -> str:
 
 
 def described_drive(dictionary: ObjectDictionary) -> Traits:
-    """Return the kind of simulated drive for an EDS: of the make that its vendor and objects lead
-    to, with the objects that it describes.
+    """Return the kind of simulated drive for an EDS: the make follows from vendor and objects in
+    the EDS, and the drive has only the objects of the EDS.
     """
     vendor, product = identity(dictionary)
     shown = addresses(dictionary)

@@ -1,5 +1,5 @@
-"""Mistakes of a bench that is set up for the first time, built into the simulated machine and its
-devices, so that it can be seen that they are found.
+"""Injects mistakes of a first set-up into the simulated machine and its devices, to test that
+commissioning finds them.
 """
 
 from __future__ import annotations

@@ -8,8 +8,7 @@ from drivers.mock.plant.parts import constants
 
 
 def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
-    """Return a number of motor encoder increments and the motor turns that they correspond to
-    (608Fh).
+    """Return a number of motor encoder increments and the corresponding motor turns (608Fh).
 
     With an exact sensor the machine counts microradians of the joint; with 100 turns this ratio is
     exact to about 1e-9.

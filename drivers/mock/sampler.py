@@ -8,8 +8,8 @@ from drivers.mock.plant.machine import Reading, SimulatedMachine
 class Sampler:
     """Integrates the machine up to the simulated time.
 
-    The machine advances in whole loop periods, so that sampled values belong to :attr:`time_ns`, at
-    most one period ago.
+    The machine advances in whole loop periods; the sampled values therefore belong to the time
+    :attr:`time_ns`, which is at most one loop period before the requested time.
 
     Attributes:
         machine: The machine; call :meth:`advance` before a command to it.

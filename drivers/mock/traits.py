@@ -33,12 +33,12 @@ def temperature_C(reading: Reading) -> float:
 
 @dataclass(frozen=True)
 class Shown:
-    """An object of a drive beyond those of CiA 402, or with another unit.
+    """An object that a drive has in addition to those of CiA 402, or with another unit.
 
     Attributes:
         address: Index and subindex.
         code: Struct code of its type.
-        quantity: What it shows; None for the rated current.
+        quantity: What it shows, or None for the rated current.
         unit: Unit of its value.
         mappable: Whether it can be process data.
     """
@@ -66,7 +66,7 @@ class Traits:
         acceleration_turns_s2: The same, in motor turns.
         rated_torque_unit_N_m: Unit of 6076h.
         modes: 6502h.
-        shown: Addresses of the objects that it shows to its bus; None for all.
+        shown: Addresses of the objects that it shows to its bus, or None for all.
     """
 
     vendor_id: int = 0x7FF
@@ -82,11 +82,11 @@ class Traits:
     shown: Container[tuple[int, int]] | None = None
 
     def speed_unit(self, counts_per_turn: float) -> float:
-        """Return the unit of its speeds, counts per second."""
+        """Return the unit of the drive's speeds, counts per second."""
         return counts_per_turn / 60.0 if self.rpm else self.speed_counts_per_s
 
     def acceleration_unit(self, counts_per_turn: float) -> float:
-        """Return the unit of its accelerations, counts per second squared."""
+        """Return the unit of the drive's accelerations, counts per second squared."""
         if self.acceleration_turns_s2 is not None:
             return counts_per_turn * self.acceleration_turns_s2
         return self.acceleration_counts_s2 or self.speed_unit(counts_per_turn)
@@ -104,7 +104,9 @@ class OwnObjects:
     measured: list[tuple[int, Quantity, float]] = field(default_factory=list)
 
     def add_to(self, objects: DeviceDictionary) -> None:
-        """Add them to a drive's dictionary, and take from it what the drive does not show."""
+        """Add the drive's own objects to its dictionary, and remove the objects that the drive does
+        not have.
+        """
         for shown in self.traits.own:
             number = key(*shown.address)
             known = objects.entries.get(number)
@@ -128,7 +130,9 @@ class OwnObjects:
                 values[key(*shown.address)] = round(rated_current_A / shown.unit)
 
     def measure(self, values: dict[int, int], reading: Reading, current_sign: int) -> None:
-        """Set what is measured; currents with a sign of the drive's own."""
+        """Set the measured values in the drive's own objects; currents have the drive's own
+        sign.
+        """
         for number, quantity, unit in self.measured:
             sign = current_sign if quantity is current_A else 1
             values[number] = sign * round(quantity(reading) / unit)

@@ -58,7 +58,7 @@ def record(
         command_rad: Joint angle sent with each SYNC, shape (n,).
         cycle_s: Control cycle, s; a whole number of loop periods.
         slow_phase: Cycles since the last frame with supply voltage and temperature.
-        pressure_rng: Random generator of the pressure transmitter's noise; None for no noise.
+        pressure_rng: Random generator of the pressure transmitter's noise, or None for no noise.
 
     Raises:
         ValueError: The cycle is not a whole number of loop periods.

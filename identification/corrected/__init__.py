@@ -1,9 +1,9 @@
 """The corrected model in plain numpy: nominal friction and every effect of the catalogue, as
 functions of signals.
 
-Its modules are exported as source, so they import nothing but numpy. The function of an effect
-takes the signals ``s`` of one recording, the nominal parameters and bench constants ``m``, and the
-effect's parameters by their catalogue names:
+The modules of this package are exported as source, so they import nothing but numpy. The function
+of an effect takes the signals ``s`` of one recording, the nominal parameters and bench constants
+``m``, and the effect's parameters by their catalogue names:
 
 torque        torque that the motion requires, N m at the joint: J domega/dt + friction + loads
 drive         torque that the logged current produces, N m at the joint

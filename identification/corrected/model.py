@@ -1,5 +1,5 @@
 """The corrected model: nominal parameters, identified effects, and an empirical curve of the
-rest.
+remaining mismatch.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class CorrectedModel:
 
     def numbers(self, recording: Recording) -> dict[str, float]:
         """Return the nominal parameters and the bench constants by the names that the model
-        functions use; unknown ones are 0.
+        functions use; unknown values are 0.
         """
         bench = recording.bench
         known = {name: float(self.parameters.get(name, 0.0)) for name in PARAMETERS}
@@ -118,8 +118,8 @@ class CorrectedModel:
 
 
 def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
-    """Return the empirical curve at the signals, shape (n,); 0 if it belongs to another equation or
-    is None.
+    """Return the empirical curve at the signals, shape (n,); 0 if the curve belongs to another
+    equation or is None.
     """
     n = len(np.asarray(s["time"]))
     if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:

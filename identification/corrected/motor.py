@@ -45,7 +45,9 @@ def current_loop_lag(s: Any, m: Any, time_s: float) -> Array:
 def winding_heating(
     s: Any, m: Any, rise_K_per_W: float, time_s: float, magnet: float = 1.0
 ) -> Array:
-    """Decrease of Km with the magnets' temperature, that of the winding if ``magnet`` is 1."""
+    """Decrease of Km with the magnets' temperature, which is the winding's temperature if
+    ``magnet`` is 1.
+    """
     return np.asarray(-0.001 * magnet * winding_rise(s, m, rise_K_per_W, time_s) * s["drive"])
 
 
@@ -58,8 +60,8 @@ def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
 def gear_mesh_ripple_drive(
     s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
 ) -> Array:
-    """Ripple of the transmission ratio on the torque: power is conserved, so torque is greater
-    where the motor turns faster.
+    """Torque ripple due to the ripple of the transmission ratio: power is conserved, so torque is
+    greater where the motor turns faster.
     """
     return np.asarray(
         s["drive"] * amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad)

@@ -3,7 +3,7 @@ subtracted.
 
 The diagnosis works on equation errors, which do not resolve friction's falling branch under load.
 The default estimator refines by prediction errors, but only if no physics is missing; subtracting
-the identified effects makes that possible.
+the identified effects makes this refinement possible.
 """
 
 from __future__ import annotations
@@ -61,8 +61,8 @@ def _without(recording: Recording, view: View, model: CorrectedModel) -> Recordi
     measured = recording.channels
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
-            f"{recording.name}: effects are subtracted from a torque or current, and neither was "
-            f"measured"
+            f"{recording.name}: effects are subtracted from the torque or the current, but "
+            "neither was measured"
         )
     raw = measured["torque"] if "torque" in measured else m["ampere_torque"] * measured["current"]
     averaged = recording.averaged & {"torque", "current"}

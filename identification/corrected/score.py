@@ -27,7 +27,7 @@ class Predicted:
         recording: Name of the recording.
         role: ``fit`` or ``validate``.
         time: s, shape (n,).
-        measured: Measured side in the equation's unit, shape (n,); NaN where the equation does not
+        measured: Measured side in the equation's unit, shape (n,), or NaN if the equation does not
             apply (at rest, or unpowered).
         model: Model side, shape (n,), likewise.
     """
@@ -41,7 +41,9 @@ class Predicted:
 
     @property
     def error(self) -> Array:
-        """Measured less model where the equation applies, shape (k,)."""
+        """Measured less modelled side of the equation, at the samples where the equation
+        applies, shape (k,).
+        """
         off = self.measured - self.model
         return off[np.isfinite(off)]
 
@@ -72,7 +74,7 @@ def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
 
 
 def rms(parts: Iterable[Predicted]) -> float | None:
-    """Return the root mean square of the errors of several recordings; None where none applies."""
+    """Return the root mean square of the errors of several recordings, or None if none applies."""
     errors = [p.error for p in parts]
     count = sum(len(e) for e in errors)
     return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None

@@ -26,7 +26,7 @@ def lagged(series: Array, time: Array, time_s: float) -> Array:
 
 
 def advanced(series: Array, time: Array, time_s: float) -> Array:
-    """Return the series advanced by ``time_s``, ends held, shape (n,)."""
+    """Return the series advanced by ``time_s``, with the end values held, shape (n,)."""
     return np.asarray(np.interp(time + time_s, time, series))
 
 

@@ -1,5 +1,5 @@
 """Torques of the corrected model: the torque that the motion requires (eq. 15), and what each
-effect adds to it, N m at the joint.
+effect adds to this torque, N m at the joint.
 
 ``s`` holds the signals of a recording by name (:mod:`identification.corrected.signals`), ``m`` the
 nominal parameters and the bench constants by name.
@@ -23,8 +23,8 @@ def friction_level(speed: Array, m: Any, alpha: float) -> Array:
 
 
 def load_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return the magnitude of eq. 12's bracket without its viscous part; times F_P L1 it is a
-    torque.
+    """Return the magnitude of eq. 12's bracket without its viscous part; this magnitude times F_P
+    L1 is a torque.
     """
     fall = np.exp(-(np.abs(speed / m["omega_sL"]) ** alpha)) if m["omega_sL"] > 0.0 else 0.0
     return np.asarray(m["mu_c"] + (m["mu_s"] - m["mu_c"]) * fall + np.zeros_like(speed))
@@ -96,7 +96,9 @@ def stribeck_shape(s: Any, m: Any, alpha: float) -> Array:
 
 
 def friction_memory(s: Any, m: Any, time_s: float, of_speed: float = 0.0) -> Array:
-    """Friction with memory: either the dry level lags, or the speed on which it depends."""
+    """Friction with memory: a lag either of the dry friction level, or of the speed on which this
+    level depends.
+    """
     level = dry_level(s, m, m["alpha"])
     if of_speed:
         late = dry_level({**s, "velocity": lagged(s["velocity"], s["time"], time_s)}, m, m["alpha"])
@@ -117,8 +119,8 @@ def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Ar
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Dahl friction instead of a friction with a sign; its start value follows from the drive's
-    torque over the first 20 ms.
+    """Dahl friction in place of friction that jumps with the sign of the speed; its start value
+    follows from the drive's torque over the first 20 ms.
     """
     level = dry_level(s, m, m["alpha"])
     begin = slice(0, max(2, round(0.02 / (s["time"][1] - s["time"][0]))))
@@ -165,8 +167,8 @@ def return_spring(s: Any, m: Any, stiffness_Nm_rad: float, rest_rad: float) -> A
 def end_stop(
     s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float, other_rad: float = 0.0
 ) -> Array:
-    """Torque of an end stop: k (theta - a) beyond a, on the side of a's sign; with another stop b,
-    above a and below b.
+    """Torque of an end stop: k (theta - a) for angles beyond a, in the direction of the sign of a;
+    with a second stop b, for angles above a and for angles below b.
     """
     if other_rad != 0.0:
         beyond = np.maximum(s["angle"] - angle_rad, 0.0) + np.minimum(s["angle"] - other_rad, 0.0)

@@ -1,4 +1,6 @@
-"""Draws candidate excitations: random sines and ramps, and small changes of the selected ones."""
+"""Draws candidate excitations: random sines and ramps, and small changes of the selected
+excitations.
+"""
 
 from __future__ import annotations
 
@@ -79,7 +81,9 @@ class Draws:
         return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
 
     def _sine(self, number: int) -> Excitation:
-        """Return a sine of any speed and frequency, or one near the falling branch of friction."""
+        """Return a sine of any speed and frequency, or a sine near the falling branch of
+        friction.
+        """
         near = self.rng.random() < _NEAR
         frequency, speed = self._near(self.frames[number].loaded) if near else self._any()
         pace = 2.0 * math.pi * frequency
@@ -154,7 +158,7 @@ class Draws:
         return min(max(frequency, _SLOWEST_HZ), self.bounds.highest_Hz), speed
 
     def _tried(self, number: int, e: Excitation) -> Excitation:
-        """Return an excitation of the duration for which it is judged."""
+        """Return an excitation with the duration for which excitations are judged."""
         period = e.step if e.ramps else 2.0 * e.step
         return e.lasting(
             min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds)

@@ -56,12 +56,14 @@ class Excitation:
 
     @property
     def shortest(self) -> float:
-        """Least duration, s; ramps need two, as one has a single breakaway from rest."""
+        """Least duration, s; at least two ramps are needed, because one ramp has only one breakaway
+        from rest.
+        """
         return 2.0 * self.step if self.ramps else self.step
 
     def lasting(self, seconds: float) -> Excitation:
-        """Return the excitation with as many half periods or ramps as fit into the time, so that it
-        ends where it began.
+        """Return the excitation with as many half periods or ramps as fit into the time, so that
+        the motion ends where it began.
         """
         longest = max(math.floor(seconds / self.step + 1e-6) * self.step, self.shortest)
         return replace(self, seconds=round(longest, 3))
@@ -84,7 +86,9 @@ class Frame:
 
 @dataclass(frozen=True)
 class Part:
-    """A proposed stage: the number of the stage whose settings it has, and its excitation."""
+    """A proposed stage: the number of the present stage whose settings it has, and its
+    excitation.
+    """
 
     frame: int
     excitation: Excitation

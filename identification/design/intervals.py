@@ -1,13 +1,14 @@
 """Predicts the intervals of a planned experiment from its Fisher information on the nominal model.
 
 The nominal response is recorded with the bench's noise and sensors, and the information is computed
-from the residuals that the default method minimises. So it accounts for the encoder's quantisation,
-the current's noise, the unknown breakaway times, and the samples that the estimator omits around
-them. A motion segment's own sensitivities contain the current's noise, and a segment in which the
-joint almost stops by chance would give an information that other runs do not have. So a stage is
-simulated with several drives and noises, and only products of two different runs are used, as in
-the floor of an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are
-then judged by several simulated runs (:mod:`identification.design.simulated_trial`).
+from the residuals that the default method minimises. The information therefore accounts for the
+encoder's quantisation, the current's noise, the unknown breakaway times, and the samples that the
+estimator omits around them. A motion segment's own sensitivities contain the current's noise, and a
+segment in which the joint almost stops by chance would give an information that other runs do not
+have. Therefore a stage is simulated with several drives and noises, and only products of two
+different runs are used, as in the floor of an estimate
+(:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several
+simulated runs (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations
@@ -55,7 +56,7 @@ class Information:
     scatter: Array
 
     def times(self, factor: float) -> Information:
-        """Return the information of ``factor`` times as long a stage."""
+        """Return the information of a stage that is ``factor`` times as long."""
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def effective(self, weights: Array) -> Information:
@@ -63,7 +64,7 @@ class Information:
         ``weights``, shape (9,).
 
         The information is reduced by the ratio of the scores' observed scatter to their scatter in
-        the noise model, if that exceeds one.
+        the noise model, if this ratio exceeds one.
         """
         ratio = float(weights @ self.scatter @ weights) / max(
             float(weights @ self.power @ weights), 1e-300
@@ -131,8 +132,8 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return the covariance of a stage's scores from the noise model, and over its motion segments;
-    breakaway times are eliminated, shape (p, p) each.
+    """Return two covariances of a stage's scores, from the noise model and from the scatter over
+    motion segments; breakaway times are eliminated, shape (p, p) each.
     """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
@@ -176,10 +177,11 @@ def likelihood_slope(point: Point) -> float:
     """Return the steepness of the likelihood at a point.
 
     Where noise decides whether the joint stops or moves on, the errors of the linearised filter
-    have a nonzero mean. Values other than the simulated ones are then far likelier, and the
+    have a nonzero mean. Values other than the simulated values are then far likelier, and the
     information of such a stage is wrong. Steepness is the squared slope of the log likelihood in
     the parameters, in the metric of their information, over their number: chi-squared, about 1
-    under noise alone. The inertia does not count, as it is not estimated by likelihood.
+    under noise alone. The inertia is excluded from the steepness, because it is not estimated by
+    likelihood.
     """
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -238,8 +240,8 @@ def effective(informations: Sequence[Information], target: str, loaded: bool) ->
 
 
 def intervals_of(informations: Sequence[Information], loaded: bool) -> Intervals:
-    """Return the intervals from all stages together: of all nine parameters if any is ``loaded``,
-    else of five.
+    """Return the intervals from all stages together: of all nine parameters if any stage is
+    ``loaded``, else of five.
     """
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]

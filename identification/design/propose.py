@@ -1,13 +1,13 @@
-"""Proposes an excitation, within a bench's limits and with the duration of the given one, that
-minimises the interval of the least determined parameter.
+"""Proposes an excitation that minimises the interval of the least determined parameter, within the
+limits of a bench and with the duration of the given excitation.
 
 The information of stages is additive and proportional to time. Therefore many sines and ramps are
 each judged once on a short stage, and a convex problem shares the time among them
-(:mod:`identification.design.shares`). The few that get a share replace the stages: after one sine
-alone parameters trade off, and a slow and a fast sine, or a light and a heavy weight, separate
-them. Each is also judged with softer and stiffer drives, since stick-slip depends on the loop. The
-best few designs are then simulated with those drives and noise, and the best one that the default
-method identifies is proposed.
+(:mod:`identification.design.shares`). The few excitations that get a share replace the stages: one
+sine alone leaves parameters correlated; a slow and a fast sine, or a light and a heavy weight,
+separate these parameters. Each excitation is also judged with softer and stiffer drives, since
+stick-slip depends on the loop. The best few designs are then simulated with those drives and noise,
+and the best design that the default method identifies is proposed.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed excitation, with the intervals of the present and of the proposed one.
+    """A proposed excitation, with the intervals of the present and of the proposed excitation.
 
     Attributes:
         weakest: The parameter whose interval is to be narrowed.
@@ -125,8 +125,8 @@ def _best_confirmed(
     """Return the intervals of the best design that the default method identifies, the design, and
     the number of designs simulated.
 
-    The best is the first design whose simulated trials confirm the expected intervals; if none
-    does, the one with the best attained intervals.
+    The best is the first design whose simulated trials confirm the expected intervals; if no design
+    is confirmed, it is the design with the best attained intervals.
     """
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
@@ -150,8 +150,8 @@ def _best_confirmed(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Intervals:
-    """Return the intervals of the worst of a few simulated trials; the first that fails ends
-    them.
+    """Return the intervals of the worst of a few simulated trials; the first trial that fails ends
+    the series.
     """
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):

@@ -134,8 +134,8 @@ class Search:
     count: int = 0
 
     def merit(self, pins: Intervals) -> float:
-        """Return the merit to minimise: the target's relative half width, increased if another
-        parameter's exceeds ``now``.
+        """Return the merit to minimise: the target's relative half width, increased if the half
+        width of another parameter exceeds its present value in ``now``.
         """
         return pins.half_widths[self.target] * max(
             1.0, pins.worst / max(self.now, pins.half_widths[self.target])
@@ -195,8 +195,8 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations; None if a kind of stage has
-        none.
+        """Return the best design from a pool, and its excitations, or None if a kind of stage has
+        no excitation.
 
         An excitation on whose whole stage the filter diverges is removed from the pool permanently.
         """
@@ -215,7 +215,7 @@ class Search:
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
         """Return whether the filter follows an excitation for its whole duration, with other noise
-        series than those it was judged with.
+        series than those with which the excitation was judged.
         """
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:
@@ -228,8 +228,8 @@ class Search:
 
     @property
     def complete(self) -> bool:
-        """Whether the pool has an excitation for every kind of stage, and an unloaded one from
-        which identification can start.
+        """Whether the pool has an excitation for every kind of stage, and an unloaded excitation
+        from which identification can start.
         """
         return self._complete(self.pool)
 
@@ -243,8 +243,8 @@ class Search:
         """Return whether identification can start from this unloaded stage: its motion leaves the
         falling branch of friction fast enough.
 
-        On the falling branch the equation error confuses inertia torque with friction, and with
-        little acceleration it finds no inertia.
+        On the falling branch the equation error confuses inertia torque with friction, and finds no
+        inertia if the acceleration is small.
         """
         if not candidate.part.excitation.tones:
             return False
@@ -267,7 +267,7 @@ class Search:
 
     def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
         """Return successively smaller selections of a pool; each step removes the excitation whose
-        loss costs least merit.
+        removal worsens the merit least.
 
         Selections range from the greatest to the least possible number of stages. Each excitation
         gets at least its least time.
@@ -330,7 +330,7 @@ class Search:
         )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return an excitation's information per second; None if it breaks a limit or has no
+        """Return an excitation's information per second, or None if it breaks a limit or has no
         information.
         """
         b, period = self.bounds, self.nominals[0].sensors.period

@@ -2,9 +2,9 @@
 one parameter.
 
 Information is additive and proportional to time, so the variance of a parameter is convex in the
-shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7
-(1978) 1379) needs no step length and gives a share to few excitations, which complement one
-another.
+shares of time. The multiplicative algorithm (Silvey, Titterington and Torsney, Communications in
+Statistics A 7 (1978) 1379) needs no step length and gives a share to few excitations, which
+complement one another.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def best_shares(
         rates: Information of each excitation per second.
         target: The parameter whose variance is minimised.
         loaded: Whether the four load parameters are unknown as well.
-        least: Least shares, shape (n,), of sum 1 at most; None for zero.
+        least: Least shares, shape (n,), of sum 1 at most, or None for zero.
     """
     count = len(NAMES) if loaded else NAMES.index("mu_c")
     normals = np.array([rate.normal[:count, :count] for rate in rates])
@@ -55,11 +55,11 @@ def best_shares(
 def shared(
     informations: Sequence[Information], target: str, loaded: bool, least: Array | None = None
 ) -> tuple[Array, list[Information]]:
-    """Return the optimal shares of excitations, shape (n,), and each one's effective information on
-    the target at these shares.
+    """Return the optimal shares of excitations, shape (n,), and the effective information of each
+    excitation on the target at these shares.
 
     The effective information depends on the weights of the scores in the target's estimate, and the
-    weights on the shares; so both are computed in alternation.
+    weights depend on the shares; therefore weights and shares are computed in alternation.
     """
     counts = list(informations)
     for _ in range(_TURNS):

@@ -60,7 +60,7 @@ class PlannedModel:
     """The nominal model of a planned experiment: the nine parameters by name, SI, the bench, its
     sensors, and the greatest torque, N m.
 
-    ``loop`` is the drive loop known from recordings; None if it is assumed from the inertia.
+    ``loop`` is the drive loop known from recordings, or None if it is assumed from the inertia.
     ``stiffness`` multiplies its velocity gain.
     """
 
@@ -104,7 +104,7 @@ def stage_response(
     Args:
         stage: Command and weight.
         nominal: The model.
-        rng: Random generator of the torque noise; None for the same noise in every stage of one
+        rng: Random generator of the torque noise, or None for the same noise in every stage of one
             length, which makes designs comparable.
         share: Share of the noise that is in the torque itself.
     """
@@ -122,7 +122,7 @@ def recorded(
     """Return the simulated recording of a stage, with half of the noise power in the torque itself
     and half in its measurement.
 
-    The true share depends on the drive's current loop, which is not known. The drive's own channels
+    The true shares depend on the drive's current loop, which is not known. The drive's own channels
     are included: without them the default method cannot estimate the loop and omits the bias
     correction.
     """

@@ -1,7 +1,7 @@
 """Diagnoses recordings: noise floor, mismatch, location, effects, corrected model, validation.
 
-Recordings set aside (role ``validate``) take no part in any fit. At the end they decide which
-effects are accepted, and they are scored.
+Recordings set aside (role ``validate``) take no part in any fit. At the end the recordings set
+aside decide which effects are accepted, and the result is scored on these recordings.
 """
 
 from __future__ import annotations
@@ -175,8 +175,8 @@ class _Outcome(NamedTuple):
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
     """Search, validate and judge. While the verdict is outside the catalogue, search again: without
-    dropped effects, which may have stood in for others, and then with fits of effects that had no
-    score, which must explain nearly all of the mismatch.
+    dropped effects, because they may have hidden other effects, and then with fits of effects that
+    had no score, which must explain nearly all of the mismatch.
 
     The first outcome counts if no further search ends with another verdict.
     """
@@ -303,7 +303,7 @@ def _search_sides(
 def _effects_to_search(
     dataset: Dataset, here: Sequence[View]
 ) -> tuple[list[Term], tuple[str, ...]]:
-    """Return the effects to search for, and warnings that state why others are excluded."""
+    """Return the effects to search for, and warnings that state why other effects are excluded."""
     fitted = dataset.part("fit")
     excluded, why = unrecorded_effects(fitted, here)
     left_out = {*dataset.model.terms, *excluded}

@@ -94,8 +94,8 @@ def oracle(
 
 
 def _remaining_strength(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
-    """Return the mismatch without an effect beyond the mismatch with it, over the noise, in the
-    equation where it is greatest.
+    """Return the mismatch without an effect beyond the mismatch with the effect, over the noise, in
+    the equation where this ratio is greatest.
     """
     beyond = []
     for name in equations:

@@ -61,7 +61,7 @@ def identify(
             once at the end.
         bandwidth_Hz: Bandwidth of torque and regressors; None chooses the least of the recordings'
             default bandwidths, or a greater one if the motion needs it.
-        rng: Random generator for the simulated replicates and the bootstrap; None for seed 0.
+        rng: Random generator for the simulated replicates and the bootstrap, or None for seed 0.
         progress: Called with the name of a step and the share of the step that is done.
         profile: Whether to compute profile likelihoods as well; the identification then takes
             several times as long.
@@ -145,7 +145,7 @@ def identification(
 
 
 def by_load(prepared: Sequence[Prepared]) -> tuple[list[Prepared], list[Prepared]]:
-    """Split prepared recordings into the unloaded and the loaded."""
+    """Split prepared recordings into unloaded and loaded recordings."""
     unloaded, loaded = (
         [p for p in prepared if p.recording.stage == stage] for stage in ("unloaded", "loaded")
     )

@@ -46,7 +46,7 @@ class Rung:
         friction: Name of the rung.
         result: The fit to all recordings with role ``fit``.
         train: Torque error on the fitted recordings, in the unit of the fit.
-        scored: Torque error on the recordings with role ``validate``; None if there are none.
+        scored: Torque error on the recordings with role ``validate``, or None if there are none.
         angle: Rms angle error of the simulated control loop, rad (m), on the validation recordings,
             or on the fitted recordings if there are no validation recordings; None without a
             controller.

@@ -39,7 +39,7 @@ class Score:
         torque: Torque error on the drawn recordings to score.
         angle: Rms angle error of the simulated loop on the drawn recordings to score, rad (m); None
             if the loop is not simulated.
-        angle_mae: Mean absolute angle error on the same recordings, rad (m); None if the loop is
+        angle_mae: Mean absolute angle error on the same recordings, rad (m), or None if the loop is
             not simulated.
     """
 

@@ -26,7 +26,7 @@ class Moved:
         unit: Unit, SI.
         first: Estimate from the first recordings.
         second: Estimate from the other recordings alone.
-        difference: Second estimate less first estimate; None if either is not identifiable.
+        difference: Second estimate less first estimate, or None if either is not identifiable.
         joint: Half width of the 90 % interval of the difference, for independent estimates.
         moved: Whether the difference exceeds this half width.
     """
@@ -47,7 +47,7 @@ class Transfer:
     Attributes:
         fit: Torque error of the transferred model on the other recordings.
         own: Torque error of the model identified on the other recordings.
-        floor: Noise floor of the other recordings; None if they contain no repeated motion.
+        floor: Noise floor of the other recordings, or None if they contain no repeated motion.
         by_recording: Torque error of the transferred model on each recording.
         parameters: Comparison of each parameter.
         other: The identification of the other recordings.
@@ -77,7 +77,7 @@ def transfer(
         first: The fit to transfer.
         dataset: Dataset of the fit to transfer; its declared model applies to both datasets.
         other: Other recordings.
-        rng: Random generator for the identification of the other recordings; None for seed 0.
+        rng: Random generator for the identification of the other recordings, or None for seed 0.
 
     Raises:
         RecordingError: The other recordings do not support the model, or include a recording to

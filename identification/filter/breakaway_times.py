@@ -78,7 +78,7 @@ def search_breakaway_times(point: Point, threshold: float) -> Point:
 
 
 def reduce(point: Point, threshold: float = np.inf) -> Reduced:
-    """Return the normal equations at a point, breakaway times eliminated (M12).
+    """Return the normal equations at a point, with the breakaway times eliminated (M12).
 
     Args:
         point: Recordings, free parameters, breakaway times and noise.

@@ -243,8 +243,8 @@ class Filter:
     def sensitivities(
         self, p: Array, times: Sequence[Array], noise: Noise, seeds: Array
     ) -> tuple[Array, Array]:
-        """Return the derivatives of the innovations inside segments, rad, and those of the
-        logarithms of their standard deviations, shape (r - m, d) each.
+        """Return the derivatives of the innovations inside segments, rad, and the derivatives of
+        the logarithms of their standard deviations, shape (r - m, d) each.
 
         Args:
             p: Vector of :mod:`identification.model.parameters`.

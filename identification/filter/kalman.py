@@ -3,11 +3,11 @@ measured torque as input (M14-M21).
 
 The measured torque is a noisy mean over each period, and the encoder is quantised. The output error
 drifts with the torque noise, and the equation error differentiates the encoder signal; the one-step
-prediction error of the joint angle avoids both. The filter has the state (angle, speed), with J
-domega/dt = torque - friction(omega) + noise and y = angle + noise. A correlated part of the torque
-noise is a third state, a first-order process that is constant within each period. The normalised
-innovations are white when the model is right, and their sum of squares is the likelihood (Ljung,
-System Identification, 2nd ed., 7.3 and 10.5).
+prediction error of the joint angle has neither drawback. The filter has the state (angle, speed),
+with J domega/dt = torque - friction(omega) + noise and y = angle + noise. A correlated part of the
+torque noise is a third state, a first-order process that is constant within each period. The
+normalised innovations are white when the model is right, and their sum of squares is the likelihood
+(Ljung, System Identification, 2nd ed., 7.3 and 10.5).
 
 A motion segment starts at its breakaway time, at the angle of rest and with speed zero. Segments
 run side by side (:mod:`identification.filter.lanes`).

@@ -50,7 +50,7 @@ class Point:
     """A point in the search space of an experiment, with everything that the filter needs to run.
 
     A free vector ``x`` has the free parameters first, then the breakaway times of all segments. A
-    point is immutable; a search returns another one.
+    point is immutable; a search returns another point.
 
     Attributes:
         filter: The experiment's filter, which all points of the experiment share.
@@ -107,7 +107,7 @@ class Point:
 
     @property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, ties last, shape (r,)."""
+        """Number of the segment of every residual, shape (r,); the ties come last."""
         return self.experiment.owners
 
     @property
@@ -166,7 +166,7 @@ class Point:
         )
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return the residuals, innovations (rad) followed by ties (N m; M22), and their standard
+        """Return the residuals, innovations (rad) followed by ties (N m, M22), and their standard
         deviations, shape (r,) each.
         """
         p = self.parameters(x)

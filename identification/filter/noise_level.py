@@ -117,7 +117,7 @@ def repeating_share(point: Point) -> float:
 
 
 def deviance(errors: Array, deviations: Array, clip: float = HUBER_THRESHOLD) -> float:
-    """Return -2 log likelihood of innovations with these standard deviations, outliers clipped
+    """Return -2 log likelihood of innovations with these standard deviations, with outliers clipped
     (M24).
     """
     return float(np.sum(2.0 * np.log(deviations) + np.minimum((errors / deviations) ** 2, clip**2)))

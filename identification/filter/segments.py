@@ -126,7 +126,7 @@ class Motion:
         """Return the time at which the torque of each segment first reaches ``static``, at the
         latest the time of visible motion, s, shape (m,).
 
-        ``static`` is one level for all segments, N m, or one for each, shape (m,).
+        ``static`` is one level for all segments, N m, or one level for each segment, shape (m,).
         """
         half = 0.5 * self.recording.period
         out = np.empty(len(self.table))
@@ -157,8 +157,8 @@ class Motion:
 
 
 def motion(recording: Recording) -> Motion | None:
-    """Return the motion segments of a recording that start from rest; None if the filter does not
-    apply to the recording.
+    """Return the motion segments of a recording that start from rest, or None if the filter does
+    not apply to the recording.
 
     The filter applies to evenly sampled recordings with a quantised joint or motor angle, a
     measured torque or current, and at least two segments. Single samples may be missing or late;

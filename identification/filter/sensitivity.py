@@ -1,7 +1,7 @@
 """Derivatives of the Kalman filter's innovations and their deviations, by forward differentiation.
 
 The derivatives are with respect to parameters and breakaway times. Forward differentiation of M16
-to M21 computes them.
+to M21 computes the derivatives.
 
 The recursion of :mod:`identification.filter.kalman` is differentiated step by step (Griewank and
 Walther, Evaluating Derivatives, 2nd ed., 3.1). All directions use the exponentials and divisions of
@@ -83,7 +83,7 @@ def sensitivities(
     deviations: Array,
 ) -> None:
     """Fill ``errors`` with the derivatives of the innovations of every segment, and ``deviations``
-    with those of the logarithms of their standard deviations.
+    with the derivatives of the logarithms of their standard deviations.
 
     Args:
         segments: Table of motion segments, the longest first, as for

@@ -9,7 +9,7 @@ measurement to effect, the open loop is L(s) = (K + D s) exp(-tau s) / (J s^2). 
 its gain is exactly one at omega, and its phase margin is 90 deg - delta - omega tau. The crossover
 omega is chosen where the delay costs 45 deg, and delta is 10 deg; the phase margin is then 35 deg
 and the gain margin 5.6 dB. The drive's own loops and viscous friction increase the phase margin;
-the lag of a current loop reduces it (by 6 deg at 0.26 ms and 1 kHz).
+the lag of a current loop reduces the phase margin (by 6 deg at 0.26 ms and 1 kHz).
 """
 
 from __future__ import annotations

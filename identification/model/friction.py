@@ -168,7 +168,7 @@ def system_friction(velocity: Array, parameters: Mapping[str, float], alpha: flo
 
 
 def load_coefficient(velocity: Array, parameters: Mapping[str, float], alpha: float) -> Array:
-    """Return m_L of eq. 12, dimensionless; times F_P L1 it is the working load M_L of eq. 13."""
+    """Return m_L of eq. 12, dimensionless; m_L times F_P L1 is the working load M_L of eq. 13."""
     p = parameters
     return np.asarray(
         p["mu_c"] * np.sign(velocity)

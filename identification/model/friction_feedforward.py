@@ -1,12 +1,12 @@
 """Feed-forward torque from identified friction (eq. 15), and torque pulses.
 
-Friction follows the commanded speed, not the measured one, so that feed-forward does not affect
+Friction follows the commanded speed, not the measured speed, so that feed-forward does not affect
 stability. The falling branch is the range of speeds in which friction falls with speed (eq. 9 and
-13, from rest on). There a joint with soft position gains sticks and slips, even if the mean
-friction torque is compensated. :mod:`identification.model.feedback` returns the damping that
-stabilises the falling branch, as far as the delay of a bus allows. Where this damping is too small,
-the torque is pulsed: the joint then passes the falling branch many times a second instead of in a
-slower limit cycle.
+13, from rest on). On the falling branch a joint with soft position gains sticks and slips, even if
+the mean friction torque is compensated. :mod:`identification.model.feedback` returns the damping
+that stabilises the falling branch, as far as the delay of a bus allows. Where this damping is too
+small, the torque is pulsed: the joint then passes the falling branch many times a second instead of
+in a slower limit cycle.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _GRID_SPAN = 4.0
 
 
 def commanded_speed(angle: Array, period: float) -> Array:
-    """Return the speed at which each commanded angle is approached from the one before it, rad/s,
+    """Return the speed at which each commanded angle is approached from the previous angle, rad/s,
     shape (n,).
     """
     return np.diff(angle, prepend=angle[:1]) / period

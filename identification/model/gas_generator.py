@@ -65,10 +65,14 @@ class GasGenerator:
             )
         if self.n >= 1.0:
             raise ValueError(
-                f"n = {self.n:g}: from 1 on the pressure has no stable equilibrium; n < 1"
+                f"n = {self.n:g}: must be below 1, because from 1 on the pressure has no stable "
+                "equilibrium"
             )
         if self.gamma <= 1.0:
-            raise ValueError(f"gamma = {self.gamma:g}: specific heats have a ratio above 1")
+            raise ValueError(
+                f"gamma = {self.gamma:g}: must be above 1, as the ratio of specific heats of "
+                "every gas is"
+            )
 
     @property
     def A_b(self) -> float:
@@ -172,7 +176,7 @@ def constants(
     exact: bool = True,
 ) -> Array:
     """Pack the constants into the vector of the compiled kernel; ``corrected`` replaces ``a``,
-    ``n`` and ``C_r`` of ``g`` where it contains them.
+    ``n`` and ``C_r`` of ``g``, if it contains them.
     """
     C_r = corrected.get("C_r", g.C_r)
     RT = (g.Gamma * C_r) ** 2

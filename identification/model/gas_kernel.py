@@ -1,4 +1,5 @@
-"""Compiled integration of the gas generator's equations (eq. 2 to 8), with effects beyond them.
+"""Compiled integration of the gas generator's equations (eq. 2 to 8), with effects that these
+equations omit.
 
 The state is (ln p, w, ln s): pressure, web burnt and the ratio of gas temperature to flame
 temperature. The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads

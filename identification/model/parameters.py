@@ -1,7 +1,7 @@
 """Parameters of the nominal model: names, units, and places in the vector for compiled kernels.
 
-The vector holds the rises dM = Ms - Mc and dmu = mu_s - mu_c where tables hold static levels,
-because searches bound the rises and regressions are linear in them.
+The vector holds the rises dM = Ms - Mc and dmu = mu_s - mu_c, and not the static levels of the
+tables, because searches bound the rises and regressions are linear in the rises.
 """
 
 from __future__ import annotations

@@ -76,7 +76,7 @@ PAPER = ValveGeometry()
 
 
 def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return the throat area A_t, m^2, shape of ``angle``.
+    """Return the throat area A_t, m^2, an array of the shape of ``angle``.
 
     Args:
         angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric,
@@ -94,15 +94,15 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
 
 def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return the impacted area A_s, on which the pressure difference acts (eq. 10), m^2, shape of
-    ``angle``.
+    """Return the impacted area A_s, on which the pressure difference acts (eq. 10), m^2, an array
+    of the shape of ``angle``.
     """
     return np.asarray(geometry.opening_area - throat_area(angle, geometry))
 
 
 def _cap(radius: float, distance: Array) -> Array:
     """Return the area of a disc beyond a line at a signed distance from its centre; 0 or the whole
-    disc if the line misses it.
+    disc if the line does not cut the disc.
     """
     x = np.clip(distance, -radius, radius)
     chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))

@@ -1,9 +1,9 @@
-"""Solves least squares with a block-arrow Jacobian: common parameters and one extra unknown a block
-(M12).
+"""Solves least squares with a block-arrow Jacobian: common parameters and one extra unknown for
+each block (M12).
 
 The rows are divided into blocks. Each row depends on the parameters, which all blocks have in
-common, and on the own unknown of its block. The Jacobian is therefore stored as the columns of the
-parameters and one column of derivatives with respect to the own unknowns. As a dense matrix,
+common, and on the extra unknown of its block. The Jacobian is therefore stored as the columns of
+the parameters and one column of derivatives with respect to the extra unknowns. As a dense matrix,
 240 000 rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
 """
 
@@ -20,7 +20,7 @@ from identification.numerics.compiled import compiled
 
 @dataclass(frozen=True)
 class Eliminated:
-    """Normal equations with the own unknowns eliminated; p parameters, m blocks.
+    """Normal equations with the extra unknowns eliminated; p parameters, m blocks.
 
     Attributes:
         matrix: Schur complement of the own unknowns, shape (p, p).
@@ -38,13 +38,13 @@ class Eliminated:
     held: Array
 
     def own_step(self, step: Array) -> Array:
-        """Return the step of the own unknowns for a ``step`` of the parameters, shape (m,)."""
+        """Return the step of the extra unknowns for a ``step`` of the parameters, shape (m,)."""
         return -(self.pull + self.cross @ step) / self.held
 
 
 @dataclass(frozen=True)
 class BlockArrow:
-    """Jacobian in p parameters and m own unknowns; as a matrix of shape (r, p + m).
+    """Jacobian in p parameters and m extra unknowns; as a matrix of shape (r, p + m).
 
     Attributes:
         parameters: Derivatives with respect to the parameters, shape (r, p).
@@ -85,7 +85,8 @@ class BlockArrow:
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
 
     def eliminated(self, residual: Array, weight: Array) -> Eliminated:
-        """Return the normal equations of weighted residuals of shape (r,) without the own unknowns.
+        """Return the normal equations of weighted residuals of shape (r,) without the extra
+        unknowns.
 
         Each row is read once. The normal equations of several sets of blocks may be added.
         """
@@ -101,8 +102,8 @@ class BlockArrow:
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
-        """Return each block's information on the parameters, its own unknown eliminated (M12),
-        shape (m, p, p).
+        """Return each block's information on the parameters, with its extra unknown eliminated
+        (M12), shape (m, p, p).
         """
         p = self.parameters.shape[1]
         found = self._products(None, self)

@@ -1,8 +1,8 @@
 """Minimises a robust cost of few parameters by Levenberg-Marquardt steps within bounds.
 
 Each step minimises the damped quadratic model of the cost within the bounds, so that a parameter
-can stop at its bound and leave it again. Kanzow, Yamashita and Fukushima, J. Comput. Appl. Math.
-172 (2004) 375.
+can stop at its bound and leave it again. Source: Kanzow, Yamashita and Fukushima, Journal of
+Computational and Applied Mathematics 172 (2004) 375.
 """
 
 from __future__ import annotations

@@ -8,9 +8,10 @@ standard errors are right. The statistics are T = |Z| / max(c, 1) of the line, a
 all steps; the p value is twice the smaller of the two p values.
 
 The distributions without change are simulated for the same weights and patterns with T = |Z| / c,
-which does not depend on the scale of the scatter and is never less. So the stated false-alarm rate
-holds if the runs scatter as their intervals state, and if they scatter more (because of temperature
-and lubricant); if the runs scatter less, the rate is below the stated one.
+which does not depend on the scale of the scatter and is never less than |Z| / max(c, 1). Therefore
+the stated false-alarm rate holds if the runs scatter as their intervals state, and if they scatter
+more (because of temperature and lubricant); if the runs scatter less, the rate is below the stated
+rate.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class Change:
     """Change that fits a history best.
 
     Attributes:
-        start: Index of the first value after the step; None for a drift.
+        start: Index of the first value after the step, or None for a drift.
         size: Size of the step, or change of the drift from the first to the last value.
         half_width: Half width of the 90 % interval of the size.
         p_value: Probability of a change of this size or more without any.
@@ -69,7 +70,8 @@ class ChangeTest:
         count = len(errors)
         if count < LEAST_RUNS or not (np.asarray(errors) > 0.0).all():
             raise ValueError(
-                f"{count} values; the test needs {LEAST_RUNS} at least, each with an error above 0"
+                f"{count} values; the test needs at least {LEAST_RUNS} values, each with a "
+                "standard error above 0"
             )
         errors = np.maximum(errors, _FLOOR * float(np.median(errors)))
         self._starts = step_starts(count)

@@ -74,7 +74,7 @@ class GeneticAlgorithm:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
         rng: Source of all randomness.
-        settings: Population, operators and number of generations; None for those of the paper.
+        settings: Population, operators and number of generations, or None for those of the paper.
 
     Raises:
         ValueError: The bounds differ in shape, or a lower bound is not below its upper bound.
@@ -91,8 +91,8 @@ class GeneticAlgorithm:
         self.high = np.array(high, dtype=float)
         if self.low.ndim != 1 or self.low.shape != self.high.shape or self.low.size == 0:
             raise ValueError(
-                f"bounds have shapes {self.low.shape} and {self.high.shape}; give two of one "
-                f"shape (d,)"
+                f"bounds have shapes {self.low.shape} and {self.high.shape}; give two arrays of "
+                "one shape (d,)"
             )
         if not np.all(np.isfinite(self.low) & np.isfinite(self.high) & (self.low < self.high)):
             raise ValueError(
@@ -144,7 +144,9 @@ class GeneticAlgorithm:
         self._genes = self._breed(self._genes[order])
 
     def _breed(self, ranked: Array) -> Array:
-        """Return the next generation from the present one, ``ranked`` best first."""
+        """Return the next generation from the present generation ``ranked``, whose best individual
+        comes first.
+        """
         parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
         mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
         inherit = self._rng.random(mothers.shape) < 0.5

@@ -1,8 +1,8 @@
 """Levenberg-Marquardt method on the normal equations, for a Huber cost or a likelihood.
 
 The trust-region solvers of common libraries decompose the whole Jacobian, here of 40 000 rows and a
-few dozen columns, at every step; the normal equations take a fraction of that time. Marquardt, J.
-SIAM 11 (1963) 431; Huber, Ann. Math. Statist. 35 (1964) 73.
+few dozen columns, at every step; the normal equations take a fraction of that time. Sources:
+Marquardt, SIAM Journal 11 (1963) 431; Huber, Annals of Mathematical Statistics 35 (1964) 73.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ class Minimum:
 
 
 def huber(residual: Array, threshold: float | Array) -> Array:
-    """Return the Huber cost of each residual r, shape of ``residual``: r^2/2 within the threshold,
-    and threshold (|r| - threshold/2) beyond. ``threshold`` is one for all residuals or one for
-    each.
+    """Return the Huber cost of each residual r, an array of the shape of ``residual``: r^2/2 within
+    the threshold, and threshold (|r| - threshold/2) beyond. ``threshold`` is one value for all
+    residuals, or one value for each residual.
     """
     size = np.minimum(np.abs(residual), threshold)
     return np.asarray(size * (np.abs(residual) - 0.5 * size))
 
 
 def huber_weight(residual: Array, threshold: float | Array) -> Array:
-    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, shape of
-    ``residual``.
+    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, an array
+    of the shape of ``residual``.
     """
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 

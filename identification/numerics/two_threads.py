@@ -38,8 +38,8 @@ def idle() -> bool:
 def both(one: Callable[[], One], other: Callable[[], Other]) -> tuple[One, Other]:
     """Return the results of two functions that are called at the same time.
 
-    Where the second thread is busy, as inside one of the functions, they are called one after the
-    other.
+    If the second thread is busy, for example because one of the functions uses it, the functions
+    are called one after the other.
     """
     thread, used = _second(os.getpid())
     if not used.acquire(blocking=False):

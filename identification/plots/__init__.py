@@ -1,4 +1,4 @@
 """Figures of recordings and fits.
 
-The only place that knows matplotlib; every function returns a ``Figure``.
+The only package that uses matplotlib; every function returns a ``Figure``.
 """

@@ -49,11 +49,11 @@ _STAGE_TITLES = {"unloaded": "system load", "loaded": "working load"}
 
 
 def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Figure:
-    """Friction torque against speed, measured and fitted, one colour per load (eq. 9 and 13).
+    """Draw friction torque against speed, measured and fitted, one colour per load (eq. 9 and 13).
 
     Args:
         result: The fit.
-        moments: Recording to its contact moment F_P L1, N m; None where it varies and no curve is
+        moments: Recording to its contact moment F_P L1, N m, or None if it varies and no curve is
             drawn.
     """
     made, (axis,) = figure(1, height=5.0, measured=False)
@@ -110,11 +110,12 @@ def draw_stribeck(
 
 
 def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) -> Figure:
-    """Deviation of the best parameters, and cost, as the search went on (Fig. 12 and 13).
+    """Draw the deviation of the best parameters, and the cost, over the course of the search (Fig.
+    12 and 13).
 
     Args:
         stage: A search with its history.
-        truth: Values from which deviations are measured; None for the final ones.
+        truth: Values from which deviations are measured, or None for the final ones.
     """
     made, (upper, lower) = figure(2, height=6.0, sharex=True, measured=False)
     cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")
@@ -156,8 +157,8 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
 def intervals(
     results: Sequence[Identification], truth: Mapping[str, float] | None = None
 ) -> Figure:
-    """Every parameter with its 90 % interval, in percent of the first result, or of the truth if
-    known.
+    """Draw every parameter with its 90 % interval, in percent of the first result, or of the true
+    values if these are known.
     """
     names = list(results[0].parameters)
     made, (axis,) = figure(1, height=1.4 + 0.42 * len(names), measured=False)
@@ -212,8 +213,8 @@ def _interval_row(
 def _curve(
     speed: Array, moment: float, values: Mapping[str, float], alpha: float
 ) -> tuple[Array, Array] | None:
-    """Return fitted friction at both signs of ``speed``; None if it needs a parameter that is not
-    identifiable.
+    """Return fitted friction at both signs of ``speed``, or None if the friction needs a parameter
+    that is not identifiable.
     """
     needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | (
         {"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set()

@@ -42,8 +42,8 @@ _DRAWN = {
 
 
 def errors(fits: Sequence[Fit]) -> Figure:
-    """Error of each equation over its noise floor, before and after the correction, on fitted
-    recordings and on those set aside.
+    """Draw the error of each equation over its noise floor, before and after the correction, on the
+    fitted recordings and on the recordings set aside.
 
     Args:
         fits: Errors of each equation, at least one with a noise floor.
@@ -86,8 +86,8 @@ def errors(fits: Sequence[Fit]) -> Figure:
 
 
 def maps(shown: Sequence[Map]) -> Figure:
-    """Mismatch against each coordinate, largest share first: mean with simultaneous band before the
-    correction, mean after it.
+    """Draw the mismatch against each coordinate, the coordinate with the largest share first: the
+    mean with its simultaneous band before the correction, and the mean after the correction.
 
     Args:
         shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
@@ -111,12 +111,12 @@ def maps(shown: Sequence[Map]) -> Figure:
 
 
 def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
-    """Mismatch of one recording in time, before and after the correction, with the noise floor as a
-    band.
+    """Draw the mismatch of one recording in time, before and after the correction, with the noise
+    floor as a band.
 
     Args:
         one: The recording.
-        noise_floor: Rms of the noise floor, in the trace's unit; None if unknown.
+        noise_floor: Rms of the noise floor, in the trace's unit, or None if unknown.
     """
     factor, unit = _shown_unit(one.unit)
     made, (axis,) = figure(1, width=9.0, height=3.2)
@@ -144,7 +144,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
 
 
 def curve(missing: Curve) -> Figure:
-    """Unmodelled torque over the coordinate that explains most of it."""
+    """Draw the unmodelled torque over the coordinate that explains most of the torque."""
     along, unit = _shown_unit(missing.unit)
     factor, residual_unit = _shown_unit(missing.residual_unit)
     made, (axis,) = figure(1, width=7.0, height=3.2)
@@ -156,8 +156,8 @@ def curve(missing: Curve) -> Figure:
 
 
 def rivals(effect: Effect) -> Figure:
-    """Confidence of an effect and of its rivals; bars of those that the data do not reject are
-    filled.
+    """Draw the confidence of an effect and of its rivals; the bars of rivals that the data do not
+    reject are filled.
     """
     names = [effect.name, *(r.name for r in effect.rivals)]
     shares = [effect.confidence, *(r.confidence for r in effect.rivals)]

@@ -57,8 +57,8 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
 
 
 def waterfall(starts: Sequence[Starts]) -> Figure:
-    """Return a figure of the search ends of each search, best first, on a logarithmic scale above
-    the least.
+    """Return a figure of the search ends of each search, the best end first: the excess of each
+    cost over the least cost, on a logarithmic scale.
     """
     made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2, measured=False)
     for axis, search in zip(axes, starts, strict=True):

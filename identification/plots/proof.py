@@ -14,7 +14,7 @@ Band = tuple[float, float, float]
 
 
 def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> Figure:
-    """Shares with their intervals over bands of strength.
+    """Draw shares with their intervals over bands of strength.
 
     Args:
         labels: Labels of the bands.
@@ -35,7 +35,7 @@ def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> 
 
 
 def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Confusion of injected and identified effects, as shares of a row.
+    """Draw the confusion of injected and identified effects, as shares of a row.
 
     Args:
         table: Injected effect -> first identified effect -> count.

@@ -22,7 +22,7 @@ _MM2 = 1e6
 def tracking(
     time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]
 ) -> Figure:
-    """Angle and its command, and the error between them.
+    """Draw the angle and its command, and the error between them.
 
     Args:
         time: s, shape (n,).
@@ -53,7 +53,9 @@ def tracking(
 
 
 def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
-    """Tracking error against time; each panel has a title, time (s) and errors by name (rad)."""
+    """Draw the tracking error against time; each panel has a title, time (s) and errors by name
+    (rad).
+    """
     made, axes = figure(len(panels), height=1.0 + 2.4 * len(panels), sharex=True)
     for axis, (name, time, by_name) in zip(axes, panels, strict=True):
         for color, (how, error) in zip(_COLORS, by_name.items(), strict=False):
@@ -66,8 +68,8 @@ def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
 
 
 def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
-    """Joint speed against time; each panel has a title, time (s), commanded speed and measured
-    speeds by name (rad/s).
+    """Draw the joint speed against time; each panel has a title, time (s), commanded speed and
+    measured speeds by name (rad/s).
     """
     made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
     for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
@@ -95,7 +97,7 @@ def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> F
 
 
 def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) -> Figure:
-    """Impacted and effective throat area, m^2, against the valve angle (Fig. 3)."""
+    """Draw the impacted and the effective throat area, m^2, against the valve angle (Fig. 3)."""
     made, (axis,) = figure(1, height=4.4)
     axis.plot(angle_deg, _MM2 * impacted, color=BLUE, label="impacted area $A_s$")
     axis.plot(angle_deg, _MM2 * throat, color=VERMILION, label="effective throat area $A_t$")
@@ -124,7 +126,7 @@ def uniform(
     speed: Array,
     panels: Sequence[tuple[str, Array, Mapping[str, Sequence[tuple[float, float, bool]]]]],
 ) -> Figure:
-    """Points of the conventional method (eq. 14) and the true friction.
+    """Draw the points of the conventional method (eq. 14) and the true friction.
 
     Args:
         speed: Speed of the curves, rad/s, shape (n,).
@@ -177,8 +179,8 @@ def closed_loop(
     current: Array,
     force: Array,
 ) -> Figure:
-    """Flow (kg/s), pressure (MPa), angle (rad), each with command and response; motor current (A),
-    contact force (N).
+    """Draw flow (kg/s), pressure (MPa) and angle (rad), each with command and response, and motor
+    current (A) and contact force (N).
     """
     made, (top, second, third, last) = figure(4, height=9.5, sharex=True)
     few = thinned(len(time))
@@ -219,10 +221,10 @@ def closed_loop(
 
 
 def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Figure:
-    """Current, pressure and area against the valve angle, a column for each speed (Fig. 4).
+    """Draw current, pressure and area against the valve angle, a column for each speed (Fig. 4).
 
     Args:
-        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure,
+        panels: Title, angle (deg), current (A, or NaN if the motion is not uniform), pressure,
             steady pressure (MPa) and impacted area (mm^2).
     """
     made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)

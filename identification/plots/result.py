@@ -23,12 +23,12 @@ def result(
     moments: Mapping[str, float | None],
     recordings: Sequence[Recording],
 ) -> Figure:
-    """Draw friction against speed, and below it tracking error, current (or torque) and
-    temperature over the recordings, one after the other; what was not recorded is left out.
+    """Draw friction against speed, and below it tracking error, current (or torque) and temperature
+    over the recordings, one after the other; channels that were not recorded are left out.
 
     Args:
         identified: The fit.
-        moments: Recording to its contact moment F_P L1, N m; None where it varies.
+        moments: Recording to its contact moment F_P L1, N m, or None if it varies.
         recordings: The recordings that were identified.
     """
     rotary = recordings[0].bench.motion == "rotary"

@@ -24,7 +24,7 @@ from identification.result import Trace
 
 
 def response(trace: Trace, recording: Recording, unit: str) -> Figure:
-    """Angle and command, velocity, torque and fitted torque against time.
+    """Draw angle and command, velocity, torque and fitted torque against time.
 
     Args:
         trace: The recording as fitted.
@@ -69,7 +69,8 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
 
 
 def residual(trace: Trace, motion: str, unit: str) -> Figure:
-    """Residual of the model against time and velocity, and its histogram; moving samples only.
+    """Draw the residual of the model against time and velocity, and its histogram; moving samples
+    only.
 
     Args:
         trace: The recording as fitted.

@@ -13,7 +13,7 @@ from identification.simulate.score import simulated_torque
 
 
 def simulated(prepared: Prepared, response: Response) -> Figure:
-    """Angle, its error and drive torque against time, measured and simulated."""
+    """Draw angle, angle error and drive torque against time, measured and simulated."""
     recording = prepared.recording
     rotary = recording.bench.motion == "rotary"
     large, small = (np.rad2deg(1.0), 1e3) if rotary else (1e3, 1e6)

@@ -18,8 +18,8 @@ def spread(
     printed: Mapping[str, float],
     names: Sequence[str],
 ) -> Figure:
-    """Error of every parameter for every seed, one colour per method, with the errors that the
-    paper prints.
+    """Draw the error of every parameter for every seed, one colour per method, with the errors that
+    the paper prints.
 
     Args:
         errors: Method to parameter to its errors over the seeds, percent; infinite or NaN errors

@@ -114,7 +114,7 @@ def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
 
 def continuing(time: Array) -> NDArray[np.bool_]:
     """Return which samples follow their predecessor without a gap, shape (n,); samples at rest may
-    have been left out.
+    have been omitted.
 
     A line broken at the other samples does not connect across a gap.
     """

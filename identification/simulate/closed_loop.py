@@ -76,7 +76,8 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
         body[ZERO] = pendulum.zero
     if not body[INERTIA] > 0.0:
         raise RecordingError(
-            f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; fix J"
+            f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; state J "
+            "under model.fixed"
         )
     return body
 
@@ -84,7 +85,7 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
 def loop_of(controller: Controller, recording: Recording) -> Array:
     """Return the kernel's parameters of controller and drive, shape (5,).
 
-    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, the inductance
+    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, with the inductance
     neglected.
 
     Raises:
@@ -121,8 +122,8 @@ def inputs_of(recording: Recording) -> Inputs:
     controller, channels = recording.controller, recording.channels
     if controller is None or "command" not in channels:
         raise RecordingError(
-            f"{recording.name}: a simulation needs a `command` channel and the `controller` it "
-            f"acts on"
+            f"{recording.name}: a simulation needs a `command` channel and the `controller` that "
+            "follows the command"
         )
     n = len(recording.time)
     scale = np.ones(n)
@@ -172,8 +173,8 @@ def simulate(
 def replay(
     recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S
 ) -> Response:
-    """Simulate a recording with the fitted ``values``, from rest at its first angle, under its own
-    command.
+    """Simulate a recording with the fitted ``values`` and the command of the recording, from rest
+    at its first angle.
 
     After the first sample only the command, the supply voltage and the declared loads are used.
 

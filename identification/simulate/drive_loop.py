@@ -1,10 +1,10 @@
 """Estimates the drive's loop from recordings (M33).
 
 A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e
-from its target. The logged command reaches the loop some cycles late: whole cycles are searched,
-and the command and its derivatives are regressors for the rest of a cycle. Encoder steps and the
-loop's own delay would lower Kv, so the regression uses means over a few samples, with the joint's
-angle at the delay that fits best.
+from its target. The logged command reaches the loop some cycles late: the whole number of cycles is
+searched, and the command and its derivatives are regressors for the remaining fraction of a cycle.
+Encoder steps and the loop's own delay would lower Kv, so the regression uses means over a few
+samples, with the joint's angle at the delay that fits best.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the drive loop; None where the recordings lack its signals, or it does not fit them.
+    """Return the drive loop; The result is None if the recordings lack the signals of the loop, or
+    if the loop does not fit the recordings.
 
     Args:
         recordings: Recordings of one bench; those without command, motor angle and current are left
@@ -103,8 +104,8 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
 
 
 def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, Array]:
-    """Return the regressors, gains first, shape (n, 6), and the torque at the joint, N m, shape
-    (n,).
+    """Return the regressors, with those of the gains first, shape (n, 6), and the torque at the
+    joint, N m, shape (n,).
     """
     time, period, channels = recording.time, recording.period, recording.channels
     angle = np.interp(time - delay, time, channels["motor_angle"]) / recording.bench.gear_ratio

@@ -21,7 +21,8 @@ FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "
 
 @dataclass(frozen=True)
 class Sums:
-    """Sums of squares over all samples, resting ones included, from which rms errors are computed.
+    """Sums of squares over all samples, including samples at rest, from which rms errors are
+    computed.
 
     Attributes:
         torque_error: Sum of squares of simulated less measured drive torque at the bandwidth.
@@ -113,8 +114,8 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
 
 
 def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
-    """Return the values with all friction multiplied by ``share``; its error gives a scale for the
-    model's error.
+    """Return the values with all friction multiplied by ``share``; the error of such a model is a
+    scale for the error of the fitted model.
     """
     return {
         name: value * (share if name in FRICTION_PARAMETERS else 1.0)

@@ -48,7 +48,9 @@ class Loop:
 
 
 def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
-    """Return a stiff servo loop: velocity bandwidth 95 Hz, a tenth of that for the position."""
+    """Return a stiff servo loop: velocity bandwidth 95 Hz, and a tenth of this bandwidth for the
+    position.
+    """
     position = 0.1 * _VELOCITY_BANDWIDTH
     return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit, count)
 
@@ -81,7 +83,7 @@ def respond(
     loop: Loop,
     disturbance: Array | None = None,
 ) -> Response:
-    """Simulate the response to a command, from rest at its first value.
+    """Simulate the response to a command, from rest at the first value of the command.
 
     Args:
         command: Joint angle at each sample, rad, shape (n,); linear in between.

@@ -38,7 +38,7 @@ def accept_run(
 
 
 def given_acceptance(file: Path | None) -> GivenFile | None:
-    """Read the file of limits of a run before the joint moves; None if none is given.
+    """Read the file of limits of a run before the joint moves; return None if none is given.
 
     Raises:
         InputError: The file is missing or not valid.
@@ -52,8 +52,9 @@ def given_acceptance(file: Path | None) -> GivenFile | None:
 def accept_at_the_end(folder: Path, junit_file: Path | None) -> int:
     """Judge a run that has just been completed; return the exit status.
 
-    The limits are those in its recording: the file that was given may have changed since. Nothing
-    is judged where neither a file nor the sequence states limits.
+    The limits are those stored in the run's recording, because the file of limits may have changed
+    since the start of the run. If neither a file nor the sequence states limits, the run is not
+    judged.
 
     Raises:
         InputError: The limits cannot be read, or a file cannot be written.

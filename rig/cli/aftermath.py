@@ -45,8 +45,8 @@ def conclude(
 ) -> int:
     """Check the mass labels, inform the operator, write the run page, and return the exit status.
 
-    The outcome was shown and recorded before, so that no failure here can hide it. Messages are
-    shown before the page is drawn, which may be slow or fail.
+    The outcome has been shown and recorded before, so that no failure in this function can hide the
+    outcome. Messages are shown before the page is drawn, which may be slow or fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.

@@ -71,7 +71,7 @@ def noting_folder(folder: Path) -> Iterator[None]:
 
 
 def storage_words(error: OSError) -> str | None:
-    """Return a message for a full or read-only disk; None for other operating system errors."""
+    """Return a message for a full or read-only disk, or None for other operating system errors."""
     if error.errno not in _STORAGE:
         return None
     place = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""

@@ -61,9 +61,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "runs": (
         "rig.cli.commands.runs:command",
-        "List, show, compare and verify what was run.",
+        "List, show, compare and verify recorded runs.",
     ),
-    "look": ("rig.cli.commands.look:command", "Show what is in a log made elsewhere."),
+    "look": ("rig.cli.commands.look:command", "Show the content of a log made elsewhere."),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.recover:command", "Repair a run whose writer died."),
     "console": (
@@ -90,7 +90,7 @@ DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
 
 
 class _HiddenError(Exception):
-    """Carries an error past click, which would otherwise handle it itself."""
+    """Carries an error past click, which would otherwise handle the error itself."""
 
     def __init__(self, hidden: Exception) -> None:
         super().__init__(str(hidden))
@@ -116,8 +116,8 @@ class LazyGroup(click.Group):
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete names of subcommands from the table, importing none, and the options of the
-        group.
+        """Complete names of subcommands from the table, without importing a subcommand, and the
+        options of the group.
         """
         names = [
             CompletionItem(name, help=text)
@@ -127,10 +127,8 @@ class LazyGroup(click.Group):
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the subcommand.
-
-        click treats any EOFError as Ctrl-C and any broken pipe as a closed output; here both are
-        errors of their own.
+        """Run the subcommand. click treats any EOFError as Ctrl-C and any broken pipe as a closed
+        output; this method passes these errors on unchanged.
         """
         try:
             return super().invoke(ctx)
@@ -168,8 +166,8 @@ def main() -> None:
     """Entry point: run the command line and exit with its status.
 
     Linear algebra runs in one thread: worker threads would load the processor during the control
-    loop and make sums depend on their number, and the matrices are small. Freezing avoids a last
-    garbage collection at exit.
+    loop and make sums depend on the number of threads, and the matrices are small. Freezing the
+    objects in memory avoids a last garbage collection at exit.
     """
     streams = Streams()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -238,7 +236,7 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Reports errors without a traceback that occur in other threads or where no error can be
+    """Reports, without a traceback, errors that occur in other threads or where no error can be
     raised.
 
     Attributes:

@@ -91,9 +91,9 @@ STEPS: Final = (
 
 
 def steps_of(setup: Setup) -> Iterator[Step]:
-    """Yield the steps with the homing that is asked for: before the drive follows a position where
-    nothing moves, else once units, watchdog and stop are proven. Whether the drive can home is
-    asked when its turn comes.
+    """Yield the steps with the requested homing: a homing without motion comes before the drive
+    follows a position, any other homing after units, watchdog and stop are proven. The drive is
+    asked which homing it supports only when the homing is the next step.
     """
     home = setup.home
     before = "" if home is None else "limits" if home.in_place else "stop"
@@ -115,7 +115,7 @@ class Commissioning:
         text: Text of the bench file with all corrections.
         changes: All corrections, in order.
         sessions: Steps of each connection; a correction begins a new one.
-        safe: State in which the drive was left; None if it was never energised.
+        safe: State in which the drive was left, or None if it was never energised.
         error: A defect of this program, to be raised once everything is stored.
     """
 
@@ -129,7 +129,9 @@ class Commissioning:
 
     @property
     def not_homed(self) -> str:
-        """Sentence on a homing that was asked for and not done; empty if there is none."""
+        """Sentence that a requested homing was not done; empty if the homing was done or was not
+        requested.
+        """
         for step in self.sessions[-1]:
             if step.name == HOMING and step.verdict is Verdict.SKIPPED:
                 return f"the homing that --home asks for was not done: {step.words}"
@@ -163,7 +165,8 @@ def commission(
     fastest_deg_s: float = FASTEST_DEG_S,
     home: HomeRequest | None = None,
 ) -> Commissioning:
-    """Commission a bench. Raises only the errors of a connection, before the drive is energised.
+    """Commission a bench. The function raises only the errors of a connection, before the drive is
+    energised.
 
     Args:
         document: The bench file.
@@ -283,7 +286,9 @@ def _one(setup: Setup, step: Step, record: StepRecord) -> None:
     setup.interview.tell(f"Step {step.name}. {step.announced}")
     if step.asks:
         if not setup.interview.agrees("Go on with this step?"):
-            raise OperatorStopError("not agreed to; the following steps depend on this step")
+            raise OperatorStopError(
+                "the operator did not agree to this step; the following steps depend on it"
+            )
         record.consent = setup.interview.how
     try:
         step.do(setup, record)

@@ -1,4 +1,6 @@
-"""The step in which the drive sets its zero by its own homing, at low limits and under watch."""
+"""The step in which the drive sets its zero by its own homing, at low limits and monitored by this
+program.
+"""
 
 from __future__ import annotations
 
@@ -60,7 +62,7 @@ _ORDINARY: Final = "look for a fault of the drive (603Fh)"
 
 
 def announced(setup: Setup, home: HomeRequest) -> str:
-    """Return what moves and what is under power."""
+    """Return a text on what moves and what is under power."""
     what = f"The drive homes by method {home.method} ({method_words(home.method)})"
     alone = ""
     if setup.devices.servo.watch_s is None or not setup.devices.link.has_watchdog:
@@ -78,7 +80,7 @@ def announced(setup: Setup, home: HomeRequest) -> str:
 
 
 def homing(setup: Setup, step: StepRecord) -> None:
-    """Home, and hold the drive's position against the joint angle of the home position.
+    """Home, and compare the drive's position with the joint angle of the home position.
 
     Raises:
         SkippedError: The drive cannot home by this method.
@@ -88,7 +90,7 @@ def homing(setup: Setup, step: StepRecord) -> None:
     home = setup.home
     assert home is not None
     if why := setup.homing_offer.refusal(home.method):
-        raise SkippedError(f"{why}. The zero of the bench file counts")
+        raise SkippedError(f"{why}. The zero of the bench file is used")
     step.measure("method, 6098h", home.method)
     home_rad = _home_rad(setup, home)
     drive, joint = _homed(setup, step, home, home_rad)
@@ -104,8 +106,9 @@ def homing(setup: Setup, step: StepRecord) -> None:
         step.measure(f"{section}.offset_deg of the bench file", offset, "deg")
     _judge(setup, home, home_rad, drive, joint)
     step.words = (
-        f"the drive has set its zero: the home position is {degrees:.4g} deg. It holds until the "
-        f"drive loses its supply, unless the drive stores it: home again then"
+        f"the drive has set its zero: the home position is {degrees:.4g} deg. This zero is valid "
+        "until the drive loses its supply, unless the drive stores the zero; after a loss, home "
+        "again"
     )
 
 
@@ -115,7 +118,8 @@ def _tolerance(home: HomeRequest) -> float:
 
 
 def _home_rad(setup: Setup, home: HomeRequest) -> float:
-    """Return the joint angle of the home position; that of position 0 where it is to be found.
+    """Return the joint angle of the home position; if the homing shall find the home position, the
+    angle of position 0.
 
     Raises:
         WrongError: It is not given, and the joint encoder gives no angle.
@@ -127,7 +131,7 @@ def _home_rad(setup: Setup, home: HomeRequest) -> float:
             return math.radians(setup.true_deg)
         angle = setup.devices.encoder.reading()
         if math.isnan(angle):
-            raise WrongError("the joint encoder gives no angle: give the true one (--angle)")
+            raise WrongError("the joint encoder gives no angle: give the true angle (--angle)")
         return angle
     return math.radians(getattr(setup.bench.servo, "offset_deg", 0.0))
 
@@ -135,7 +139,8 @@ def _home_rad(setup: Setup, home: HomeRequest) -> float:
 def _homed(
     setup: Setup, step: StepRecord, home: HomeRequest, home_rad: float
 ) -> tuple[float, float]:
-    """Home once; returns the angles by drive and joint encoder afterwards, rad, power off.
+    """Home once; return the angles of drive and joint encoder after the homing, rad, with the power
+    off.
 
     Raises:
         WrongError: It failed.
@@ -167,7 +172,7 @@ def _homed(
 
 
 def _fault(setup: Setup, tripped: TripError) -> str:
-    """Return the fault of a drive that left its state; empty where it tells none."""
+    """Return the fault of a drive that left its state; empty if the drive reports no fault."""
     if tripped.trip.check is Check.DRIVE_STATE:
         with suppress(DeviceError):
             if setup.devices.servo.state() is ServoState.FAULT:
@@ -185,10 +190,12 @@ def _left_on(setup: Setup, home: HomeRequest) -> str:
 
 
 class _Travels:
-    """Compares the travel of the joint by the drive with that by the joint encoder.
+    """Compares the travel of the joint that the drive reports with the travel that the joint
+    encoder reports.
 
-    Before the zero is set the drive's angle has no meaning, but its changes have. A change in one
-    cycle that is faster than the limits allow is the new zero, and no travel.
+    Before the zero is set the drive's angle has no meaning, but the changes of this angle are
+    valid. A change in one cycle that is faster than the limits allow is due to the new zero, and
+    does not count as travel.
 
     Args:
         setup: The bench; units, signs and ratio are proven by motion before.
@@ -218,7 +225,9 @@ class _Travels:
 
 
 def _limits(setup: Setup, home: HomeRequest) -> Limits:
-    """Return the limits in force: the drive's angle has no meaning until its zero is set."""
+    """Return the limits that apply to a homing: limits that need the drive's zero are left out,
+    because the zero is not set yet.
+    """
     limits = dataclasses.replace(
         setup.limits, following_error=math.inf, encoder_disagreement=math.inf
     )
@@ -228,7 +237,7 @@ def _limits(setup: Setup, home: HomeRequest) -> Limits:
 
 
 def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
-    """Start the homing and watch it to its end.
+    """Start the homing and monitor it until its end.
 
     Raises:
         WrongError: The drive reports an error, the joint moves where it must not, or it takes too
@@ -258,9 +267,9 @@ def _attend(setup: Setup, home: HomeRequest, search: float) -> None:
             state = servo.homing_state()
         if state is HomingState.RUNNING and took_s > allowed_s:
             raise WrongError(
-                f"homing by method {home.method} is not at its end after {took_s:.3g} s, limit "
+                f"homing by method {home.method} has not ended after {took_s:.3g} s, limit "
                 f"{allowed_s:g} s; look for a switch that does not close, or give more time "
-                f"(--home-time)"
+                "(--home-time)"
             )
     if state is not HomingState.ATTAINED:
         angle = math.degrees(sample.angle)
@@ -284,13 +293,13 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
     if home.in_place and not abs(moved) <= MOVED_DEG:
         raise WrongError(
             f"the joint moved by {moved:.3g} deg in a homing without motion (method "
-            f"{home.method}), must be at most {MOVED_DEG:g} deg; look at the drive's gains and at "
-            f"what its manual says of this method"
+            f"{home.method}), must be at most {MOVED_DEG:g} deg; check the drive's gains, and "
+            "this method in the drive's manual"
         )
 
 
 def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint: float) -> None:
-    """Hold drive and joint encoder against the home position.
+    """Compare the angles of drive and joint encoder with the home position.
 
     Raises:
         WrongError: They differ.
@@ -304,13 +313,13 @@ def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint
             value = float(f"{math.degrees(home_rad):.4f}")
             change = Change("servo", "offset_deg", value)
             raise WrongError(
-                f"{found}: it takes the home offset 607Ch with the other sign; set {change}, so "
-                f"that 607Ch is 0",
+                f"{found}: the drive uses the home offset 607Ch with the opposite sign; set "
+                f"{change}, so that 607Ch is 0",
                 (change,),
             )
         raise WrongError(
-            f"{found}, must be {math.degrees(home_rad):.4g} deg within "
-            f"{math.degrees(near):.2g} deg: look in its manual for the meaning of 607Ch. {UNSET}"
+            f"{found}, must be {math.degrees(home_rad):.4g} deg within {math.degrees(near):.2g} "
+            f"deg: look in the manual of the drive for the meaning of 607Ch. {UNSET}"
         )
     limit = max(near, math.radians(setup.bench.limits.encoder_disagreement_deg))
     if not abs(joint - drive) <= limit:

@@ -27,7 +27,7 @@ class Interview(Protocol):
         ...
 
     def angle_deg(self, words: str) -> float | None:
-        """Ask for the true joint angle, deg; None where it is not known."""
+        """Ask for the true joint angle, deg; return None if it is not known."""
         ...
 
 
@@ -36,7 +36,7 @@ class AutomaticInterview:
 
     Args:
         screen: Where messages go.
-        angle_deg: The true joint angle; None where it is not given.
+        angle_deg: The true joint angle, or None if it is not given.
     """
 
     how = "--yes"
@@ -84,7 +84,7 @@ class TypedInterview:
         self._screen.say(words, err=False)
 
     def agrees(self, words: str) -> bool:
-        """Ask until yes, no or abort is typed; an empty answer is no.
+        """Ask until yes, no or abort is typed; an empty answer means no.
 
         Raises:
             OperatorStopError: Ctrl-C, ``abort``, or the input ended.
@@ -98,7 +98,7 @@ class TypedInterview:
             self.tell(f"{typed!r} is not one of `yes`, `no`, `abort`")
 
     def angle_deg(self, words: str) -> float | None:
-        """Ask for an angle in degrees; an empty answer is None.
+        """Ask for an angle in degrees; an empty answer means None.
 
         Raises:
             OperatorStopError: As :meth:`agrees`.

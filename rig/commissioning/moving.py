@@ -116,8 +116,8 @@ def small_move(setup: Setup, step: StepRecord) -> None:
         size *= GROWTH
         if size > LARGE_DEG:
             raise WrongError(
-                f"the joint hardly moves within {size / GROWTH:g} deg: check that it is free, and "
-                f"the gains of the drive"
+                f"the joint hardly moves within {size / GROWTH:g} deg: check that the joint is "
+                "free, and the gains of the drive"
             )
     step.words = "units, signs and ratio agree"
 
@@ -129,7 +129,9 @@ def large_move(setup: Setup, step: StepRecord) -> None:
         WrongError: As for :func:`small_move`.
     """
     if not _move(setup, step, LARGE_DEG, _fastest_deg_s(setup), LARGE_TOLERANCE):
-        raise WrongError(f"the joint hardly moves within {LARGE_DEG:g} deg: check that it is free")
+        raise WrongError(
+            f"the joint hardly moves within {LARGE_DEG:g} deg: check that the joint is free"
+        )
     step.words = f"the encoders agree within {LARGE_TOLERANCE:.0%}"
 
 
@@ -151,8 +153,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
             servo.quick_stop()
         except DeviceError as failure:
             raise WrongError(
-                f"the drive does not obey the quick stop: {failure}. The power was taken off; "
-                f"check 605Ah and 6085h"
+                f"the drive does not execute the quick stop: {failure}. The power was taken off; "
+                "check 605Ah and 6085h"
             ) from failure
         state = servo.state()
         for _ in range(round(STOP_S / setup.bench.cycle_s)):
@@ -164,8 +166,8 @@ def stop(setup: Setup, step: StepRecord) -> None:
         way = abs(math.degrees(encoder.sample().angle_rad - at))
     if state is ServoState.FAULT:
         raise WrongError(
-            "the drive did not obey the quick stop: it is in fault instead, stopped by its "
-            "watchdog or a fault of its own; check 605Ah and 6085h"
+            "the drive did not execute the quick stop and is in fault, because of its watchdog "
+            "or of another cause; check 605Ah and 6085h"
         )
     step.measure("time to the end of the stop", took_s, "s")
     step.measure("way", way, "deg")

@@ -32,7 +32,7 @@ def _set(text: str, change: Change) -> str:
     if not isinstance(section, yaml.MappingNode):
         raise InputError(
             f"{change.section}: must consist of keys with values, so that {change} can be set in "
-            "it; correct the section"
+            "this section; correct the section"
         )
     found = next(((n, v) for n, v in section.value if n.value == change.key), None)
     if change.value is None:

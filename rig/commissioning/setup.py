@@ -40,8 +40,8 @@ class HomeRequest:
 
     Attributes:
         method: Value of 6098h.
-        home_deg: True joint angle of the home position; None where it is not known.
-        time_limit_s: Longest time of a homing; None for the usual one.
+        home_deg: True joint angle of the home position, or None if it is not known.
+        time_limit_s: Longest time of a homing, or None for the usual one.
     """
 
     method: int
@@ -83,8 +83,8 @@ class Setup:
         safe: State in which the drive was left after it was last energised; None before the first
             time.
         steps: Steps so far.
-        home: The homing that was asked for; None for none.
-        true_deg: True joint angle as the operator gave it; None where it is not known.
+        home: The homing that was asked for, or None for none.
+        true_deg: True joint angle as the operator gave it, or None if it is not known.
     """
 
     bench: Bench
@@ -118,7 +118,7 @@ class Setup:
 
     @cached_property
     def homing_offer(self) -> HomingOffer:
-        """How the drive can home; it is asked once."""
+        """The homing that the drive supports; the drive is asked once."""
         return self.devices.servo.homing_offer()
 
     @property

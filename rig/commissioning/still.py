@@ -103,7 +103,7 @@ def zero(setup: Setup, step: StepRecord) -> None:
     if not bench.limits.angle_min_deg <= true <= bench.limits.angle_max_deg:
         raise WrongError(
             f"the joint is at {true:g} deg, outside of {bench.limits.angle_min_deg:g} to "
-            f"{bench.limits.angle_max_deg:g} deg: turn it by hand"
+            f"{bench.limits.angle_max_deg:g} deg: turn the joint by hand"
         )
     changes = []
     for section, _, reading in both[1:] if later else both:
@@ -116,11 +116,11 @@ def zero(setup: Setup, step: StepRecord) -> None:
             f"the zero is wrong: set {' and '.join(map(str, changes))}", tuple(changes)
         )
     which = "the joint encoder is" if later else "both angles are"
-    step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true one{later}"
+    step.words = f"{which} within {ZERO_TOLERANCE_DEG:g} deg of the true angle{later}"
 
 
 def _say_offer(setup: Setup) -> None:
-    """Say whether the drive can set its zero by itself, and what is done."""
+    """Show whether the drive can set its zero by itself, and whether this is done."""
     offer, home = setup.homing_offer, setup.home
     if home is None:
         then = "--home METHOD does that" if offer.methods else "the zero is typed in"

@@ -1,4 +1,4 @@
-"""Findings of a check before a run: cause, message, and whether a run would refuse."""
+"""Findings of a check before a run: cause, message, and whether a run would refuse to start."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class Finding:
 
 
 def refusals(findings: Sequence[Finding]) -> list[str]:
-    """Return the messages of the findings for which a run would refuse."""
+    """Return the messages of the findings for which a run would refuse to start."""
     return [finding.text for finding in findings if finding.refused]
 
 
 def warnings(findings: Sequence[Finding]) -> list[str]:
-    """Return the messages of the other findings."""
+    """Return the messages of the findings with which a run would start."""
     return [finding.text for finding in findings if not finding.refused]
 
 

@@ -47,7 +47,7 @@ class Holder:
 
     @classmethod
     def parse(cls, content: bytes) -> Self | None:
-        """Return the holder named in a lock file; None if the file is empty or damaged."""
+        """Return the holder named in a lock file, or None if the file is empty or damaged."""
         try:
             told = json.loads(content)
         except (ValueError, RecursionError):
@@ -65,7 +65,7 @@ class Holder:
         return json.dumps(dataclasses.asdict(self)).encode() + b"\n"
 
     def alive(self) -> bool:
-        """Whether the process exists; assumed if this cannot be checked."""
+        """Whether the process exists; true if its existence cannot be checked."""
         if self.host != socket.gethostname() or os.name != "posix":
             return True
         try:
@@ -78,8 +78,8 @@ class Holder:
         return True
 
     def words(self, what: str, now: datetime) -> str:
-        """Return a description of the holder with its start time, and its purpose if that is not
-        ``what``.
+        """Return a description of the holder with its start time, and with the holder's purpose if
+        it is not ``what``.
         """
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
@@ -90,7 +90,7 @@ class Holder:
         )
 
     def _when(self, now: datetime) -> str:
-        """Return the start time and how long ago it was; empty if the file lacks it."""
+        """Return the start time and how long ago it was; empty if the file lacks the start time."""
         try:
             since = datetime.fromisoformat(self.since).astimezone(UTC)
         except (ValueError, OverflowError):
@@ -100,10 +100,10 @@ class Holder:
 
 
 def is_held(file: Path) -> bool:
-    """Return whether a program on this computer holds a lock file; takes no lock for longer than
-    the look.
+    """Return whether a program on this computer holds a lock file; a lock that is taken for this
+    test is released at once.
 
-    A file that is there and cannot be looked into counts as held.
+    A file that exists but cannot be opened counts as held.
     """
     try:
         descriptor = os.open(file, os.O_RDONLY | os.O_NONBLOCK)

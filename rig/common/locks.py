@@ -1,12 +1,13 @@
 """Advisory locks, with the name of their holder, for exclusive use of benches and run folders.
 
 A lock is an ``flock`` of the operating system. The lock ends when the last process that has the
-file open ends, however that happens; a suspended process keeps it, and so does a child that
+file open ends, however that happens; a suspended process keeps the lock, and so does a child that
 inherits the descriptor. The content of the file names the holder. The content is used only for
 messages, so that damaged content does no harm.
 
-The lock files of benches remain, empty while not held. The file in a run folder is removed by its
-holder; a process that locks it then checks that the name still refers to the same file.
+The lock files of benches remain; such a file is empty while no program holds the lock. The file in
+a run folder is removed by its holder; a process that locks this file then checks that the name
+still refers to the locked file.
 """
 
 from __future__ import annotations
@@ -58,7 +59,7 @@ class Lock:
     """Locks held by this process; a context manager that releases them at the end.
 
     Attributes:
-        taken_over: Message on locks left by a dead program; None if there were none.
+        taken_over: Message on locks left by a dead program, or None if there were none.
     """
 
     def __init__(
@@ -74,14 +75,14 @@ class Lock:
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process to the lock files as holder, under that name; never raises."""
+        """Write this process to the lock files as holder, under a name; no error is raised."""
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)
             item.write(holder if before is None else replace(holder, since=before.since))
 
     def release(self) -> None:
-        """Release the locks; never raises. The name of a child that still holds them stays."""
+        """Release the locks, without an error. The name of a child that holds a lock remains."""
         held, self._held = self._held, ()
         for item in reversed(held):
             item.close()
@@ -141,7 +142,7 @@ def hold_folder(folder: Path, command: str) -> Lock:
 
 
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
-    """Return the locks that a process has inherited; :meth:`Lock.note` writes it as holder.
+    """Return the inherited locks; :meth:`Lock.note` writes this process as their holder.
 
     Args:
         descriptors: Descriptors of all inherited lock files.
@@ -186,7 +187,7 @@ class _Held:
         self._written = b""
 
     def read(self) -> bytes:
-        """Return its content; empty if it cannot be read."""
+        """Return the content of the lock file; empty if the file cannot be read."""
         with suppress(OSError):
             return os.pread(self.descriptor, _CONTENT_BYTES, 0)
         return b""
@@ -226,7 +227,7 @@ def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> 
 
 
 def _take(place: _Place) -> tuple[_Held, bytes]:
-    """Lock one file; returns it with the content left by its last holder."""
+    """Lock one file; return it with the content that its last holder left."""
     holder: Holder | None = None
     for attempt in range(_ATTEMPTS):
         if attempt:
@@ -247,7 +248,7 @@ def _take(place: _Place) -> tuple[_Held, bytes]:
 
 
 def _attempt(place: _Place) -> _Held | Holder | None:
-    """Return the locked file, else its holder; None if unknown or if the file is gone."""
+    """Return the locked file, else its holder, or None if holder or file do not exist."""
     fcntl = _fcntl(place)
     with _folder(place) as folder:
         item = _Held(_open(place, folder, fcntl))
@@ -279,7 +280,7 @@ def _fcntl(place: _Place) -> ModuleType:
 
 
 def _locked(descriptor: int, fcntl: ModuleType) -> bool:
-    """Lock an open file, unless another program has."""
+    """Lock an open file, unless another program has locked it."""
     try:
         fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -339,7 +340,7 @@ def _open_to_all(descriptor: int, mode: int) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove the lock file of a run folder, unless it is held or names a holder."""
+    """Remove the lock file of a run folder, unless the file is locked or names a holder."""
     import fcntl
 
     with suppress(OSError):
@@ -368,9 +369,9 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
     if holder.alive():
         return f"{place.subject} is in use by {who}; wait for it to end, or stop it"
     return (
-        f"{place.subject} is in use: {who} is gone, but a process that it started still holds it, "
-        f"as the guardian of a "
-        "drive does until the drive is off; wait for that to end"
+        f"{place.subject} is in use: {who} is gone, but a process that it started still holds "
+        "it, as the guardian of a drive does until the drive is off; wait for that process to "
+        "end"
     )
 
 
@@ -378,7 +379,10 @@ def _left_words(place: _Place, left: bytes) -> str:
     """Return a message on the lock taken over."""
     holder = Holder.parse(left)
     who = "a program that is not known" if holder is None else holder.words(place.what, utc_now())
-    return f"{place.subject} was left locked by {who}, which no longer holds it; taken over"
+    return (
+        f"{place.subject} was left locked by {who}, which no longer holds the lock; the lock is "
+        "taken over"
+    )
 
 
 def _unusable(place: _Place, reason: str) -> str:

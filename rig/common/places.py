@@ -32,7 +32,7 @@ def require_folder(path: Path, option: str) -> None:
             f"{path}: cannot be created, as {above} is a file; give {option} another place"
         )
     if not os.access(above, os.W_OK | os.X_OK):
-        raise InputError(f"{path}: {above} may not be written to; give {option} another place")
+        raise InputError(f"{path}: no permission to write to {above}; give {option} another place")
 
 
 def require_file(path: Path | None, option: str) -> None:
@@ -52,7 +52,7 @@ def require_file(path: Path | None, option: str) -> None:
         )
     judged = path.parent if is_file(path) or not os.path.exists(path) else path
     if not os.access(judged, os.W_OK):
-        raise InputError(f"{path}: {judged} may not be written to; give {option} another place")
+        raise InputError(f"{path}: no permission to write to {judged}; give {option} another place")
 
 
 @contextmanager
@@ -103,7 +103,7 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
 
 
 def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
-    """Write the file of ``--json``; does nothing if None.
+    """Write the file of ``--json``; do nothing if the path is None.
 
     Raises:
         InputError: It cannot be written; an earlier version is kept.

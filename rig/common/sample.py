@@ -13,8 +13,8 @@ class Sample(NamedTuple):
 
     Attributes:
         time: Start of the cycle since the start of the run, s.
-        host_time: When the answer had been collected, by the host's clock since the start of the
-            run, s.
+        host_time: Time at which the answer was complete, by the host's clock, since the start of
+            the run, s.
         device_time: The drive's own time stamp, s.
         encoder_time: The encoder's own time stamp, s.
         command: Target joint angle, rad.
@@ -28,8 +28,8 @@ class Sample(NamedTuple):
         following_error: Command minus joint angle as the drive computes it, rad.
         statusword: Object 6041h.
         segment: 0 outside an excitation, else the number of the excitation in the run, from 1.
-        fresh: 1 where every part of the answer arrived this cycle; 0 where values are the last good
-            ones.
+        fresh: 1 if every part of the answer arrived in this cycle; 0 if values are those of the
+            last good answer.
         pressure: Pressure in the gas generator's chamber, Pa. Not a number on a bench without a
             transmitter.
     """

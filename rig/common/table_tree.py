@@ -17,7 +17,9 @@ _DELIMITERS = ";\t,"
 
 
 class _Entry(NamedTuple):
-    """One cell: the keys that lead to it, where its column is named, and its value."""
+    """One cell: the keys that lead to its value, the place where its column is named, and its
+    value.
+    """
 
     keys: list[str]
     named: Mark
@@ -42,7 +44,7 @@ def csv_rows(text: str, path: Path) -> list[Node]:
     used = [n for n, line in enumerate(lines) if line.strip() and not line.startswith("#")]
     if len(used) < 2:
         raise DocumentError(
-            "a table needs a line that names its columns, and a row", Mark(1, 1, path)
+            "a table needs a line that names its columns, and at least one row", Mark(1, 1, path)
         )
     head = lines[used[0]]
     delimiter = next((d for d in _DELIMITERS if d in head), ",")
@@ -99,7 +101,9 @@ def row(header: Sequence[Node], cells: Sequence[Node], place: Mark) -> Node:
 
 
 def _nested(entries: Sequence[_Entry], place: Mark) -> Node:
-    """Return a mapping of the entries, those that begin with the same key inside it."""
+    """Return the entries as a mapping; entries that begin with the same key are together in an
+    inner mapping.
+    """
     children: dict[str, Node] = {}
     marks: dict[str, Mark] = {}
     for key in dict.fromkeys(entry.keys[0] for entry in entries):
@@ -107,7 +111,9 @@ def _nested(entries: Sequence[_Entry], place: Mark) -> Node:
         whole = [entry.value for entry in below if not entry.keys]
         if whole and len(below) > 1:
             raise DocumentError(
-                f"columns name {key!r} and keys inside it; name one or the other", below[0].named
+                f"one column names the key {key!r}, and another a key inside {key!r}; remove one "
+                "of the columns",
+                below[0].named,
             )
         marks[key] = below[0].named
         children[key] = whole[0] if whole else _nested(below, below[0].value.mark)

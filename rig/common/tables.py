@@ -44,12 +44,12 @@ def number(value: float | None, digits: int = 5) -> str:
 
 
 def interval(low: float | None, high: float | None) -> str:
-    """Return an interval in brackets, or a dash where there is none."""
+    """Return an interval in brackets, or a dash if there is no interval."""
     return "-" if low is None or high is None else f"[{low:.4g}, {high:.4g}]"
 
 
 def percent(value: float | None) -> str:
-    """Return a share in percent with three significant digits (all of them from 1000 up), or a dash
+    """Return a share in percent with three significant digits (all digits from 1000 up), or a dash
     for None.
     """
     if value is None:

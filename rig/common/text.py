@@ -1,7 +1,7 @@
 """Converts text from the command line and from file names to valid Unicode for files.
 
 Python represents bytes that its locale cannot decode by lone surrogates, e.g. the umlaut of
-"Jürgen" in a C locale. UTF-8 cannot encode these, and strict JSON readers refuse them.
+"Jürgen" in a C locale. UTF-8 cannot encode these surrogates, and strict JSON readers refuse them.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Any
 
 
 def valid(text: str) -> str:
-    """Return what was meant where bytes of UTF-8 were not decoded; other bytes become escapes like
-    ``\\xfc``.
+    """Return a text with undecoded bytes decoded as UTF-8; bytes that are not UTF-8 become escapes
+    like ``\\xfc``.
     """
     try:
         text.encode("utf-8")

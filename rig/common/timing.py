@@ -12,7 +12,7 @@ _EDGES_NS = tuple(edge * 1000 for edge in EDGES_US)
 
 
 class Histogram:
-    """Histogram of durations, with the greatest.
+    """Histogram of durations, with the longest duration.
 
     Attributes:
         counts: Counts per bin of :data:`EDGES_US`, and one for longer durations.
@@ -29,8 +29,8 @@ class Histogram:
         self.worst_ns = max(self.worst_ns, duration_ns)
 
     def share_within_us(self, share: float) -> float | None:
-        """Return the upper end of the bin at the quantile ``share``; the longest duration beyond
-        the last bin.
+        """Return the upper end of the bin at the quantile ``share``, or the longest duration if the
+        quantile is beyond the last bin.
 
         None if nothing was counted.
         """
@@ -45,7 +45,7 @@ class Histogram:
         return self.worst_ns * 1e-3
 
     def record(self) -> dict[str, Any]:
-        """Return the bins and statistics from them, for ``run.json``."""
+        """Return the bins and the statistics that are computed from the bins, for ``run.json``."""
         return {
             "edges_us": list(EDGES_US),
             "counts": list(self.counts),

@@ -1,8 +1,8 @@
 """Parses YAML text into a tree with the position of each value.
 
-Only plain data: mappings with text keys, lists, and the scalars of the YAML 1.2 core schema, so
-that ``1e3`` is a number and ``on`` or ``2020-01-01`` stay text. Anchors are allowed, with a limit
-on their expansion.
+Only plain data are accepted: mappings with text keys, lists, and the scalars of the YAML 1.2 core
+schema, so that ``1e3`` is a number and ``on`` or ``2020-01-01`` stay text. Anchors are allowed,
+with a limit on their expansion.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class _Composer(Composer):
         """Compose one node, refusing nesting that would exhaust the stack."""
         if self.depth > MAX_DEPTH:
             mark = _mark(parent.start_mark if parent else None)
-            raise DocumentError(f"nested deeper than {MAX_DEPTH} levels; flatten it", mark)
+            raise DocumentError(f"nested deeper than {MAX_DEPTH} levels; use fewer levels", mark)
         self.depth += 1
         try:
             return super().compose_node(parent, index)
@@ -104,7 +104,7 @@ class _Resolver(Resolver):
 
 
 class _Loader(Reader, Scanner, Parser, _Composer, _Resolver):
-    """Reads with the parser in Python, whose messages are the ones reported."""
+    """Reads with the parser in Python, whose error messages are the ones that are reported."""
 
     def __init__(self, text: str) -> None:
         Reader.__init__(self, text)
@@ -115,10 +115,9 @@ class _Loader(Reader, Scanner, Parser, _Composer, _Resolver):
 
 
 def _root(text: str) -> yaml.Node | None:
-    """Compose the only document of a text.
-
-    libyaml does it eight times as fast as the parser in Python. What libyaml refuses is read again
-    in Python: its messages differ.
+    """Compose the only document of a text. libyaml is eight times as fast as the parser in Python.
+    A text that libyaml refuses is read again by the parser in Python, because the messages of the
+    two parsers differ.
     """
     if yaml.__with_libyaml__ and not _READ_OTHERWISE.search(text):
         # A lone surrogate is refused before libyaml sees it, as text that cannot be encoded.
@@ -156,7 +155,7 @@ for _name, _pattern, _first in _SCALARS:
 
 
 def scalar(text: str) -> Scalar:
-    """Return the value of plain text, such as a cell of a table, as it would have in YAML."""
+    """Return the value that plain text, such as a cell of a table, would have in YAML."""
     kinds = (name for name, pattern, _ in _SCALARS if re.fullmatch(pattern, text))
     return _scalar(yaml.ScalarNode(_CORE + next(kinds, "str"), text), Mark(1, 1))
 
@@ -233,7 +232,7 @@ class _Builder:
         if self._count > MAX_NODES:
             raise DocumentError(f"expands to more than {MAX_NODES} values; use fewer aliases", mark)
         if id(node) in above:
-            raise DocumentError("an alias refers to a value that contains it", mark)
+            raise DocumentError("an alias refers to a value that contains this alias", mark)
         above = (*above, id(node))
         if isinstance(node, yaml.MappingNode):
             return self._mapping(node, above, mark)
@@ -302,7 +301,7 @@ def _explain(error: yaml.MarkedYAMLError) -> str:
 
 
 def _nearby(path: Path) -> str:
-    """Name up to three files of the same type in the folder of a missing one."""
+    """Return the names of up to three files of the same type in the folder of a missing file."""
     if not path.parent.is_dir():
         return f"; the folder {path.parent} does not exist either"
     names = sorted(p.name for p in path.parent.glob("*.y*ml"))

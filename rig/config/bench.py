@@ -198,7 +198,7 @@ class Bench(Schema):
         if isinstance(self.bus, SerialBus):
             raise ValueError(
                 "a pressure transmitter of kind cia404 needs a CAN bus, but bus.interface is "
-                "epos_serial"
+                "epos_serial; remove `pressure`"
             )
         if isinstance(self.servo, DbcServoSection) and self.simulated:
             raise ValueError(
@@ -309,7 +309,8 @@ def load_bench(name: str | Path) -> Document[Bench]:
 
 
 def bench_from_text(text: str, path: Path) -> Document[Bench]:
-    """Return the bench of a text that is to become a file beside ``path``, or in its place.
+    """Return the bench from a text that will be written to a file next to ``path``, or in place of
+    ``path``.
 
     Raises:
         InputError: It is not valid; every problem with its place in the text.
@@ -318,7 +319,7 @@ def bench_from_text(text: str, path: Path) -> Document[Bench]:
 
 
 def _in_use(document: Document[Bench]) -> Document[Bench]:
-    """Check a bench further, and return it with the limits in force."""
+    """Check effects, signals and bus load of a bench; return it with the limits in force."""
     bench = document.value
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
@@ -337,10 +338,11 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
 
 
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
-    """Set by the EDS file whether the drive stops by itself, if the bench file does not state it.
+    """Determine from the EDS file whether the drive stops by itself, if the bench file does not
+    state this.
 
-    A later check rejects an EDS file that cannot be read or is not that of a drive, and reports all
-    its faults.
+    A later check rejects an EDS file that cannot be read or is not the EDS file of a drive, and
+    reports all its faults.
     """
     bench = document.value
     servo = bench.servo

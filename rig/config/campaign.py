@@ -180,7 +180,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
 
 
 def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
-    """Yield recordings whose start time or order does not fit that of the others."""
+    """Yield recordings whose start time or order does not fit those of the other recordings."""
     ways = [_way(recording) for recording in campaign.recordings]
     for index, (recording, way) in enumerate(zip(campaign.recordings, ways, strict=True)):
         if recording.start is not None and recording.order is not None:

@@ -18,7 +18,7 @@ def _not_zero(value: float) -> float:
 
 
 class ReadSection(Schema):
-    """How to read a delimited text file or CAN traffic; other formats need nothing.
+    """How to read a delimited text file or CAN traffic; other formats need no options.
 
     Attributes:
         delimiter: Delimiter of the columns, one character; found from the first line if not stated.
@@ -64,7 +64,9 @@ class ReadSection(Schema):
         if self.delimiter == self.decimal == ",":
             raise ValueError("delimiter and decimal are both a comma; numbers cannot be separated")
         if self.dbc is not None and self.bench is not None:
-            raise ValueError("dbc and bench are both given; a bench has its own map, name one")
+            raise ValueError(
+                "dbc and bench are both given, but a bench has its own map; remove one of them"
+            )
         return self
 
 

@@ -96,7 +96,9 @@ def _measured(value: float | UncertainConstant | UncertainNumber) -> float:
 
 
 def uncertain(section: Schema | None, place: str, keys: Iterable[str]) -> dict[str, float]:
-    """Return the standard deviation of each constant that was stated with one, by key."""
+    """Return the standard deviation of each constant that was stated with a standard deviation, by
+    key.
+    """
     values = {} if section is None else {key: getattr(section, key) for key in keys}
     return {
         place + key: value.uncertainty
@@ -154,7 +156,7 @@ class ValveSection(Schema):
 
 class GasGeneratorSection(Schema):
     """Constants of eq. 2 to 8, SI; the defaults are those of the paper, or assumptions where the
-    paper gives none.
+    paper gives no value.
 
     Attributes:
         propellant_density: Density rho_b, kg/m^3.

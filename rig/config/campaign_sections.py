@@ -338,7 +338,7 @@ class RecordingSection(Schema):
 
     @property
     def exported(self) -> bool:
-        """Whether the file must describe itself, as those of `rig export` do."""
+        """Whether the file must contain its own description, as files of `rig export` do."""
         return not self.channels
 
     @property

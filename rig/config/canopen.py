@@ -178,11 +178,11 @@ class ServoSection(Schema):
     def _known(cls, name: str | None) -> str | None:
         names = [NO_DEVICE, *devices()]
         if name is not None and name not in names:
-            raise ValueError(f"the program has no data of that name; {nearest(name, names)}")
+            raise ValueError(f"the program has no device data of this name; {nearest(name, names)}")
         return name
 
     def device_data(self, folder: Path) -> DeviceData | None:
-        """Return the maker's data of the drive; None if the program has none.
+        """Return the maker's data of the drive, or None if the program has no data of this drive.
 
         The result for an unreadable EDS file is None; another check refuses such a file.
 
@@ -203,7 +203,7 @@ class ServoSection(Schema):
         return self.mode or (data.mode if data is not None else None) or "csp"
 
     def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
-        """Return the motor speed of one unit of 606Ch, rad/s; None for one count per second.
+        """Return the motor speed of one unit of 606Ch, rad/s, or None for one count per second.
 
         Args:
             data: What is known of the drive.
@@ -218,8 +218,8 @@ class ServoSection(Schema):
         return RPM if data.velocity_unit == "rpm" else None
 
     def motor_acceleration_unit_rad_s2(self, data: DeviceData | None) -> float | None:
-        """Return the motor acceleration of one unit of 6085h, rad/s^2; None for one unit of the
-        speed per second.
+        """Return the motor acceleration of one unit of 6085h, rad/s^2; the result is None if the
+        unit is one speed unit per second.
 
         Args:
             data: What is known of the drive.

@@ -50,7 +50,8 @@ class Document(Generic[M]):
     _root: Node
 
     def problem(self, loc: Loc, message: str, value: object = _ABSENT) -> str:
-        """Format a problem found after validation for :class:`InputError`.
+        """Return a problem that was found after the validation, as the text of an
+        :class:`InputError`.
 
         Args:
             loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
@@ -188,7 +189,7 @@ def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> li
 
 
 def _json_tree(path: Path, text: str) -> Node:
-    """Read JSON as YAML, of which it is a subset, with the places of its values."""
+    """Read JSON, which is a subset of YAML, as YAML, with the places of its values."""
     try:
         return parse(text)[0]
     except DocumentError as error:
@@ -250,7 +251,9 @@ def _place(
 
 
 def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
-    """Yield the required keys of a missing section, so that all are reported together."""
+    """Yield the required keys of a missing section, so that all missing keys are reported
+    together.
+    """
     records = _records_at([schema], loc)
     if len(records) != 1:
         return
@@ -280,7 +283,7 @@ def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
 
 
 def nearest(name: str, known: list[str]) -> str:
-    """Return a text with the known names that are closest to a mistyped one, or with all names."""
+    """Return a text with the known names that are closest to a mistyped name, or with all names."""
     same = [k for k in known if k.casefold() == name.casefold()]
     close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.6)
     if close:
@@ -341,8 +344,8 @@ _Place = tuple[Node, Mark, Loc, Mark | None]
 def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
     """Follow a location as far as the tree contains it.
 
-    pydantic puts names of union branches between keys; such elements are skipped. If one equals a
-    key, the interpretation that follows more of the location is used.
+    pydantic puts names of union branches between keys; such elements are skipped. If such an
+    element equals a key, the interpretation that follows more of the location is used.
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an

@@ -236,7 +236,7 @@ class FaultRow(Schema):
             )
         kind = self.kind
         if self.value is not None and not kind.unit:
-            raise ValueError(f"{self.target} {self.fault} has no value; remove it")
+            raise ValueError(f"{self.target} {self.fault} takes no value; remove the value")
         if kind.integer and self.value is not None and self.value != int(self.value):
             raise ValueError(
                 f"{self.target} {self.fault} needs a whole number ({kind.unit}), found "

@@ -28,7 +28,7 @@ class FlowStep(Schema):
 
 class FlowController(Schema):
     """PI controller of the logarithm of the ratio of measured to desired pressure (Fig. 5, 11). The
-    default gains are assumptions, because the paper gives none.
+    default gains are assumptions, because the paper gives no gains.
 
     The valve does not leave its range and does not exceed its speed; at these limits the integral
     does not change.

@@ -251,7 +251,7 @@ class Sequence(Schema):
 
 
 class AcceptanceFile(Schema):
-    """Limits of acceptance in a file of their own.
+    """Limits of acceptance in a separate file.
 
     Attributes:
         acceptance: Version of the file format.
@@ -301,7 +301,7 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
 
 
 def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
-    """Return the angle from the centre, rad, shape of ``t``."""
+    """Return the angle from the centre, rad, an array of the shape of ``t``."""
     away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
     begun = np.minimum(np.floor(t / ramp.period_s), ramp.times - 1) if ramp.period_s > 0.0 else 0.0
     t = t - begun * ramp.period_s

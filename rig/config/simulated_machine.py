@@ -155,7 +155,7 @@ def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> floa
 
 
 def _supply(bench: Mapping[str, Any]) -> float | None:
-    """Return the mean of the supply voltage limits, V; None if one is not set."""
+    """Return the mean of the supply voltage limits, V, or None if one of the limits is not set."""
     low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
     return None if low is None or high is None else 0.5 * (low + high)
 

@@ -223,7 +223,7 @@ class Console:
         holder = self._hub.controls.holder
         if page is None or page is not holder:
             who = "no page" if holder is None else holder.name
-            raise Refusal(f"{who} holds the controls; take them first")
+            raise Refusal(f"{who} holds the controls; take the controls first")
 
     async def _live(self, socket: WebSocket) -> None:
         """Send the state and the charts to a page until the page is closed."""
@@ -294,7 +294,7 @@ def _refused(status: int, words: str) -> Response:
 
 
 def _json(content: Mapping[str, Any], status: int = 200) -> Response:
-    """Return an answer in ASCII, which also bears text that is no valid Unicode."""
+    """Return an answer in ASCII, which can also encode text that is not valid Unicode."""
     return Response(json.dumps(content), status, media_type="application/json")
 
 

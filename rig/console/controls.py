@@ -16,7 +16,7 @@ class Page:
         may: Whether it has the token of this start.
         key: Value that identifies it in commands.
         last: Number of its last command.
-        run: The run that was chosen on it; None for none.
+        run: The run that was chosen on it, or None for none.
         kept: The run that it shows where none was chosen.
         beyond: Count of the runs that were known when that run had ended; None before.
         started: Folder of the run that was started or continued from it, until the run is found.
@@ -58,9 +58,9 @@ class Controls:
         return page
 
     def close(self, page: Page) -> None:
-        """Remove a page that was closed. If it held the controls and only one other page has the
-        token, that page gets them, for example the same page after a reload; otherwise no page
-        holds the controls.
+        """Remove a page that was closed. If the closed page held the controls and exactly one other
+        page has the token, the other page gets the controls, for example the same page after a
+        reload; otherwise no page holds the controls.
         """
         self._pages.pop(page.key, None)
         if self.holder is page:
@@ -80,12 +80,12 @@ class Controls:
         self.holder = page
 
     def page(self, key: str) -> Page | None:
-        """Return the open page with this key; None if there is none."""
+        """Return the open page with this key, or None if there is none."""
         return self._pages.get(key)
 
     def replayed(self, page: Page, number: int) -> bool:
-        """Return whether a command with this number or a higher one was received before, and
-        register the number.
+        """Return whether a command with this number or with a higher number was received before,
+        and register the number.
         """
         if number <= page.last:
             return True

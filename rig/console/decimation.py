@@ -101,7 +101,7 @@ class Decimation:
 
 
 class _Level:
-    """Stores the intervals of one length; drops the oldest ones."""
+    """Stores the intervals of one length; drops the oldest intervals."""
 
     def __init__(self, channels: int) -> None:
         self._first = 0

@@ -54,9 +54,9 @@ class Followed:
         decimation: The channels.
         torque_speed: Torque against speed.
         curves: Friction of the newest identification.
-        values: Latest value of each channel; None where it is not known.
+        values: Latest value of each channel, or None if it is not known.
         drive: State of the drive in the latest sample, as text.
-        trouble: Why the recording cannot be read; None if it can.
+        trouble: Why the recording cannot be read, or None if it can.
     """
 
     def __init__(self, path: str, about: Mapping[str, Any], number: int = 0) -> None:

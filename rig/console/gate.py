@@ -2,8 +2,8 @@
 commands.
 
 A page of another site cannot command a run, because its origin differs. DNS rebinding, which makes
-the name of that site point to this computer, does not help, because the Host header differs. The
-address that the console prints has the token in its fragment, which a browser never sends by
+the name of the other site point to this computer, does not help, because the Host header differs.
+The address that the console prints has the token in its fragment, which a browser never sends by
 itself; the page sends the token in a header. The console uses no cookie, because all ports of a
 computer share cookies.
 """
@@ -80,7 +80,7 @@ class Gate:
             await answer(scope, receive, _with_headers(send))
 
     def _refusal(self, scope: Scope) -> str | None:
-        """Return the reason why a request is refused; None if it is passed."""
+        """Return the reason why a request is refused, or None if it is passed."""
         headers = Headers(scope=scope)
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0] not in self._hosts:

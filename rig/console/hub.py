@@ -81,11 +81,11 @@ class Hub:
         return "live runs of your user on any bench"
 
     def run_of(self, page: Page) -> Followed | None:
-        """Return the run that a page shows: the run that the user chose, else the one that was
+        """Return the run that a page shows: the run that the user chose, else the run that was
         started from the page, else the newest run in progress, else the newest run.
 
-        A page keeps its run until a run is found that began after its end: a run that begins on
-        another bench must not take the place of the run that STOP is meant for.
+        A page keeps its run until a run is found that began after the end of the page's run: a run
+        that begins on another bench must not take the place of the run that STOP is meant for.
         """
         if page.run in self.runs:
             return self.runs[page.run]

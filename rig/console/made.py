@@ -1,8 +1,7 @@
-"""Pages that are made of recorded runs when they are asked for: comparisons and trends.
+"""Makes pages of recorded runs on request: comparisons and trends.
 
-`rig runs compare` and `rig runs trend` make the pages, in a process of their own with a low
-priority: a page is the same as from the command line, and neither the loop of a run nor STOP waits
-for it.
+`rig runs compare` and `rig runs trend` make the pages, in a separate process with a low priority:
+the pages are those of the command line, and neither the loop of a run nor STOP waits for a page.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ _SHOWN: Final = 2000
 
 
 class Made:
-    """Makes pages of recorded runs, one at a time, and gives them out, read only.
+    """Makes pages of recorded runs, one at a time, and serves the pages, read only.
 
     Args:
         recorded: The runs.
@@ -54,7 +53,7 @@ class Made:
         self.routes = [Route("/made/{key}", self._page, methods=["GET"])]
 
     async def compare(self, message: Mapping[str, Any]) -> dict[str, Any]:
-        """Compare runs of the list with the earliest of them.
+        """Compare runs of the list with the earliest of these runs.
 
         Args:
             message: ``runs``, their folders as listed.
@@ -71,12 +70,12 @@ class Made:
             raise Refusal("runs must be a list of folders")
         wanted = set(given)
         if not 2 <= len(wanted) <= MOST_COMPARED:
-            raise Refusal(f"choose 2 to {MOST_COMPARED} runs; these are {len(wanted)}")
+            raise Refusal(f"choose 2 to {MOST_COMPARED} runs (got {len(wanted)})")
         # Only folders of the list are ever opened, in its order, which is that of time.
         folders = [e.folder for e in await self._recorded.known() if e.folder in wanted]
         unknown = wanted.difference(folders)
         if unknown:
-            raise Refusal(f"{min(unknown)}: no run of the list; read the list again")
+            raise Refusal(f"{min(unknown)}: not in the list of runs; read the list again")
         runs = [str(self._recorded.root / folder) for folder in folders]
         return await self._make(f"Comparison of {', '.join(folders)}", "compare", "--", *runs)
 

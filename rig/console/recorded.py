@@ -59,7 +59,7 @@ class Choice:
 
     @property
     def pattern(self) -> str | None:
-        """The bench as `rig runs` takes it; None for every bench."""
+        """The bench in the form that `rig runs` accepts, or None for every bench."""
         return glob.escape(self.bench) if self.bench else None
 
 
@@ -86,13 +86,15 @@ class Recorded:
         ]
 
     async def known(self) -> Sequence[Entry]:
-        """Return the runs of the last list, the earliest first; reads them if none was made."""
+        """Return the runs of the last list, the earliest first; if there is no list yet, the folder
+        is read.
+        """
         if self._read_s < 0.0:
             await self._refresh()
         return self._entries
 
     async def constants(self, choice: Choice) -> list[str]:
-        """Return the names of the constants of the runs that a choice lists."""
+        """Return the names of the constants of the runs that a choice selects."""
         entries = self._chosen(await self.known(), choice)
         return await asyncio.to_thread(self._constants, entries)
 

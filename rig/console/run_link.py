@@ -91,8 +91,8 @@ class Links:
     ) -> dict[str, Any]:
         """Send a command to a run, repeatedly, until the run has answered.
 
-        It is sent again under the same number, so that the run carries it out once. If another
-        program has sent a command in the meantime, the command gets a new number.
+        The command is sent again with the same number, so that the run carries it out only once. If
+        another program has sent a command in the meantime, the command gets a new number.
 
         Returns:
             The answer: ``taken`` and, if it was refused, ``words``.

@@ -68,7 +68,7 @@ def _listening(port: int) -> socket.socket:
     except OSError as error:
         listener.close()
         raise InputError(
-            f"port {port}: {error.strerror}; another console may use it, give --port 0 for a free "
-            "one"
+            f"port {port}: {error.strerror}; another console may use this port; give --port 0 "
+            "for a free port"
         ) from error
     return listener

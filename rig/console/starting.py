@@ -121,7 +121,7 @@ class Starter:
         """Run ``rig run --dry-run``, and store the digests of the files for the start.
 
         Returns:
-            ``shown``, the key that a start needs, or None where nothing can be started; ``words``,
+            ``shown``, the key that a start needs, or None if nothing can be started; ``words``,
             what the terminal shows; ``status``, the exit status; ``real`` and ``bench``.
 
         Raises:

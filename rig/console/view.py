@@ -91,11 +91,11 @@ class View:
         self._points = (version, len(found.points))
 
     def charts(self) -> bytes | None:
-        """Return the new intervals of the charts; None if there are none.
+        """Return the new intervals of the charts, or None if there are none.
 
         The message contains the length of a JSON header, the header, and for each channel the
         minima and the maxima as 32-bit floats. The last interval of each message is sent again with
-        the next one, as it may not have been complete.
+        the next message, because the interval may have been incomplete.
         """
         run = self._hub.run_of(self._page)
         if run is None or run.key != self._run:

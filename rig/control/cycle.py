@@ -147,7 +147,7 @@ class Cycle:
 
         Args:
             target: Present joint angle, rad.
-            time_limit_s: Longest time for commands from now on, s; None for no limit.
+            time_limit_s: Longest time for commands from now on, s, or None for no limit.
 
         Raises:
             TripError: The first sample is outside a limit, or the reset was not requested; no
@@ -287,7 +287,7 @@ class Cycle:
         )
 
     def _start_grid(self, now_ns: int) -> None:
-        """Set the start of the next cycle to the present time, by the real clock as well."""
+        """Set the start of the next cycle to the present time, on the real clock too."""
         self._next_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns

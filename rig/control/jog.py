@@ -79,7 +79,7 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
 
 
 def held_only_here(jog: Jog, bench: Bench, devices: Devices) -> str | None:
-    """Return a text on the limits of the jog that only this program checks; None if the drive
+    """Return a text on the limits of the jog that only this program checks, or None if the drive
     checks all of them.
 
     Raises:
@@ -107,10 +107,10 @@ def move(
 ) -> Outcome:
     """Make the moves and de-energise the drive in every case; the function raises no error.
 
-    The limits are written into the drive before each enabling, and its own limits are restored at
-    the end. A drive fault is cleared if ``reset_fault`` is true. ``tell`` is called at the end with
-    a text on the outcome and with whether the outcome is good; an unexpected exception becomes the
-    ``error`` of the outcome.
+    The limits are written into the drive before each enabling, and the drive's own limits are
+    restored at the end. A drive fault is cleared if ``reset_fault`` is true. ``tell`` is called at
+    the end with a text on the outcome and with whether the outcome is good; an unexpected exception
+    becomes the ``error`` of the outcome.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo = devices.servo

@@ -59,8 +59,8 @@ class Motion:
         joint: Angle of the joint encoder.
         velocity: Joint speed as the drive reports it.
         current: Motor current.
-        voltage: Motor voltage, NaN where the drive reports none.
-        torque: Motor torque, NaN where the drive reports none beside the current.
+        voltage: Motor voltage, NaN if the drive reports none.
+        torque: Motor torque, NaN if the drive reports none beside the current.
     """
 
     time: Array
@@ -80,7 +80,7 @@ class Motion:
 
 
 def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
-    """Return the ratio of the reported speed to the change of the position; NaN if the travel is
+    """Return the ratio of the reported speed to the change of the position, or NaN if the travel is
     too short.
     """
     if len(motion.time) < 2:
@@ -97,11 +97,12 @@ def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
 
 
 def shaft_factor(motion: Motion) -> float:
-    """Return the ratio of the joint encoder's travel to the motor encoder's travel; NaN if the
+    """Return the ratio of the joint encoder's travel to the motor encoder's travel, or NaN if the
     travel is too short.
 
-    Least squares over all travels in one direction, with an offset for each, which takes play and
-    twist, and with a term in the speed, which takes the time between the two readings.
+    The ratio is found by least squares over all travels in one direction, with an offset for each
+    travel that represents play and twist, and with a term in the speed that represents the time
+    between the two readings.
     """
     parts = []
     size = _block(motion)
@@ -133,10 +134,11 @@ def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
 
 def early_factor(motion: Motion) -> float:
     """Return the ratio of the joint encoder's travel to the motor encoder's travel from the few
-    samples before a trip; NaN unless they agree with one ratio.
+    samples before a trip, or NaN if the samples do not agree with one ratio.
 
     A joint encoder that shows few positions is not compared: its step may be longer than the travel
-    so far. If it shows one position only, the travel must be longer than its step, play and twist.
+    so far. If the joint encoder shows only one position, the travel must be longer than the step of
+    the encoder, play and twist.
     """
     shown = len(np.unique(motion.joint))
     if shown < HINT_COUNTS and (shown > 1 or float(np.ptp(motion.motor)) < LEAST_RAD):
@@ -193,8 +195,8 @@ def travels(motor: Array, least: float = LEAST_RAD) -> list[tuple[int, int]]:
 
 
 def current_sense(motion: Motion) -> float:
-    """Return the work of the current divided by the sum of its magnitudes, from -1 to 1; NaN unless
-    the joint moved in both directions.
+    """Return the work of the current divided by the sum of its magnitudes, from -1 to 1, or NaN
+    unless the joint moved in both directions.
     """
     way = np.diff(motion.motor)
     up, down = float(way[way > 0].sum()), float(-way[way < 0].sum())
@@ -209,11 +211,11 @@ def current_sense(motion: Motion) -> float:
 
 def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
     """Return the torque constant that the motion shows, N m/A, and the channels that it is computed
-    from; NaN if the motion does not show the constant.
+    from, or NaN if the motion does not show the constant.
 
-    In order: the drive's torque against its current; the voltage that the motion induces, which is
-    the same number in SI units; the rated values of the drive, unless an uncertain voltage is on
-    the side of the bench file.
+    The sources are, in order: the drive's torque against its current; the voltage that the motion
+    induces, which gives the same number in SI units; the rated values of the drive, unless an
+    uncertain value from the voltage is nearer to the bench file than to the rated values.
     """
     if not math.isnan(constant := _by_torque(motion)):
         return constant, "the drive's torque 6077h against its current 6078h"
@@ -255,7 +257,7 @@ def _by_torque(motion: Motion) -> float:
 
 def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
     """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
-    whether the constant is certain; NaN if the motion does not show the constant.
+    whether the constant is certain, or NaN if the motion does not show the constant.
     """
     size = _block(motion)
     ends = motion.motor[::size]

@@ -64,7 +64,7 @@ class Proof:
     """Result of the comparison of a motion.
 
     Attributes:
-        found: Quantity to its factor, found over expected; NaN where the motion did not show it.
+        found: Quantity to its factor, found over expected, or NaN if the motion did not show it.
         contradictions: The comparisons whose factor is outside its tolerance.
     """
 
@@ -79,7 +79,7 @@ class Proof:
     @property
     def unproven(self) -> str:
         """Text for the operator on the properties that no motion without a load shows; empty if the
-        motion showed all.
+        motion showed all properties.
         """
         return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
 
@@ -127,11 +127,11 @@ def hint(
     too_fast: bool = False,
     too_strong: bool = False,
 ) -> Contradiction | None:
-    """Return the explanation of a trip or a fault early in a motion; None if the samples do not
+    """Return the explanation of a trip or a fault early in a motion, or None if the samples do not
     explain it.
 
-    The samples may be few, so that only gross contradictions count, and the encoders only where
-    their angles are proportional to each other.
+    The samples may be few, so that only gross contradictions count, and the encoders are compared
+    only if their angles are proportional to each other.
 
     Args:
         motion: The samples up to the trip.
@@ -170,7 +170,7 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
     position; None otherwise.
 
     The factor is rough: the position may have changed by one count in one cycle, or not at all if
-    it was read before the speed.
+    the position was read before the speed.
     """
     last = slice(-HINT_COUNTS, None)
     steps = servo.limit_steps()
@@ -186,8 +186,8 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
 
 
 def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
-    """Return a contradiction of the speed as the whole motion shows it, with the samples until the
-    joint stood still; the given one where the whole motion does not show it.
+    """Return the contradiction of the speed that the whole motion shows, including the samples
+    until the joint stood still; if the whole motion shows none, the given contradiction.
     """
     factor = speed_factor(motion, least=0.0)
     if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
@@ -199,8 +199,8 @@ def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
 
 
 def _rough_speed(factor: float, servo: Servo, spread: float = INSTANT_SPREAD) -> Contradiction:
-    """Return what a rough factor means: a common unit, and beside it a power of ten that is nearer
-    to the factor.
+    """Return the units that a rough factor may mean: a common unit, and also a power of ten if it
+    is nearer to the factor.
     """
     common = servo.nearest_speed_factor(factor, spread)
     decimal = servo.nearest_speed_factor(factor, 1.0)

@@ -41,11 +41,13 @@ class MotionWitness:
         self._count += self._store(sample, motor_torque)
 
     def take_braking(self, sample: Sample, motor_torque: float) -> None:
-        """Store a sample while the drive brakes: it only makes the factor of the speed surer."""
+        """Store a sample while the drive brakes: the sample only makes the factor of the speed more
+        accurate.
+        """
         self._braking += self._store(sample, motor_torque)
 
     def _store(self, sample: Sample, motor_torque: float) -> bool:
-        """Store a sample after the others; returns False for one that is not used."""
+        """Store a sample after the earlier samples; return False if the sample is not used."""
         at = self._count + self._braking
         if at == MOST or not sample.fresh:
             return False
@@ -107,7 +109,9 @@ class MotionWitness:
         return self._said
 
     def after_braking(self, message: str) -> str:
-        """Return a message with the last explanation as it is once the drive has braked."""
+        """Return a message in which the last explanation is replaced by the explanation after
+        braking.
+        """
         said = self._said
         if not said or said not in message:
             return message

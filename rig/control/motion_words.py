@@ -87,15 +87,15 @@ class Contradiction:
 
     @property
     def above(self) -> bool:
-        """Whether the found value is above the expected one."""
+        """Whether the found value is above the expected value."""
         return self.factor > 1.0
 
 
 def wrong_speed(
     factor: float, servo: Servo, rough: bool = False, other: float | None = None
 ) -> Contradiction:
-    """Return what a reported speed of ``factor`` times the true one means; ``rough`` if few counts
-    show it, and then perhaps ``other``.
+    """Return what a reported speed of ``factor`` times the true speed means; ``rough`` is true if
+    few counts show the factor, and ``other`` is a second possible factor.
     """
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position, must "

@@ -75,7 +75,7 @@ class AutomaticOperator:
             simulated mistake.
         clock: Clock for waiting while paused.
         screen: Terminal for the messages.
-        control: Socket on which messages are shown and answers may arrive; None for none.
+        control: Socket on which messages are shown and answers may arrive, or None for none.
     """
 
     def __init__(
@@ -150,9 +150,9 @@ class ConsoleOperator(AutomaticOperator):
         screen: Terminal for questions and messages.
         asker: Asks and reads answers; by default a :class:`rig.terminal.prompt.Prompt` on the
             terminal.
-        patience_s: Longest wait for an answer, s; None for no time-out.
+        patience_s: Longest wait for an answer, s, or None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well; None for none.
+        control: Socket on which answers may arrive as well, or None for none.
     """
 
     def __init__(
@@ -241,7 +241,9 @@ class ConsoleOperator(AutomaticOperator):
 
 
 def _verb_of(typed: str) -> Verb | None:
-    """Return the verb that was typed, `go on` for an empty line; None if the text is not a verb."""
+    """Return the verb that was typed, `go on` for an empty line, or None if the text is not a
+    verb.
+    """
     return {"": Verb.GO_ON, **{verb.value: verb for verb in Verb}}.get(typed.lower())
 
 
@@ -258,9 +260,9 @@ def operator_for(
     Args:
         yes: Whether the program answers the prompts with the plan, without asking.
         screen: Terminal for questions and messages.
-        patience_s: Longest wait for an answer, s; None for no time-out.
+        patience_s: Longest wait for an answer, s, or None for no time-out.
         tolerance: Greatest relative difference between typed and planned mass.
-        control: Socket on which answers may arrive as well; None for none.
+        control: Socket on which answers may arrive as well, or None for none.
         only_there: Whether answers can arrive only on the socket, because there is no terminal.
     """
     if yes:
@@ -270,8 +272,8 @@ def operator_for(
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a typed mass in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None if the text is
-    not a mass.
+    """Return a typed mass in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``, or None if the text
+    is not a mass.
     """
     found = _MASS.fullmatch(text.strip())
     if found is None:

@@ -231,8 +231,8 @@ class PhaseHandlers:
     def _prove_units(self) -> None:
         """Compare the reports of the devices with each other and with the bench file.
 
-        This takes milliseconds while the drive holds, as the weight check does. If the joint has
-        hardly moved, the comparison continues in the next pass.
+        The comparison takes milliseconds while the drive holds the position, as the weight check
+        does. If the joint has hardly moved, the comparison continues in the next pass.
 
         Raises:
             ConfigurationError: A unit, sign, ratio or constant is wrong.

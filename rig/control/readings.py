@@ -20,8 +20,8 @@ NOT_AVAILABLE = "not available"
 
 @dataclass(frozen=True)
 class Readings:
-    """Readings of the devices, which are not simultaneous; NaN for a value that a device does not
-    report.
+    """Readings of the devices, which are not simultaneous; a value that a device does not report is
+    NaN.
 
     Attributes:
         state: State of the drive, as text.

@@ -28,7 +28,7 @@ def reachable(
 ) -> Iterator[ControlSocket | None]:
     """Open the control socket of a run, and close it at the end.
 
-    A run at a terminal goes on without the socket where it cannot be made, with a message.
+    If the socket cannot be created, a run at a terminal continues without it, with a message.
 
     Args:
         stop: The stop button of the run.
@@ -98,7 +98,7 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
 
 
 def limit_records(limits: Limits) -> list[dict[str, Any]]:
-    """Return the limits of the channels that every cycle is checked against, in SI units.
+    """Return the limits of the channels against which every cycle is checked, in SI units.
 
     A side without a limit, or whose value the drive does not report, is None.
     """

@@ -191,7 +191,7 @@ class Latch:
 
     @property
     def trip(self) -> Trip | None:
-        """The trip that keeps the latch open; None if the latch is closed."""
+        """The trip that keeps the latch open, or None if the latch is closed."""
         return self._trip
 
     def open(self) -> None:

@@ -63,10 +63,10 @@ class Inputs:
         operator: Name of the person who runs the bench, as stated by the user.
         reference: Accepted identification of the bench, for the weight check.
         reset_fault: Whether a drive fault may be cleared.
-        feedforward: Model of the feed-forward torque that the drive adds; None for none.
-        resumed: ``run.json`` of a stopped run to continue at its first unfinished stage; None for a
-            new run.
-        acceptance: File of the limits by which the complete run is judged; None for those of the
+        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
+        resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
+            for a new run.
+        acceptance: File of the limits by which the complete run is judged, or None for those of the
             sequence.
     """
 
@@ -292,8 +292,8 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 
 def held_limits(devices: Devices) -> dict[str, float | None]:
-    """Read the limits that are stored in the drive; None for limits without an object in the drive,
-    and for a following error window that is off.
+    """Read the limits that are stored in the drive; a limit without an object in the drive, or a
+    following error window that is off, is None.
 
     Raises:
         DeviceError: The drive does not answer.

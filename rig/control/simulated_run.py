@@ -44,7 +44,7 @@ def run_simulated(
         sequence: The sequence to run.
         seed: Seed of the bench's noise.
         folder: The run folder; new or empty.
-        feedforward: Model of the feed-forward torque that the drive adds; None for none.
+        feedforward: Model of the feed-forward torque that the drive adds, or None for none.
 
     Raises:
         InputError: The bench is a real bench, or the run did not end regularly.

@@ -37,7 +37,7 @@ class _Travel:
 
 
 class SpeedWitness:
-    """Compares speed and position until a decision.
+    """Compares speed and position until the unit of the speed is known.
 
     Args:
         servo: The drive, whose method returns the remedy.

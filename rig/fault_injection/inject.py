@@ -52,7 +52,7 @@ class Finding:
 
     Attributes:
         row: Number in the schedule, from 1.
-        applied_s: Bench time of the fault; None if it was never triggered.
+        applied_s: Bench time of the fault, or None if it was never triggered.
         off_after_s: Time from the fault to the final de-energised state; None while energised.
         as_expected: Whether the reaction was as expected; None without an expectation.
     """
@@ -74,7 +74,7 @@ class FaultInjector:
     Args:
         schedule: The faults.
         sequence: The sequence of the run; determines the phase ``ramp_out``.
-        patience_s: Time the run waits for an answer, s; None for ever.
+        patience_s: Time the run waits for an answer, s, or None for ever.
     """
 
     def __init__(
@@ -140,7 +140,9 @@ class FaultInjector:
                 self._schedule(number, self._ramp_out[stage])
 
     def _hang(self, mass_kg: float) -> None:
-        """Hang a weight on the simulated lever: the right one, or the scheduled wrong one."""
+        """Hang a weight on the simulated lever: the right weight, or the wrong weight of the
+        schedule.
+        """
         self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
 
     def _start_recording(self, path: Path) -> Recorder:
@@ -149,10 +151,11 @@ class FaultInjector:
         return Recorder(io.BufferedWriter(self._file))
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Run the devices on for a while without the host, judge every row, and write the findings.
+        """Let the devices run for a while without the host, judge every row, and write the
+        findings.
 
         Args:
-            status: Exit status of the run; None if the process is about to be killed.
+            status: Exit status of the run, or None if the process is about to be killed.
             message: Last message of the run.
 
         Raises:

@@ -52,7 +52,7 @@ _DBC_IDENTIFIERS: Final = frozenset(
 
 
 def impossible(row: FaultRow, bench: Bench) -> str | None:
-    """Return why a bench does not support a fault, or None if it does."""
+    """Return why a bench does not support a fault, or None if the bench supports the fault."""
     serial = isinstance(bench.bus, SerialBus)
     own_frames = isinstance(bench.servo, DbcServoSection)
     has = {
@@ -96,8 +96,8 @@ class Scene:
         self._lines: dict[str, LineFaults] = {}
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
-        """Set a callback for every new state of the drive: its name in a schedule, and if it is
-        energised.
+        """Set a callback for every new state of the drive: the name of the state in a schedule, and
+        whether the drive is energised.
         """
         drive = self.bench.drive
         if isinstance(drive, DbcDrive):
@@ -140,7 +140,7 @@ class Scene:
         return self.bench.encoder
 
     def counts(self, degrees: float) -> int:
-        """Return an angle in counts of that encoder."""
+        """Return an angle in counts of the given encoder."""
         return round(degrees / 360.0 * self.sensor.counts_per_turn)
 
     def restart(self) -> None:
@@ -158,7 +158,7 @@ class Scene:
             self.bench.drive.deaf_to = frozenset({dbc_drive.Order.RUN})
 
     def match(self, frames: Frames) -> Match:
-        """Return the selection of bus frames by a row."""
+        """Return the selection of bus frames that a row states."""
         drive, encoder = self.bench.drive, self.bench.encoder
         nodes = {"encoder": encoder.node_id}
         own: Mapping[str, int] = {}

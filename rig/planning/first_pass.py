@@ -43,8 +43,8 @@ class PlannedPass:
 def plan_passes(
     section: StageSection, low: FirstPass, limits: Limits, cycle_s: float
 ) -> tuple[PlannedPass, ...]:
-    """Return the first pass of a stage, and the larger passes that follow while the joint does not
-    move.
+    """Return the first pass of a stage, and the passes with larger amplitude that follow while the
+    joint does not move.
     """
     passes: list[PlannedPass] = []
     amplitude = low.amplitude
@@ -102,9 +102,10 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 def _tighter(limits: Limits, share: float) -> Limits:
     """Return reduced limits.
 
-    Static friction does not decrease with the amplitude, so that torque limits are reduced half as
-    much. So is the limit of the following error, because the error of a drive with soft gains is
-    proportional to torque.
+    Static friction does not decrease with the amplitude, so that the limits of torque and current
+    are reduced only half as much as the limit of the speed. The limit of the following error is
+    also reduced half as much, because the error of a drive with soft gains is proportional to
+    torque.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(

@@ -43,7 +43,7 @@ def nominal_generator(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Return the closed-loop excitation of a stage; None if the stage has no flow command or the
+    """Return the closed-loop excitation of a stage, or None if the stage has no flow command or the
     bench no gas generator.
     """
     generator = nominal_generator(bench)
@@ -129,7 +129,9 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
 
 
 def gas_limits(bench: Bench) -> GasLimits | None:
-    """Return the limits on the gas generator; None on a bench without a pressure transmitter."""
+    """Return the limits on the gas generator; The result is None on a bench without a pressure
+    transmitter.
+    """
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
     if bench.pressure is None or generator is None or limit_MPa is None:
         return None

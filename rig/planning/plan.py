@@ -83,7 +83,7 @@ class Plan:
         servo_limits: The limits to be written into the drive.
         approach_speed: Peak speed of moves to a start angle, rad/s.
         cycle_ns: Control cycle, ns.
-        feedforward: Source of the stages' torque offsets; None for none.
+        feedforward: Source of the stages' torque offsets, or None for none.
     """
 
     name: str
@@ -122,10 +122,10 @@ def make_plan(
     Args:
         sequence: The sequence.
         bench: The bench.
-        first_pass: Whether to make a first pass at low amplitude; None for the setting of the
+        first_pass: Whether to make a first pass at low amplitude, or None for the setting of the
             sequence.
         feedforward: Identified parameters of the bench for the torque that the drive adds during
-            excitations; None for no feed-forward.
+            excitations, or None for no feed-forward.
 
     Raises:
         InputError: A stage exceeds a limit of the bench, or a limit of the sequence is wider than
@@ -189,7 +189,7 @@ def bench_limits(bench: Bench) -> Limits:
 
 
 def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPass | None:
-    """Return the settings of the first passes, or None for none."""
+    """Return the settings of the first passes, or None if the run has no first passes."""
     stated = sequence.first_pass
     described = stated if isinstance(stated, FirstPass) else None
     wanted = (
@@ -253,7 +253,7 @@ _Objection = tuple[tuple[str | int, ...], str, object]
 def _objections(
     section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench
 ) -> Iterator[_Objection]:
-    """Yield key, message and value of each request of a stage beyond a limit."""
+    """Yield key, message and value of each request of a stage that exceeds a limit."""
     if len(stage.targets) < 2:
         yield (
             ("duration_s",),
@@ -330,7 +330,7 @@ def _motion_objections(
 
 
 def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
-    """Merge the limits of the sequence into those of the bench, and collect wider ones."""
+    """Merge the sequence's limits into those of the bench, and collect limits that are wider."""
     values: dict[str, float] = {}
     problems: list[str] = []
     for name in _LIMIT_NAMES:

@@ -58,7 +58,7 @@ class PredictedPeak:
 
     @property
     def share(self) -> float:
-        """Greater of the torque and current shares."""
+        """The greater of two shares: torque over its limit, and current over its limit."""
         return max(self.torque_share, self.current_share)
 
 

@@ -33,8 +33,8 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return notes on corrections and implausible values; of notes that differ only in numbers, the
-    first one.
+    """Return notes on corrections and implausible values; of notes that differ only in numbers,
+    only the first note.
     """
     alike: dict[str, list[str]] = {}
     for recording in recordings:

@@ -1,10 +1,10 @@
 """Aligns drive and joint encoder, which sample with separate clocks, to one time base.
 
-If one SYNC latches both, only their time stamps drift apart; the samples are left unchanged.
-Samples of a free-running encoder are up to a period older than the drive's, by an age that varies
-with the beat of the clocks. A delay tau biases the inertia by tau dF/domega, from the slope of
-friction: half a millisecond near the Stribeck speed gives an error of a quarter of the inertia.
-Pure functions of arrays.
+If one SYNC latches drive and encoder, only their time stamps drift apart; the samples are left
+unchanged. Samples of a free-running encoder are up to a period older than the drive's, by an age
+that varies with the beat of the clocks. A delay tau biases the inertia by tau dF/domega, from the
+slope of friction: half a millisecond near the Stribeck speed gives an error of a quarter of the
+inertia. Pure functions of arrays.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ overwrote them before the drive's next sample.
 def taken_at(reference: Array, stamps: Array) -> Array:
     """Return the sampling times of an encoder by the reference clock, s, shape (n,).
 
-    A sample is logged after it was taken, with almost no delay at some phase of the beat. So the
-    line between the clocks is the highest one with almost no sample in the future: the edge of the
-    lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
+    A sample is logged after it was taken, with almost no delay at some phase of the beat. Therefore
+    the line between the clocks is the highest line with almost no sample in the future: the edge of
+    the lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
     delay is not observable.
 
     Args:
@@ -72,8 +72,9 @@ def aligned(
     """Return the channels on one time base, and a note on the correction; the channels are
     unchanged if the clocks agree.
 
-    The finer encoder keeps its counts. If this is the joint encoder, all other channels are
-    interpolated to its sampling times; averaged channels remain means, over its period.
+    The finer encoder keeps its counts. If the time base is that of the joint encoder, all other
+    channels are interpolated to its sampling times; averaged channels remain means, over the period
+    of the joint encoder.
 
     Args:
         channels: ``time`` by the drive's clock and ``angle`` among them.
@@ -113,7 +114,7 @@ def aligned(
 
 def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
     """Return an encoder's samples with short gaps filled by interpolated counts, and the number of
-    filled ones.
+    filled samples.
     """
     steps = np.diff(taken)
     missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1

@@ -16,10 +16,10 @@ LATE_PERIODS = 1.0
 
 
 def drift_ppm(reference: Array, other: Array) -> float | None:
-    """Return by how much the other clock runs faster, ppm; None if a clock does not run forward.
+    """Return by how much the other clock runs faster, ppm, or None if a clock does not run forward.
 
-    Computed from the medians of the first and last fifth, so that single late stamps have no
-    influence.
+    The drift is computed from the medians of the first and last fifth, so that single late stamps
+    have no influence.
 
     Args:
         reference: Times of the reference clock, s, shape (n,).
@@ -39,7 +39,7 @@ def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str
     """Return messages on gaps, late answers and drifting clocks; empty if there are none.
 
     If drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; if
-    the encoder is free-running, :mod:`rig.runs.alignment` corrects it.
+    the encoder is free-running, :mod:`rig.runs.alignment` corrects the drift.
 
     Args:
         time: Start of each cycle, s, shape (n,).

@@ -49,10 +49,11 @@ def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
 
 
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
-    """Return the present path of an input file of a run; the file may not exist.
+    """Return the present path of an input file of a run; the file need not exist.
 
-    Older run files have the path as typed. If it is not valid from the current folder, it is tried
-    from the parent folders of the run, as the run was probably started in one of these.
+    Older run files have the path as typed. If a relative path is not valid from the current folder,
+    it is tried from the parent folders of the run, because the run was probably started in one of
+    these.
 
     Args:
         folder: The run folder.
@@ -68,9 +69,9 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
 
 
 def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
-    """Return the file of limits that a run was given last: from its recordings, or the file itself
-    if it is unchanged, as a recording that could not be started does not contain it. None if the
-    run was given none.
+    """Return the file of limits that a run was given last, from its recordings; or the file itself
+    if it is unchanged, because a recording that could not be started does not contain the file.
+    None if the run was given none.
 
     Raises:
         InputError: No recording contains the file, and it is missing or was changed.
@@ -82,13 +83,13 @@ def recorded_acceptance(folder: Path, record: RunRecord) -> GivenFile | None:
         if sha256(content) == entry["sha256"]:
             return GivenFile(entry, content)
     raise InputError(
-        f"{folder}: no recording of this run contains the limits that it was given "
-        f"({entry['file']}); give them with --acceptance FILE"
+        f"{folder}: no recording of this run contains the limits that the run was given "
+        f"({entry['file']}); give these limits with --acceptance FILE"
     )
 
 
 def _copies(folder: Path, record: RunRecord, entry: Mapping[str, str]) -> Iterator[bytes]:
-    """Yield what may be the file of limits that a run was given."""
+    """Yield the files that may be the file of limits that a run was given."""
     for part in reversed(record.parts):
         with suppress(DamageError, OSError):
             yield first_attachment(folder / part.file, ACCEPTANCE_INPUT)

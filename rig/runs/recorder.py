@@ -35,7 +35,8 @@ class Recorder:
 
     Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
-    Log times never decrease: messages from a clock that was set back get the latest time before it.
+    Log times never decrease: messages from a clock that was set back get the latest log time before
+    them.
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
@@ -56,7 +57,8 @@ class Recorder:
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Record one cycle.
 
-        Messages older than 0.1 s of run time have been handed to the operating system on return.
+        When the method returns, all messages older than 0.1 s of run time have been passed to the
+        operating system.
 
         Raises:
             StorageError: It cannot be written (disk full).
@@ -140,7 +142,7 @@ class Recorder:
     @contextmanager
     def _writing(self) -> Iterator[None]:
         """Permit no write after the first failure, because a reader cannot read records after an
-        incomplete one.
+        incomplete record.
         """
         if self._broken:
             raise _broken_before()

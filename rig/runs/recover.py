@@ -37,7 +37,7 @@ class Recovery:
         samples: Number of samples after it.
         record: ``run.json`` after it.
         changed: Whether anything was written.
-        taken_over: Program that had left the folder locked; None for none.
+        taken_over: Program that had left the folder locked, or None for none.
     """
 
     damage: tuple[str, ...]
@@ -65,7 +65,8 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
 
 
 def mend(folder: Path) -> Recovery:
-    """Replace damaged recordings by clean ones, keep the damaged files, and complete ``run.json``.
+    """Replace damaged recordings by clean recordings, keep the damaged files, and complete
+    ``run.json``.
 
     A whole run is left alone.
 
@@ -107,7 +108,7 @@ def _never_begun(path: Path) -> bool:
 
 
 def _mend(path: Path, log: Log) -> None:
-    """Replace a damaged recording by a clean one."""
+    """Replace a damaged recording by a clean recording."""
     damaged = path.with_name(damaged_name(path.name))
     if damaged.exists():
         raise InputError(
@@ -123,8 +124,8 @@ def _mend(path: Path, log: Log) -> None:
 def _record(folder: Path) -> tuple[RunRecord, list[str]]:
     """Return the last ``run.json``, and a text on its errors.
 
-    Where it is lost or cannot be used, the one that is attached to the latest recording takes its
-    place.
+    If ``run.json`` is lost or cannot be used, the copy that is attached to the latest recording
+    takes its place.
     """
     path = folder / RUN_FILE
     try:
@@ -141,7 +142,7 @@ def _record(folder: Path) -> tuple[RunRecord, list[str]]:
 
 
 def _attached(folder: Path) -> bytes | None:
-    """Return the ``run.json`` attached to the latest recording that holds one."""
+    """Return the ``run.json`` attached to the latest recording that has this attachment."""
     number = 1
     while (folder / part_file(number + 1)).exists():
         number += 1

@@ -51,7 +51,7 @@ def prepare(folder: Path) -> Resumption:
 
     Recordings of the unfinished stage are discarded.
 
-    The caller holds the folder, until the run has ended again.
+    The caller holds the lock of the folder until the resumed run has ended.
 
     Raises:
         InputError: There is nothing left to do, or the bench or sequence file is gone or was

@@ -60,7 +60,7 @@ class RunFolder:
             raise StorageError(text) from error
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
-        """Write the end of the run as soon as it is known."""
+        """Write how the run ended as soon as the ending is known."""
         record = self.record
         record.state, record.message, record.de_energised = state, message, de_energised
         record.stage_ended(state)
@@ -109,7 +109,7 @@ def discard(record: RunRecord, stage: int) -> None:
 
 
 def first_unfinished(record: RunRecord) -> int | None:
-    """Return the index of the first unfinished stage; None if all stages are done."""
+    """Return the index of the first unfinished stage, or None if all stages are done."""
     return next((index for index, stage in enumerate(record.stages) if stage.state != "done"), None)
 
 
@@ -227,7 +227,7 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
 
 
 def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
-    """Return the error of a run without a usable recording."""
+    """Return the error for a run without a usable recording."""
     # If a recording is unreadable, report that instead.
     run_samples.read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"

@@ -58,8 +58,8 @@ _MUST_HOLD = {
 
 @functools.cache
 def _adapter(record: type[Any]) -> TypeAdapter[Any]:
-    """Return the validator of a record; it is cached, because creating it takes longer than a
-    validation.
+    """Return the validator of a record; the validator is cached, because creating it takes longer
+    than a validation.
     """
     return TypeAdapter(record)
 
@@ -76,7 +76,7 @@ def read_record(folder: Path) -> RunRecord:
     try:
         raw = parse_json(path, text)
     except InputError as error:
-        raise InputError(f"{error}; `rig recover` rebuilds it from the recording") from error
+        raise InputError(f"{error}; `rig recover` rebuilds the file from the recording") from error
     if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")

@@ -46,7 +46,7 @@ class StageRecord:
         weight_kg: Planned mass on the lever.
         repeats: Planned excitations.
         samples: Samples of one excitation.
-        state: `planned`, `running`, `done`, or how the run ended that the stage was going on in.
+        state: `planned`, `running`, `done`, or how the run ended if it ended during the stage.
         confirmed_kg: Mass that the operator confirmed.
         role: `fit` or `validate`.
     """
@@ -90,16 +90,16 @@ class SegmentRecord:
     """One excitation: the stage to which it belongs, and the times of its start and end.
 
     Attributes:
-        index: Number from 1, unique in the run; the samples carry it.
-        name: Name of the recording that it becomes.
+        index: Number from 1, unique in the run; the samples contain this number.
+        name: Name of the recording that the excitation becomes.
         stage: Load condition.
         weight_kg: Mass on the lever.
-        start: Start since the start of the recording, s.
+        start: Start of the excitation, since the start of the recording, s.
         samples: Planned samples.
-        end: End since the start of the recording, s.
+        end: End of the excitation, since the start of the recording, s.
         stage_index: Index of its stage, from 0.
         part: Number of its recording, from 1.
-        kept: False once its stage was begun again.
+        kept: False if the stage of the excitation was begun again.
         role: `fit` or `validate`.
     """
 
@@ -126,10 +126,10 @@ class PartRecord:
         file: File of the run folder.
         created: Date and time, UTC.
         seed: Seed of the simulated bench's noise.
-        operator: Who ran it.
-        versions: Versions of this program and of what it depends on.
-        devices: Identities of the devices, and the limits that the drive held before.
-        state: `running`, `died`, or how it ended.
+        operator: Name of the operator.
+        versions: Versions of this program and of the libraries that it depends on.
+        devices: Identities of the devices, and the limits that the drive held before the run.
+        state: `running`, `died`, or how the recording ended.
         cycles: Control cycles.
         seconds: Length of the recording, s.
         timing: Histograms of lateness and of the answers, missed SYNCs, lost samples, oldest
@@ -161,22 +161,22 @@ class RunRecord:
         simulated: Whether the bench is simulated.
         realtime: Whether a simulated bench was held to real time.
         cycle_s: Control cycle, s.
-        versions: Versions of this program and of what it depends on.
-        inputs: Name to file and SHA-256 of everything that was read.
+        versions: Versions of this program and of the libraries that it depends on.
+        inputs: File and SHA-256 of every input file, by name.
         bench: Nominal constants of the bench, SI.
         stages: State of each stage.
         segments: Every excitation that began.
         parts: Every recording.
-        operator: Who ran it.
-        calibrations: Calibrations of the bench, with what was overdue.
+        operator: Name of the operator.
+        calibrations: Calibrations of the bench, and whether each was overdue.
         weights: Weight checks: stage, confirmed and measured mass, verdict, message.
-        warnings: What the operator was warned of.
+        warnings: Warnings that were shown to the operator.
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
-        message: How it ended.
+        message: How the run ended, as text.
         trip: The limit that was broken: check, value, limit, unit, time.
         de_energised: Whether the drive was read back as de-energised.
-        drive_state: State that the drive was read back in, in the words of CiA 402; None where
-        unknown.
+        drive_state: State of the drive as it was read back, in the words of CiA 402, or None if
+            unknown.
         cycles: Control cycles.
         overruns: Cycles that started late.
         stale: Cycles whose answer was incomplete.
@@ -249,7 +249,7 @@ class Weighing:
         stage: Name of the stage.
         confirmed_kg: What the operator says is on the lever.
         verdict: Verdict by friction.
-        measured_kg: The mass that the friction fits; None where it could not be measured.
+        measured_kg: The mass that the friction fits, or None if it could not be measured.
         sigma_kg: Its standard error, without the error of the reference's model.
         message: Text with the remedy.
     """

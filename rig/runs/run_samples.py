@@ -1,5 +1,5 @@
-"""Reads the samples of a run by segment: streams a complete recording, and reads an incomplete one
-as a whole.
+"""Reads the samples of a run by segment: streams a complete recording, and reads an incomplete
+recording as a whole.
 """
 
 from __future__ import annotations

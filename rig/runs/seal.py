@@ -3,7 +3,7 @@
 The file has the format of ``sha256sum``, so that ``sha256sum -c SHA256SUMS`` verifies the files
 without this program. The digests show damage and edits, but not who made them: a person who can
 write the folder can also write this file. A certificate that is kept elsewhere, for example on
-paper, protects the digests against that.
+paper, protects the digests against such a change.
 """
 
 from __future__ import annotations

@@ -40,11 +40,11 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on a simulated bench; None if they are not available.
+    """Return the true parameters of a run on a simulated bench, or None if they are not available.
 
-    The run does not contain them. The parameters come from its bench file, if that still exists or
-    is packaged under the same name, with the same SHA-256. A bench with injected effects gives
-    none.
+    The run does not contain them. The parameters come from the bench file of the run, if that file
+    still exists or is packaged under the same name, with the same SHA-256. A bench with injected
+    effects gives no true parameters.
 
     Raises:
         InputError: ``run.json`` is damaged.

@@ -128,15 +128,15 @@ def _joined(
     if "time" not in bases:
         raise InputError(
             f"{table.path}: the columns are of several time bases ({names}); map `time` to the "
-            f"stamps of one of them instead of `rate`, or use columns of one"
+            "stamps of one of them instead of `rate`, or use columns of one time base"
         )
     stamps = {base: table.stamps(base) for base in several}
     found = {n: Base(table.base_names[n], s) for n, s in stamps.items() if s is not None}
     if len(found) < len(several):
         without = ", ".join(table.base_names[base] for base in several if base not in found)
         raise InputError(
-            f"{table.path}: the columns are of several time bases ({names}), and {without} has no "
-            f"stamps on a clock that they share; use columns of one time base"
+            f"{table.path}: the columns are of several time bases ({names}), and {without} has "
+            "no stamps on a clock that all time bases share; use columns of one time base"
         )
     try:
         of = {name: found[base] for name, base in bases.items()}

@@ -106,7 +106,9 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def channel_unit(channel: str, linear: bool = False) -> str:
-    """Return the SI unit of a channel on a rotary or a linear bench; motors turn on both."""
+    """Return the SI unit of a channel on a rotary or a linear bench; motors turn on either kind of
+    bench.
+    """
     if channel == "motor_angle":
         return CHANNELS[channel]
     return unit_on("linear" if linear else "rotary", CHANNELS[channel])
@@ -150,6 +152,6 @@ def is_linear(names: Iterable[str]) -> bool:
 
 
 def guess_mass(stem: str) -> float:
-    """Return the mass on the lever from a file's name, kg; 0 if the name has none."""
+    """Return the mass on the lever from a file's name, kg; 0 if the name states no mass."""
     found = re.search(r"(?<![\d.,])(\d+(?:[.,p]\d+)?)\s*_?kg", stem, re.IGNORECASE)
     return float(re.sub("[,p]", ".", found[1])) if found else 0.0

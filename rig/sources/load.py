@@ -110,7 +110,7 @@ def _exported(
 ) -> Read:
     """Read a file of ``rig export``, which contains its own description.
 
-    Constants that the campaign states replace those of the file, and so does the role.
+    Constants and the role that the campaign states replace those of the file.
 
     Raises:
         InputError: It is another file, or its numbers do not fit its description.

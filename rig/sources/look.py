@@ -225,7 +225,7 @@ def look_at_recording(recording: Recording) -> Look:
 
 
 def _series(table: Table) -> list[Array | str]:
-    """Read every column; a column that is not numbers gives an error message instead."""
+    """Read every column; a column that does not contain numbers gives an error message instead."""
     every = range(len(table.names))
     try:
         return list(table.read(every))
@@ -278,7 +278,9 @@ def _column(
 
 
 def _step(known: Array) -> float:
-    """Return the least distance between two values if all distances are multiples of it; else 0."""
+    """Return the least distance between two values if all distances are multiples of this least
+    distance; else 0.
+    """
     levels = np.unique(known[: 1 << 20])
     if not 2 <= len(levels) <= max(_COARSE, len(known) // 10):
         return 0.0

@@ -51,7 +51,7 @@ class Timing:
     """The rows of a time base that are used, and their division into pieces.
 
     Attributes:
-        keep: Mask of the rows that are used, shape (n,); None for all rows.
+        keep: Mask of the rows that are used, shape (n,), or None for all rows.
         pieces: (start, stop) of each piece without a gap, as numbers of the used rows.
         notes: Message on each correction.
     """
@@ -128,8 +128,7 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     if not long:
         raise UnusableError(
             f"{gaps.size} gaps leave no span of {MIN_SAMPLES} samples (median period "
-            f"{median:.4g} s,"
-            f" a gap is longer than {GAP_PERIODS:g} of them)",
+            f"{median:.4g} s, a gap is longer than {GAP_PERIODS:g} median periods)",
             int(gaps[0]) + 1,
         )
     return long, notes

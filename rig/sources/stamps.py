@@ -37,8 +37,8 @@ NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
-    """Return the times of evenly taken samples and the rms jitter of their stamps, s; None if the
-    stamps are even, no grid fits them, or the samples themselves are uneven.
+    """Return the times of evenly taken samples and the rms jitter of their stamps, s, or None if
+    the stamps are even, no grid fits them, or the samples themselves are uneven.
 
     Args:
         time: Time stamps, s, shape (n,), increasing.
@@ -59,8 +59,8 @@ def even_stamps(time: Array, angle: Array) -> tuple[Array, float] | None:
 
 
 def _grid(time: Array) -> tuple[Array, Rows] | None:
-    """Return the times on the line through the stamps, and the number of each sample; None if the
-    mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
+    """Return the times on the line through the stamps, and the number of each sample, or None if
+    the mean over neighbouring stamps deviates from the line by more than :data:`MOST_OFF`.
     """
     steps = np.diff(time)
     lost = np.maximum(np.round(steps / float(np.median(steps))), 1.0)
@@ -88,8 +88,8 @@ def _with_neighbours(index: Rows, time: Array) -> Rows:
 def _roughness(time: Array, angle: Array, rows: Rows) -> float:
     """Return the median distance of samples from the cubic polynomial through their neighbours.
 
-    Nearly coinciding stamps magnify the noise of their samples without limit, so that a mean would
-    be theirs.
+    A mean is not used: nearly coinciding stamps magnify the noise of their samples without limit,
+    so that these few samples would determine a mean.
     """
     apart = [time[rows + k] - time[rows] for k in NEIGHBOURS]
     predicted = np.zeros(len(rows))

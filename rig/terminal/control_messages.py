@@ -2,8 +2,8 @@
 
 One datagram of UTF-8 JSON each. A question is ``{"ask": "status" | "about"}``. A command names the
 run by its ``run`` value, which differs in every run, and carries a ``number``, the sender's
-monotonic clock in ns: the number has to be larger than that of every command before it. Therefore
-a command that is sent again, or was meant for another run, is refused.
+monotonic clock in ns; this number has to be larger than the numbers of all earlier commands.
+Therefore a command that is sent again, or was meant for another run, is refused.
 """
 
 from __future__ import annotations
@@ -144,8 +144,8 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
 
 
 def socket_folders() -> list[Path]:
-    """Return the folders that control sockets of this user can be in, the one for new sockets
-    first: in ``XDG_RUNTIME_DIR`` where that is set, and in ``/tmp``.
+    """Return the folders that control sockets of this user can be in, the folder for new sockets
+    first: in ``XDG_RUNTIME_DIR`` if this variable is set, and in ``/tmp``.
 
     Raises:
         OSError: The system has no Unix sockets.
@@ -206,6 +206,6 @@ def require_own_folder(folder: Path) -> None:
         )
     if stat.S_IMODE(status.st_mode) & 0o077:
         raise SocketFolderError(
-            f"{folder}: others may enter it (mode {stat.S_IMODE(status.st_mode):04o}); "
-            f"`chmod 700 {folder}`"
+            f"{folder}: other users can enter this folder (mode "
+            f"{stat.S_IMODE(status.st_mode):04o}); run `chmod 700 {folder}`"
         )

@@ -2,7 +2,7 @@
 
 The run creates the socket in a folder that only the user of the run can enter. Datagrams wait in
 the operating system, which bounds their number, until the control loop takes them between two
-cycles; a sender that is too fast, frozen or gone does not hold the loop up, and an answer that its
+cycles; a sender that is too fast, frozen or gone does not delay the loop, and an answer that its
 receiver does not take is dropped. No thread is used.
 """
 

@@ -31,7 +31,8 @@ class Outlet(io.FileIO):
         descriptor: Open file descriptor; it stays open.
 
     Attributes:
-        failure: Reason why output cannot be stored; None if it can, or if only the reader closed.
+        failure: Reason why output cannot be stored, or None if it can, or if only the reader
+            closed.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -41,7 +42,7 @@ class Outlet(io.FileIO):
         self._terminal = self.isatty()
 
     def write(self, data: Any, /) -> int:
-        """Write, and return the number of bytes written; waits even if the descriptor is
+        """Write, and return the number of bytes written; the method waits even if the descriptor is
         non-blocking.
         """
         size = memoryview(data).nbytes
@@ -140,8 +141,8 @@ def complain(words: str) -> None:
 def _occupy_standard_descriptors() -> None:
     """Open the null device wherever a standard descriptor is closed.
 
-    Otherwise the next opened file (recording or port) would get its number and receive everything
-    written to stderr.
+    If a standard descriptor stayed closed, the next opened file (recording or port) would get its
+    number and receive everything written to stderr.
     """
     for descriptor in (0, 1, 2):
         try:

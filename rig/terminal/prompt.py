@@ -60,10 +60,10 @@ class Prompt:
 
     Args:
         screen: Shows the question.
-        stream: Input stream, by default ``sys.stdin``; None if the program has none.
-        patience_s: Time to wait for an answer, s; None for ever.
+        stream: Input stream, by default ``sys.stdin``, or None if the program has none.
+        patience_s: Time to wait for an answer, s, or None for ever.
         clock: Clock for this time.
-        control: Socket on which an answer may arrive as well; None for none.
+        control: Socket on which an answer may arrive as well, or None for none.
         only_there: Whether the input has nobody at it, so that an answer can only arrive on
             ``control``.
     """
@@ -125,7 +125,7 @@ class Prompt:
         return line.strip()
 
     def _from_descriptor(self, descriptor: int | None) -> str:
-        """Return the first answer, of the input or of the control socket.
+        """Return the first answer, from the input or from the control socket.
 
         Args:
             descriptor: Of the input; None to take none from there.

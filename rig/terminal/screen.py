@@ -1,9 +1,9 @@
 """Operator's screen: messages and a status line, written so that no terminal can block the control
 loop.
 
-A stopped terminal (Ctrl-S), an unread pipe or a hanging ssh accepts no more bytes. Output is then
-queued and written when there is room; the status line is omitted meanwhile. Only
-:meth:`Screen.drain` waits; it is used only while the drive is off.
+A stopped terminal (Ctrl-S), an unread pipe or a hanging ssh accepts no more bytes. For such a
+terminal, output is queued and written when there is room; the status line is omitted meanwhile.
+Only :meth:`Screen.drain` waits; it is used only while the drive is off.
 """
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _COLUMNS: Final = 80
 class Outlet:
     """One output stream of this program, written without blocking.
 
-    A terminal is opened again for this, since the non-blocking mode belongs to the open file, which
-    other programs share. A stream without descriptor (in tests) is written directly.
+    A terminal is opened again for this purpose, because the non-blocking mode belongs to the open
+    file, which other programs share. A stream without descriptor (in tests) is written directly.
 
     Args:
-        stream: ``sys.stdout`` or ``sys.stderr``; None if the program has none.
+        stream: ``sys.stdout`` or ``sys.stderr``, or None if the program has none.
 
     Attributes:
-        trouble: Reason why it cannot be written any more; None if it can.
+        trouble: Reason why it cannot be written any more, or None if it can.
         terminal: Whether it is a terminal.
     """
 
@@ -116,7 +116,7 @@ class Outlet:
     def echo(self, shown: bool) -> None:
         """Switch the echo of typed keys on or off.
 
-        Does nothing if it is no terminal, is gone, or belongs to another job.
+        The method does nothing if the stream is no terminal, is gone, or belongs to another job.
         """
         if not self.terminal or self._descriptor is None:
             return
@@ -180,7 +180,7 @@ class Screen:
 
     @property
     def trouble(self) -> OSError | None:
-        """Reason why results cannot be shown any more; None if they can."""
+        """Reason why results cannot be shown any more, or None if results can be shown."""
         return self._out.trouble
 
     @property
@@ -202,14 +202,14 @@ class Screen:
     def silence(self) -> None:
         """Switch off the echo of typed keys, except in answers, until :meth:`close`.
 
-        Keys typed during a run would otherwise appear within its messages, e.g. ``^C`` before the
-        verdict.
+        Without this, keys typed during a run would appear within its messages, such as ``^C``
+        before the verdict.
         """
         self._silent = True
         self._err.echo(False)
 
     def ask(self, words: str) -> None:
-        """Show a prompt; the cursor stays behind it, and what is typed is shown."""
+        """Show a prompt; the cursor stays behind the prompt, and typed characters are shown."""
         self._begin_line()
         if self._silent:
             self._err.echo(True)
@@ -226,8 +226,8 @@ class Screen:
         self._line_open = False
 
     def status(self, text: str) -> None:
-        """Replace the status line; omitted if the terminal is blocked or the line was just
-        drawn.
+        """Replace the status line; nothing is written if the terminal is blocked or the line was
+        just drawn.
         """
         self.pump()
         now = self._clock.now_ns()
@@ -243,7 +243,7 @@ class Screen:
         self._shown = len(line)
 
     def _begin_line(self) -> None:
-        """Make the line of the cursor an empty one."""
+        """Move the cursor to an empty line."""
         if self._shown:
             self._err.put(self._erase())
             self._shown = 0

@@ -11,8 +11,8 @@ sends.
 | SIGTTOU | writing from the background | ignored, as it would suspend the program |
 | SIGUSR1 | `kill -USR1` | pauses at the end of the stage, and takes that back |
 
-A second signal while the drive brakes takes the power off at once. Further ones change nothing.
-This is a stop function in software, not an emergency stop.
+A second signal while the drive brakes takes the power off at once. Further ones change nothing. The
+stop button is a stop function in software, not an emergency stop.
 """
 
 from __future__ import annotations
@@ -144,7 +144,9 @@ class StopButton:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a stop raise KeyboardInterrupt at once; for long waits while the drive is off."""
+        """Let a stop raise KeyboardInterrupt at once; used for long waits while the drive is
+        off.
+        """
         self._raise_at_once = True
         try:
             self.check()
@@ -170,8 +172,8 @@ class StopButton:
 def ignore_stops() -> None:
     """Ignore every stop signal from now on.
 
-    Used when a stopped program ends: a further signal (Ctrl-C pressed once too often) would replace
-    its exit status.
+    The function is used when a stopped program ends: a further signal (Ctrl-C pressed once too
+    often) would replace its exit status.
     """
     for name in STOP_SIGNALS:
         number = getattr(signal, name, None)

@@ -16,7 +16,8 @@ from rig.weighing.weight_check import LoadedLevel, suspects
 def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
     """Find the recordings of a run or campaign whose mass differs from their label.
 
-    Without a reference this requires stages of two different masses in addition to the one judged.
+    Without a reference this requires stages of two different masses in addition to the stage that
+    is judged.
 
     Returns:
         The recordings that are or may be wrong; empty also if nothing can be compared.
@@ -25,8 +26,8 @@ def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weig
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether masses can be judged: by a reference, or by three stages of two masses or more, two
-    of them loaded.
+    """Whether masses can be judged: either by a reference, or by three stages that have two masses
+    or more and of which two are loaded.
     """
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
     return reference is not None or (
@@ -54,7 +55,7 @@ def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
 
 
 def _torque(recording: Recording) -> Array | None:
-    """Return the torque at the joint, N m, or None where it was not measured."""
+    """Return the torque at the joint, N m, or None if it was not measured."""
     torque, current = recording.channels.get("torque"), recording.channels.get("current")
     if torque is not None:
         return torque

@@ -46,7 +46,7 @@ class Scale:
 
 
 def measured_level(samples: Sequence[Sample], plan: Plan) -> FrictionLevel | None:
-    """Return the friction level of the samples of a pass, or None where the joint hardly moved."""
+    """Return the friction level of the samples of a pass, or None if the joint hardly moved."""
     angle = np.array([sample.angle for sample in samples])
     current = np.array([sample.current for sample in samples])
     return friction_level(angle, current * plan.limits.torque_per_ampere, plan.cycle_s)

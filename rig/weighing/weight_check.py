@@ -1,7 +1,7 @@
 """Checks the confirmed mass on the lever by the measured friction.
 
 The reference is an accepted identification of the bench, or the friction of stages with other
-masses in the same run. At each speed that friction is linear in the mass (eq. 13: the working load
+masses in the same run. At each speed the friction is linear in the mass (eq. 13: the working load
 is proportional to the contact force).
 """
 
@@ -45,7 +45,7 @@ class LoadedLevel:
 
 
 def tolerance_kg(weight_kg: float) -> float:
-    """Return the tolerance of the measured mass against the confirmed one, kg."""
+    """Return the tolerance of the measured mass against the confirmed mass, kg."""
     return TOLERANCE * weight_kg if weight_kg else EMPTY_TOLERANCE_KG
 
 
@@ -77,9 +77,9 @@ def weigh(
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
     """Find the stages of a finished run whose mass differs from their label.
 
-    With a reference each stage is judged by itself. Without one, a stage is reported if the other
-    stages are mutually consistent; if this holds for several stages, the data do not decide between
-    them, and all are reported.
+    With a reference each stage is judged by itself. Without a reference, a stage is reported if the
+    other stages are mutually consistent; if this holds for several stages, the data do not decide
+    between them, and all are reported.
 
     Returns:
         The stages that are or may be wrong.
@@ -109,9 +109,11 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
         f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says "
         f"{item.weight_kg:g} kg"
         if alone
-        else f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; "
-        f"one of "
-        f"{', '.join(candidates)} is wrong, and an identification or one more mass would tell which"
+        else (
+            f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; "
+            f"one of {', '.join(candidates)} is wrong, and an identification or one more mass "
+            "would show which"
+        )
     )
     return Weighing(
         item.stage,
@@ -124,7 +126,8 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the line through the others; true if there is no line.
+    """Whether every loaded stage agrees with the line through the other stages; true if there is no
+    line.
 
     A stage with too large a standard error agrees with any line.
     """
@@ -187,9 +190,9 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
     None if there are no such lines. The standard error follows from the scatter over speeds, which
     includes the inertia's exchange of work between speeds and the slope of friction.
 
-    There is one line a speed bin, by least squares over the stages with that bin. The weight of a
-    bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the stage
-    with the shortest distance dominates.
+    Each speed bin has its own line, fitted by least squares to the stages with that bin. The weight
+    of a bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the
+    stage with the shortest distance dominates.
     """
     stages = list(others)
     masses = np.array([other.weight_kg for other in stages])

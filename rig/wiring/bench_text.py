@@ -27,7 +27,7 @@ class Watcher:
 
     Attributes:
         kind: ``drive``, ``guardian`` or ``nobody``.
-        after_s: How long the drive, or the guardian, waits for this program, s; None for nobody.
+        after_s: How long the drive, or the guardian, waits for this program, s, or None for nobody.
     """
 
     kind: str

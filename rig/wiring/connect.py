@@ -195,7 +195,7 @@ def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
     """Return link and drive on a serial line; also the simulated bench of a simulated drive, or the
-    guard of a real one.
+    guard of a real drive.
     """
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
@@ -210,7 +210,7 @@ def _epos(
 def _simulated_bench(
     document: Document[Bench], servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
 ) -> tuple[SimulatedBench | None, Clock]:
-    """Return the simulated bench, or None for a real one, and the host's clock.
+    """Return the simulated bench, or None for a real bench, and the host's clock.
 
     A simulated drive with an EDS file of its own shows only the objects of that file.
     """
@@ -238,7 +238,7 @@ def _simulated_bench(
 def _link(
     document: Document[Bench], servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[CanopenLink, SimulatedBench | None]:
-    """Return the link, and the simulated bench behind it, or None for a real one."""
+    """Return the link, and the simulated bench behind it, or None for a real bench."""
     simulated, clock = _simulated_bench(document, servo, bus.bitrate, seed, attach)
     if simulated is not None:
         return CanopenLink(clock, lambda: simulated.bus, name="simulated bus"), simulated
@@ -290,7 +290,8 @@ def _simulated_dbc(
 def nominal_of(bench: Bench) -> Nominal:
     """Return the constants of a bench with which its motions are compared.
 
-    Rated values that the file leaves to their defaults say nothing of this motor.
+    Rated values that the bench file leaves at their defaults are left out, because they are not
+    those of this motor.
     """
     machine, servo = bench.machine, bench.servo
     stated = servo.model_fields_set
@@ -325,7 +326,7 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def servo_data(document: Document[Bench]) -> DeviceData | None:
-    """Return the known properties of drives of the maker of the bench's drive; None if there are
+    """Return the known properties of drives of the maker of the bench's drive, or None if there are
     none.
     """
     servo = document.value.servo
@@ -333,8 +334,8 @@ def servo_data(document: Document[Bench]) -> DeviceData | None:
 
 
 def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return the EDS file of a device: for a simulated device the packaged file, for a real one the
-    file that the bench file names.
+    """Return the EDS file of a device: for a simulated device the packaged file, for a real device
+    the file that the bench file names.
 
     Raises:
         InputError: A real device has no such file.

@@ -76,8 +76,8 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device in the way of :func:`rig.wiring.connect.connect`; yield the error of
-    each refusal.
+    """Declare every device as :func:`rig.wiring.connect.connect` does; yield the error of each
+    refusal.
     """
     bench = document.value
     link: CanopenLink | EposSerialLink

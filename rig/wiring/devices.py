@@ -22,7 +22,7 @@ class Nominal:
         rated_current_A: Rated motor current, stated in the file or held by the drive; else None.
         rated_torque_N_m: Rated motor torque, likewise.
         encoder_sign: Sign of the joint encoder.
-        back_emf_constant_V_s_rad: Voltage per rad/s of the motor; None where it is not stated.
+        back_emf_constant_V_s_rad: Voltage per rad/s of the motor, or None if it is not stated.
     """
 
     torque_constant_N_m_A: float
@@ -41,16 +41,16 @@ class Devices:
         link: The opened bus.
         servo: The drive.
         encoder: The joint encoder.
-        hang: Function that puts a mass in kg on a simulated lever; None where a person does.
+        hang: Function that puts a mass in kg on a simulated lever, or None if a person does.
         pacer: Real clock that slows simulated time to real time; None to run on the link's clock
         alone.
         observer: Called with stage name and phase at the start of every phase.
-        pressure: The transmitter on the gas generator's chamber; None where there is none.
-        ignite: Function that ignites a simulated gas generator; None where a person does.
-        guard: Process that stops a drive without a watchdog when this program dies; None where
+        pressure: The transmitter on the gas generator's chamber, or None if there is none.
+        ignite: Function that ignites a simulated gas generator, or None if a person does.
+        guard: Process that stops a drive without a watchdog when this program dies, or None if
         there is none.
-        lock: Lock that keeps other programs off the bench; None for a simulated bench.
-        nominal: Constants of the bench file that motions are held against; None for none.
+        lock: Lock that keeps other programs off the bench, or None for a simulated bench.
+        nominal: Constants of the bench file that motions are held against, or None for none.
     """
 
     link: Link

@@ -29,7 +29,7 @@ class Row:
         objects: Objects in which the drive holds it.
         field: Field of :class:`~drivers.interfaces.ServoLimits`.
         unit: Unit of both values.
-        first: The limit under test; None for no limit.
+        first: The limit under test, or None for no limit.
         second: The limit that ``first`` must not exceed.
         looser: Whether ``first`` is looser than ``second``.
     """
@@ -44,8 +44,8 @@ class Row:
 
 
 SPEED_UNIT: Final = (
-    "; a speed limit that is not the one set with the maker's tool is in another unit: compare "
-    "servo.velocity_unit with the manual of the drive"
+    "; a speed limit that differs from the one set with the maker's tool is in another unit: "
+    "compare servo.velocity_unit with the manual of the drive"
 )
 """What else a wrong limit of the speed may mean."""
 _ROWS = (
@@ -78,14 +78,14 @@ def compare(
 ) -> list[Row]:
     """Compare every limit of ``first`` with the same limit of ``second``.
 
-    Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them,
-    whichever is more.
+    Two limits are the same if they differ by no more than one step of the drive, or by
+    :data:`ROUNDING` of their size, whichever is more.
 
     Args:
         first: The limits under test.
         second: The limit that ``first`` must not exceed.
-        steps: Resolution of the drive that holds one of them; None where it is not known.
-        places: Where the drive holds each; None for the objects of CiA 402.
+        steps: Resolution of the drive that holds one of them, or None if it is not known.
+        places: Where the drive holds each, or None for the objects of CiA 402.
     """
     names = places or {}
     return [
@@ -189,9 +189,9 @@ def require_held(
     ]
     if rows:
         raise ConfigurationError(
-            f"the drive does not hold the limits written into it: "
-            f"{_list(rows, 'drive', 'wanted')}; it is not "
-            "enabled; check in its manual the range of these objects and whether they are locked"
+            "the drive does not hold the limits written into it: "
+            f"{_list(rows, 'drive', 'wanted')}; the drive is not enabled; check in the manual of "
+            "the drive the range of these objects, and whether they are locked"
         )
 
 
@@ -221,7 +221,7 @@ def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | Non
         held: The limits of the drive, read from it or stated in the bench file.
 
     Returns:
-        Words for the operator; None where the drive holds, or is set to, every limit.
+        Words for the operator, or None if the drive holds, or is set to, every limit.
     """
     rows = [
         row
@@ -231,9 +231,10 @@ def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | Non
     if not rows:
         return None
     return (
-        f"this drive takes no such limits over its bus: {_list(rows, 'drive', 'this program')}. "
-        f"The tighter ones are checked by this program alone, in every cycle; map them under "
-        f"servo.limits if the drive has signals for them"
+        "this drive does not accept these limits over its bus: "
+        f"{_list(rows, 'drive', 'this program')}. The tighter limits are checked by this program "
+        "alone, in every cycle; map these limits under servo.limits if the drive has signals "
+        "for them"
     )
 
 

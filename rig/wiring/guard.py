@@ -33,8 +33,8 @@ _CHUNK: Final = 4096
 class Guard:
     """Opens a drive's port, and runs a guardian process while the drive is energised.
 
-    Program and guardian never use the port at the same time: while the guardian has it,
-    :meth:`feed` raises.
+    Program and guardian never use the port at the same time: while the guardian has the port,
+    :meth:`feed` raises an error.
 
     Args:
         port: Device of this computer.
@@ -174,7 +174,7 @@ class Guard:
         if self._says(READY, _START_S) is None:
             raise LinkError(
                 f"the guardian of {self.name} did not start within {_START_S:g} s; the drive is "
-                f"not enabled without it"
+                "not enabled without the guardian"
             )
         return process
 

@@ -7,12 +7,13 @@ input state how to reach the drive, where to write its report, and whether the d
 guardian acts in two cases:
 
 - the input ends while the drive is armed: the other program is gone;
-- no line comes for ``limit_s``: the other program hangs, or was suspended. The guardian first
-  writes ``took over`` to the standard output, so that the other program, should it wake, does not
-  use the port; then a line that reports what was done.
+- no line comes for ``limit_s``: the other program hangs, or was suspended.
 
-Then the guardian brakes the drive, takes the power off, reads 6041h back, and writes its report
-next to the recording. Its own output never blocks it.
+First the guardian writes ``took over`` to the standard output, so that the other program does not
+use the port if it continues. Later the guardian writes a line that reports what was done.
+
+After the message ``took over`` the guardian brakes the drive, takes the power off, reads 6041h
+back, and writes its report next to the recording. Its own output never blocks it.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ class Ward:
 
     Attributes:
         drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.
-        folder: Folder for the report; None for no report.
+        folder: Folder for the report, or None for no report.
         armed: Whether the drive may be under power.
         limit_s: Longest silence of the other program while armed, s.
     """
@@ -226,7 +227,9 @@ def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) ->
 
 
 def main() -> int:
-    """Run the guardian; first argument: descriptor of the port, further ones: the bench's lock."""
+    """Run the guardian; the first argument is the descriptor of the port, further arguments are the
+    descriptors of the bench's lock.
+    """
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
         # Only the end of the input ends it.
         signal.signal(getattr(signal, name), signal.SIG_IGN)

@@ -112,7 +112,7 @@ def device_findings(
 def require_ready(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> list[str]:
-    """Refuse devices now that a run would refuse after the operator has hung a weight.
+    """Before the operator hangs a weight, refuse the devices that the run would refuse later.
 
     Args:
         devices: As for :func:`device_findings`.
@@ -134,7 +134,7 @@ def require_ready(
 
 
 def energised(state: ServoState) -> StateError | None:
-    """Return why the drive's state forbids the weight prompt; None if the drive is off."""
+    """Return why the drive's state forbids the weight prompt, or None if the drive is off."""
     if not state.energised:
         return None
     return StateError(

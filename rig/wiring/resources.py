@@ -23,8 +23,8 @@ _WITH_RATE: Final = frozenset({"slcan", "robotell"})
 def resources(bench: Bench) -> tuple[Resource, ...]:
     """Return the resources that a program must lock to use this bench; none for a simulated bench.
 
-    Links are followed, so a device is the same under each of its names. An interface with a channel
-    is the same in every bench file.
+    Links are followed, so that a device has the same key under each of its names. An interface with
+    a channel has the same key in every bench file.
     """
     bus = bench.bus
     if bus is None or bench.simulated:

@@ -50,11 +50,13 @@ class SafeState:
         if self.verified:
             return f"the drive is de-energised (read back: {self.state})"
         by_itself = (
-            "its own heartbeat watch takes the power off; switch the main supply off before "
+            "its own watchdog takes the power off; switch the main supply off before "
             "approaching the bench"
             if self.watched
-            else "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main "
-            "supply off now"
+            else (
+                "it has no watchdog and may go on HOLDING UNDER POWER: switch the main supply "
+                "off now"
+            )
         )
         return (
             "it could NOT be verified that the drive is de-energised "
@@ -101,7 +103,7 @@ class _Steps:
         return False
 
     def state(self, servo: Servo) -> ServoState | None:
-        """Read the drive's state; None if the read fails."""
+        """Read the drive's state; return None if the read fails."""
         found: list[ServoState] = []
         self.attempt(lambda: found.append(servo.state()))
         return next(iter(found), None)
@@ -119,8 +121,8 @@ def make_safe(
     """Brake if ``brake``, take the power off and read the state back. The function never raises an
     error.
 
-    Each step has its own time-out and runs whatever earlier steps raised. If the state cannot be
-    read or shows power, taking the power off is tried once more.
+    Each step has its own time-out and is carried out even if earlier steps raised errors. If the
+    state cannot be read or shows power, the program tries once more to take the power off.
 
     Args:
         servo: The drive.
@@ -193,10 +195,11 @@ def _wait_for_standstill(
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:
-    """Write the drive's own limits back, so that a run's tighter limits do not restrict the next.
+    """Write the drive's own limits back, so that a run's tighter limits do not restrict the next
+    run.
 
-    Only done if the drive is verified off. A drive that rejects them keeps the tighter limits,
-    which is safe.
+    Only done if the drive is verified off. A drive that rejects its own limits keeps the tighter
+    limits, which is safe.
 
     Returns:
         Unexpected exceptions, as in :attr:`SafeState.unforeseen`.

@@ -158,7 +158,7 @@ def test_a_server_that_reads_nothing_is_an_error_within_the_limit() -> None:
                 part.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
         port = PythonCanPort(bus, RealClock())
         longest = 0.0
-        words = r"did not take a frame within 0\.1 s"
+        words = r"did not accept a frame within 0\.1 s"
         with pytest.raises(OSError, match=words):  # noqa: PT012  (it is not known which of them finds no room)
             while True:
                 began = time.monotonic()

@@ -573,7 +573,7 @@ def test_a_drive_that_does_not_obey_is_given_a_second(verb: str, wanted: str) ->
         getattr(servo, verb)()
     shown = ServoState[drive.state.name].value
     assert str(caught.value) == (
-        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: switch the supply "
+        f"the drive reports '{shown}' 1 s after the command, expected {wanted}: switch the supply "
         "of the drive off by hand"
     )
     # Read every millisecond, the last time as the time is up; a reset reads the state before it

@@ -56,7 +56,9 @@ def test_a_file_that_is_not_there_is_named(tmp_path: Path) -> None:
 def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
     path = tmp_path / "bad.dbc"
     path.write_bytes(b"VERSION \0")
-    with pytest.raises(ConfigurationError, match=r"bad\.dbc: is not a text file: byte 8 is zero"):
+    with pytest.raises(
+        ConfigurationError, match=r"bad\.dbc: is not a text file: byte 8 has the value"
+    ):
         read_dbc(path)
 
 

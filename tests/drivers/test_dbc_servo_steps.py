@@ -406,7 +406,7 @@ def test_a_drive_that_brakes_is_not_enabled() -> None:
         servo.enable()
     assert (
         str(caught.value)
-        == "'enable' is not allowed in state 'quick stop active': disable it first"
+        == "'enable' is not allowed in state 'quick stop active': use disable first"
     )
     assert bench.take() == [("await", "Status", 0.3)]
 
@@ -607,7 +607,7 @@ def test_a_drive_that_does_not_obey_is_told_for_a_second(
     with pytest.raises(StateError) as caught:
         getattr(servo, verb)()
     assert str(caught.value) == (
-        f"the drive reports '{state.value}' 1 s after the command, wanted {wanted}: switch the "
+        f"the drive reports '{state.value}' 1 s after the command, expected {wanted}: switch the "
         "supply of the drive off by hand"
     )
     log = bench.take("command", "await")

@@ -234,7 +234,7 @@ def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) 
 def test_no_answer_at_all_is_a_link_error(host: SerialHost) -> None:
     host.line.cut = True
     with pytest.raises(
-        LinkError, match=r"object 6041h:00h: no good answer within 0\.6 s; check power"
+        LinkError, match=r"object 6041h:00h: no correct answer within 0\.6 s; check power"
     ):
         host.servo.state()
 
@@ -345,7 +345,7 @@ def test_a_stop_is_said_even_where_nobody_is_heard(
     host.cycles(1)
     entered: list[State] = []
     host.bench.drive.entered.append(entered.append)
-    with pytest.raises(LinkError, match="no good answer"):
+    with pytest.raises(LinkError, match="no correct answer"):
         getattr(host.servo, verb)()
     assert entered[0] is state
 
@@ -356,7 +356,7 @@ def test_nothing_else_is_said_where_nobody_is_heard(host: SerialHost) -> None:
     host.line.filters.append(
         lambda _now, data, from_host: b"" if not from_host else heard.append(data) or data
     )
-    with pytest.raises(LinkError, match="no good answer"):
+    with pytest.raises(LinkError, match="no correct answer"):
         host.drive.write(*CONTROLWORD, 0x0F)
     assert heard
     frames = [frame for data in heard for frame in FrameDecoder().feed(data)]

@@ -127,7 +127,7 @@ def test_a_quick_stop_ends_it() -> None:
     prepared(host).servo.begin_homing(order(17))
     host.servo.start_homing()
     host.cycles(500)
-    with pytest.raises(StateError, match="its mode is left at homing: take the power off first"):
+    with pytest.raises(StateError, match="its mode stays at homing: take the power off first"):
         host.servo.end_homing()
     host.servo.quick_stop()
     host.cycles(100)

@@ -485,7 +485,7 @@ def test_good_frames_without_end_are_no_answer_either() -> None:
     link._port = Babble(simulated.clock, [encode(Opcode.ANSWER, bytes(8))])
     link._in_step = False
     began = simulated.clock.now_ns()
-    with pytest.raises(LinkError, match="no good answer"):
+    with pytest.raises(LinkError, match="no correct answer"):
         node.read(0x6041)
     assert simulated.clock.now_ns() - began < 2 * NS
 

@@ -97,7 +97,7 @@ def test_a_line_hung_up_while_it_is_read_ends_the_wait(line: Line) -> None:
 
 def test_a_line_that_takes_nothing_is_an_error_within_the_limit(line: Line) -> None:
     began = time.monotonic()
-    with pytest.raises(TimeoutError, match=r"the line took \d+ of 1048576 bytes within 0\.1 s"):
+    with pytest.raises(TimeoutError, match=r"the line accepted \d+ of 1048576 bytes within 0\.1 s"):
         line.port.write(bytes(MORE_THAN_A_LINE_HOLDS))
     assert WRITE_LIMIT_S <= time.monotonic() - began < WRITE_LIMIT_S + SLACK_S
     assert took_s(line.port.close) < SLACK_S
@@ -127,7 +127,7 @@ def test_what_a_stalled_line_has_not_taken_is_not_sent_later(line: Line) -> None
     line.far.stall()
     with (
         patch.object(termios, "tcflush") as flush,
-        pytest.raises(TimeoutError, match="took 0 of 3 bytes"),
+        pytest.raises(TimeoutError, match="accepted 0 of 3 bytes"),
     ):
         line.port.write(b"old")
     flush.assert_called_once_with(line.port.fileno(), termios.TCOFLUSH)
@@ -229,7 +229,7 @@ def test_a_drive_on_a_stalled_line_is_a_link_error_within_the_limit(line: Line) 
     began = time.monotonic()
     with pytest.raises(
         LinkError,
-        match=r"EPOS4 at ttyUSB0 is gone: the line took .* within 0\.1 s; check the adapter",
+        match=r"EPOS4 at ttyUSB0 is gone: the line accepted .* within 0\.1 s; check the adapter",
     ):
         node.insist(0x6040, 0, 0)
     assert time.monotonic() - began < WRITE_LIMIT_S + SLACK_S

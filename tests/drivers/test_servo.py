@@ -181,7 +181,7 @@ def test_quick_stop_believes_only_the_statusword(host: Host) -> None:
     enabled(host)
     change_controlword(host, 0x0F)
     host.drive.write(0x1016, 1, 0)
-    with pytest.raises(StateError, match="wanted quick stop active"):
+    with pytest.raises(StateError, match="expected quick stop active"):
         host.servo.quick_stop()
     # The cyclic word was changed all the same, so the next exchange stops it.
     host.cycles(2)

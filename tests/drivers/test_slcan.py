@@ -285,7 +285,8 @@ def test_an_adapter_that_takes_nothing_is_a_link_error(adapter: Pty) -> None:
     adapter.stall()
     began = time.monotonic()
     with pytest.raises(
-        LinkError, match=r"cannot send: the line took 0 of 22 bytes within 0\.1 s; check cabling"
+        LinkError,
+        match=r"cannot send: the line accepted 0 of 22 bytes within 0\.1 s; check cabling",
     ):
         link.send(0x601, bytes(8))
     assert time.monotonic() - began < 1.0

@@ -74,5 +74,5 @@ def test_a_poor_value_counts_little() -> None:
 
 
 def test_too_few_runs_are_refused() -> None:
-    with pytest.raises(ValueError, match=f"needs {LEAST_RUNS} at least"):
+    with pytest.raises(ValueError, match=f"needs at least {LEAST_RUNS} values"):
         ChangeTest(np.ones(LEAST_RUNS - 1), np.random.default_rng(0))

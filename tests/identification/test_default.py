@@ -367,7 +367,7 @@ def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> No
         channels={k: v for k, v in still.channels.items() if k not in ("velocity", "motor_angle")},
     )
     with pytest.raises(
-        RecordingError, match=r"sine: 0 samples in motion .* at least 40 are needed"
+        RecordingError, match=r"sine: 0 samples are in motion .* at least 40 are needed"
     ):
         method(Dataset((still,)), rng=np.random.default_rng(0))
 

@@ -116,7 +116,7 @@ def test_a_layer_makes_both_diameters_smaller() -> None:
     [
         ({"n": 1.0}, "no stable equilibrium"),
         ({"a": -1.0}, "a = -1"),
-        ({"gamma": 0.9}, "ratio above 1"),
+        ({"gamma": 0.9}, "must be above 1"),
     ],
 )
 def test_a_generator_that_cannot_be(wrong: dict[str, float], words: str) -> None:

@@ -310,7 +310,7 @@ def test_torque_and_motion_agree_with_what_was_put_in() -> None:
 def test_a_bandwidth_the_rate_cannot_carry(bandwidth: float) -> None:
     with pytest.raises(
         RecordingError,
-        match="is out of reach; ask for more than 0 and at most half the rate, 500 Hz",
+        match="is not possible; state more than 0 and at most half the sampling rate, 500 Hz",
     ):
         prepare(sine(), bandwidth)
 

@@ -84,7 +84,7 @@ def _cable(bench: SimulatedBench, _: sensor_faults.Sensor) -> None:
 CASES: Final[Mapping[str, HomingCase]] = {
     "it never ends": HomingCase(
         lambda bench, _: setattr(bench.drive.homing, "endless", True),
-        r"is not at its end after .* limit 2 s; look for",
+        r"has not ended after .* limit 2 s; look for",
         later=False,
         within_s=None,
         options=("--home-time", "2"),
@@ -110,7 +110,7 @@ CASES: Final[Mapping[str, HomingCase]] = {
         "restarted|not OPERATION ENABLED|heartbeat|homing",
     ),
     "cable lost": HomingCase(
-        _cable, "sample age|no SDO|no good answer", within_s=WATCH_S, verified=False,
+        _cable, "sample age|no SDO|no correct answer", within_s=WATCH_S, verified=False,
         needs_watchdog=True,
     ),
     "host's frames lost": HomingCase(

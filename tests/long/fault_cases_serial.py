@@ -23,8 +23,8 @@ from .fault_cases import (
 _IDLE = "prompt prepare enable disable"
 _ANSWERS = {"frames": {"device": "drive"}}
 _REQUESTS = {"frames": {"device": "host"}}
-_BAD_LINE = Must(4, "no good answer", 0.0)
-_DEAF = Must(4, "no good answer.*could NOT be verified", 0.0, verified=False)
+_BAD_LINE = Must(4, "no correct answer", 0.0)
+_DEAF = Must(4, "no correct answer.*could NOT be verified", 0.0, verified=False)
 _LATE = Must(4, "lateness of the control cycle", BRAKE_S)
 _OTHERWISE: Mapping[str, Case] = {
     "drive fault": Case(

@@ -1,7 +1,7 @@
 """A run on the serial bench is suspended, sent Ctrl-Z, or loses its terminal's reader, at random
 moments.
 
-`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watch of its own, so that
+`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watchdog, so that
 power must be gone within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at
 once; SIGTSTP ends the run as Ctrl-C does. A terminal that is stalled (Ctrl-S, or one that nobody
 reads and that is full) changes nothing: the run is done, the drive is never under power without

@@ -23,7 +23,7 @@ from .process_cases import CYCLING, LOG_GAP_S, STATES, SUSPENDED_S, TOLD_S, Must
 
 VERDICT = r"the drive is de-energised \(read back|could NOT be verified"
 BUSY = re.compile(
-    "sample age|lateness of|heartbeat|no SDO response|no good answer|following error|8130h|did "
+    "sample age|lateness of|heartbeat|no SDO response|no correct answer|following error|8130h|did "
     "not start|"
     "encoder against|tripped: "
 )

@@ -192,8 +192,11 @@ def test_an_inline_table_stands_beside_other_entries(tmp_path: Path) -> None:
         ("file,role\na.csv,fit\nb.csv,fitt\n", "files.csv:3:7: recordings[1].role"),
         ("file,role\na.csv\n", "files.csv:2:1: recordings.table: 1 cells under 2 columns"),
         ("file,file\na.csv,b.csv\n", "two columns are named 'file'"),
-        ("file,gravity,gravity.mass\na.csv,1,2\n", "name one or the other"),
-        ("file\n", "a table needs a line that names its columns, and a row"),
+        (
+            "file,gravity,gravity.mass\na.csv,1,2\n",
+            "one column names the key 'gravity', and another",
+        ),
+        ("file\n", "a table needs a line that names its columns, and at least one row"),
         ("file\nnone.csv\n", "files.csv:2:1: recordings[0].file: no such file"),
     ],
 )

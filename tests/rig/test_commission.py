@@ -46,7 +46,7 @@ FOUND = {
     "another_device": ("identity", "says product 999h, its EDS file is for product 402h"),
     "limits_ignored": ("limits", "the drive does not take this setting"),
     "watchdog_dead": ("watchdog", "after this program went silent"),
-    "stop_ignored": ("stop", "did not obey the quick stop"),
+    "stop_ignored": ("stop", "did not execute the quick stop"),
     "motor_shaft": ("small move", "both are on the same side of the gear"),
 }
 
@@ -150,7 +150,7 @@ def test_each_step_that_needs_it_is_asked_for(
     record = json.loads(Path("out/commission.json").read_text())
     assert record["state"] == "stopped"
     assert [s["name"] for s in record["sessions"][0]] == [s.name for s in STEPS[:5]]
-    assert "not agreed to" in record["message"]
+    assert "did not agree to this step" in record["message"]
     assert record["drive"] is None
     assert "'perhaps' is not one of `yes`, `no`, `abort`" in capsys.readouterr().out
 

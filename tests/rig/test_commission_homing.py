@@ -27,7 +27,7 @@ __all__ = ["here"]
 
 FAILURES = {
     ("home_jammed", 17): "the drive reports a homing error (6041h bit 13)",
-    ("home_endless", 37): "is not at its end after 5 s, limit 5 s",
+    ("home_endless", 37): "has not ended after 5 s, limit 5 s",
     (
         "home_switch",
         18,
@@ -121,7 +121,7 @@ def test_a_time_limit_is_obeyed(here: Path) -> None:
     options = ("--home", "17", "--home-time", "1", "--mistake", "home_endless")
     ended, record = commissioned(*options)
     assert ended == 1
-    assert "is not at its end after" in record["message"]
+    assert "has not ended after" in record["message"]
     assert "limit 1 s" in record["message"]
     assert ends_off(record)
 
@@ -211,7 +211,7 @@ def test_a_drive_that_takes_the_offset_with_the_other_sign_is_found(
     assert record["changes"][0]["key"] == "servo.offset_deg"
     assert record["changes"][0]["value"] == -20.0
     words = next(s["words"] for s in record["sessions"][0] if s["name"] == "homing")
-    assert "it takes the home offset 607Ch with the other sign" in words
+    assert "the drive uses the home offset 607Ch with the opposite sign" in words
     assert ended in (0, 1)
 
 

@@ -155,7 +155,7 @@ def test_a_far_off_key_lists_the_known_ones(tmp_path: Path) -> None:
         (b"name: x\ngain: \xff\n", "2:7", "byte 0xFF is not UTF-8"),
         ("a: 1\nname: \x01\n", "2:7", "U+0001 is not allowed"),
         ("name: a\n---\nname: b\n", "2:1", "a second document"),
-        ("name: &x [*x]\n", "1:7", "refers to a value that contains it"),
+        ("name: &x [*x]\n", "1:7", "refers to a value that contains this alias"),
         ("name: *x\n", "1:7", "undefined alias"),
         ("name: " + "[" * 5000, "1:46", "nested deeper"),
         ("name: !!python/name:os.getcwd x\n", "1:7", "is not allowed"),

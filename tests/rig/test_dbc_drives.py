@@ -125,7 +125,9 @@ def test_a_drive_that_takes_no_limits_is_jogged_after_a_question(
     assert status(["jog", bench, "--to", "1", "--json", "jog.json"]) == 0
     shown = capsys.readouterr()
     words = shown.out + shown.err
-    assert "takes no such limits over its bus: joint speed (servo.held.speed_deg_s)" in words
+    assert (
+        "does not accept these limits over its bus: joint speed (servo.held.speed_deg_s)" in words
+    )
     assert "607Fh" not in words
     assert json.loads(Path("jog.json").read_text())["de_energised"] is True
 
@@ -160,7 +162,10 @@ def test_a_run_of_such_a_drive_says_what_it_alone_holds(
     written: Callable[..., str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(written((LIMITS, ""))) == 0
-    assert "takes no such limits over its bus: joint angle, upper end" in capsys.readouterr().err
+    assert (
+        "does not accept these limits over its bus: joint angle, upper end"
+        in capsys.readouterr().err
+    )
     record = json.loads(Path("run/run.json").read_text())
     assert any("joint torque (servo.held.torque_N_m)" in words for words in record["warnings"])
 
@@ -170,7 +175,7 @@ def test_a_drive_that_takes_its_limits_is_not_asked_about(
 ) -> None:
     answers()
     assert status(["jog", "practical_dbc", "--to", "1"]) == 0
-    assert "takes no such limits" not in capsys.readouterr().err
+    assert "does not accept these limits" not in capsys.readouterr().err
 
 
 SENSORS = (

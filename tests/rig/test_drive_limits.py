@@ -198,8 +198,8 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
         for name, first, second in (*EVERY_LIMIT, *BRAKING)
     )
     assert str(caught.value) == (
-        f"the drive does not hold the limits written into it: {rows}; it is not enabled; check "
-        "in its manual the range of these objects and whether they are locked"
+        f"the drive does not hold the limits written into it: {rows}; the drive is not enabled; "
+        "check in the manual of the drive the range of these objects, and whether they are locked"
     )
     with pytest.raises(ConfigurationError) as caught:
         require_within_own(loose, WANTED)

@@ -349,7 +349,8 @@ def test_a_guardian_that_does_not_start_keeps_the_drive_off(
     with pytest.raises(LinkError) as caught:
         guard.arm(0.2)
     assert str(caught.value) == (
-        f"the guardian of {NAME} did not start within 20 s; the drive is not enabled without it"
+        f"the guardian of {NAME} did not start within 20 s; the drive is not enabled "
+        "without the guardian"
     )
     assert time.waits == [20.0]
     assert guardian.heard().count(b"\n") == 1

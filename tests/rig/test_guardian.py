@@ -284,7 +284,7 @@ def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> N
     assert not deed.safe.verified
     words = report(deed, Ward({"name": "the drive"}, tmp_path), Cause.GONE)
     assert "could NOT be verified" in words
-    assert "it has no watch of its own and may go on HOLDING UNDER POWER" in words
+    assert "it has no watchdog and may go on HOLDING UNDER POWER" in words
     assert json.loads((tmp_path / REPORT_FILE).read_text())["safe"]["verified"] is False
 
 

@@ -255,7 +255,7 @@ def test_a_transmitter_in_another_unit_stops_before_power() -> None:
     bench = bench_with(**{"unit_Pa: 100": "unit_Pa: 1000"})
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
     assert (
-        "make 100 Pa per unit, the bench file states 1000 Pa" in read_record(Path("unit")).message
+        "give 100 Pa per unit, the bench file states 1000 Pa" in read_record(Path("unit")).message
     )
 
 

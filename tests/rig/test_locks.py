@@ -143,7 +143,9 @@ def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: 
         with hold(kind, tmp_path) as lock:
             assert lock.taken_over is not None
             assert f"was left locked by `rig run` (process {first.pid}, user " in lock.taken_over
-            assert lock.taken_over.endswith("which no longer holds it; taken over")
+            assert lock.taken_over.endswith(
+                "which no longer holds the lock; the lock is taken over"
+            )
             with pytest.raises(InUseError, match=f"`rig jog` .process {os.getpid()}"):
                 hold(kind, tmp_path)
         assert free(kind, tmp_path)

@@ -71,13 +71,13 @@ def test_big_endian_passes() -> None:
         (FLAGS + 4, 16, "flags at byte 144 have 16 bytes"),
         (FLAGS + 8, 99, "impossible class 99"),
         (DIMENSIONS, 9, "dimensions of the impossible type 9"),
-        (DIMENSIONS + 8, 10, "72 bytes of values for 10 x 1"),
-        (DIMENSIONS + 8, 2**32 - 9, "72 bytes of values for -9 x 1"),
+        (DIMENSIONS + 8, 10, "72 bytes of values do not fit 10 x 1"),
+        (DIMENSIONS + 8, 2**32 - 9, "72 bytes of values do not fit -9 x 1"),
         (NAME, 3 | 1 << 16, "name of the impossible type 3"),
         (NAME, 1 | 5 << 16, "an element of 5 bytes does not fit"),
         (VALUES, 14, "values of the impossible type 14"),
-        (VALUES, 2, "72 bytes of values for 9 x 1"),
-        (VALUES + 4, 64, "64 bytes of values for 9 x 1"),
+        (VALUES, 2, "72 bytes of values do not fit 9 x 1"),
+        (VALUES + 4, 64, "64 bytes of values do not fit 9 x 1"),
         (FLAGS + 8, 6 | 0x0800, "has no imaginary values"),
     ],
 )
@@ -125,5 +125,7 @@ def test_text_and_members_of_a_struct_are_checked(tmp_path: Path) -> None:
     names = raw.index(b"x\0\0\0")
     length = raw.rindex(b"\x05\0\x04\0", 0, names)
     path.write_bytes(raw[: length + 4] + (7).to_bytes(4, "little") + raw[length + 8 :])
-    with pytest.raises(InputError, match=r"field names of \d+ bytes with 7 bytes each"):
+    with pytest.raises(
+        InputError, match=r"\d+ bytes of field names do not fit names of 7 bytes each"
+    ):
         MatTable(path)

@@ -261,7 +261,7 @@ def test_a_run_whose_program_was_killed_is_taken_over_and_said(
         f"run folder {moved} was left locked by `rig run` on run folder {run} (process "
         f"{first.process.pid}" in said.err
     )
-    assert "which no longer holds it; taken over" in said.err
+    assert "which no longer holds the lock; the lock is taken over" in said.err
     assert not (moved / OWNER_FILE).exists()
 
 

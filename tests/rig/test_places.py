@@ -98,7 +98,7 @@ def test_places_that_will_not(tmp_path: Path) -> None:
 def test_places_that_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # Permissions do not bind every user that tests run as, so the answer is given here.
     monkeypatch.setattr(os, "access", lambda path, mode: False)
-    with pytest.raises(InputError, match="may not be written to"):
+    with pytest.raises(InputError, match="no permission to write to"):
         require_folder(tmp_path / "a", "--out")
-    with pytest.raises(InputError, match="may not be written to"):
+    with pytest.raises(InputError, match="no permission to write to"):
         require_file(tmp_path / "r.json", "--json")

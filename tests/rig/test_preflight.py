@@ -95,11 +95,12 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
         ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
         (
             [("servo: {", "servo: {eds: poor.eds, ")],
-            "servo.eds: object 6061h:00h is not in the device's EDS; every run needs it: it shows",
+            "servo.eds: object 6061h:00h is not in the device's EDS; every run needs this object: "
+            "it shows",
         ),
         (
             [("servo: {", "servo: {eds: encoder.eds, ")],
-            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs it: "
+            "servo.eds: object 6040h:00h is not in the device's EDS; every run needs this object: "
             "it switches",
         ),
     ],

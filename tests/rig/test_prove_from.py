@@ -227,7 +227,7 @@ def test_the_command_line_refuses_what_contradicts(
 ) -> None:
     (tmp_path / "empty").mkdir()
     for options, message in (
-        (["--from", str(theirs), "--seal", str(tmp_path / "x")], "give one of the two"),
+        (["--from", str(theirs), "--seal", str(tmp_path / "x")], "give only one of these options"),
         (["--from", str(theirs), "--gas"], "--gas cannot be combined"),
         (["--from", str(tmp_path / "empty"), "--out", str(tmp_path / "o")], "docs/guides/worlds"),
     ):

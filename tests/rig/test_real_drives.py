@@ -181,7 +181,10 @@ def test_a_needed_object_is_named_with_what_it_is_for(
     assert status(["check", name]) == 2
     told = capsys.readouterr().err
     assert "bench.yaml:" in told
-    assert "object 607Ah:00h is not in the device's EDS; every run needs it: it carries" in told
+    assert (
+        "object 607Ah:00h is not in the device's EDS; every run needs this object: it carries"
+        in told
+    )
 
 
 def test_the_page_of_a_run_shows_the_limits_that_were_in_force(here: Path) -> None:

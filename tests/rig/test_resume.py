@@ -335,7 +335,7 @@ def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
         assert start("--acceptance", given) == 4
     changed = limits("given.yaml", "lost samples < 2")
     assert status(["resume", "out", "--yes"]) == 2
-    assert "give them with --acceptance FILE" in capsys.readouterr().err
+    assert "give these limits with --acceptance FILE" in capsys.readouterr().err
     limits(changed, "lost samples < 1")
     assert status(["resume", "out", "--yes"]) == 0
     assert judged() == ("given.yaml", True, ["lost samples < 1"])

@@ -270,13 +270,12 @@ UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unk
         (SafeState(True, "fault"), "the drive is de-energised (read back: fault)"),
         (
             SafeState(False, "unknown", ("gone", "full"), watched=False),
-            UNVERIFIED
-            + "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main "
+            UNVERIFIED + "it has no watchdog and may go on HOLDING UNDER POWER: switch the main "
             "supply off now",
         ),
         (
             SafeState(False, "unknown", ("gone", "full")),
-            UNVERIFIED + "its own heartbeat watch takes the power off; "
+            UNVERIFIED + "its own watchdog takes the power off; "
             "switch the main supply off before approaching the bench",
         ),
     ],

@@ -60,7 +60,7 @@ class CanDrive(ABC):
         self._switch(False)
 
     def _switch(self, on: bool) -> None:
-        """Switch the power stage; at first the drive holds the present position."""
+        """Switch the power stage; when switched on, the drive first holds the present position."""
         now = self._clock.now_ns()
         self._sampler.advance(now)
         if on == self.powered:
@@ -77,8 +77,8 @@ class CanDrive(ABC):
         self._latched = self._sampler.latch(self._clock.now_ns())
 
     def _target(self, motor_rad: float, torque_N_m: float = 0.0) -> None:
-        """Follow a target, which is reached in the time since the last target, in whole
-        milliseconds, and add a torque at the motor.
+        """Follow a target and add a torque at the motor; the drive reaches the target after the
+        time since the last target, in whole milliseconds.
         """
         now = self._clock.now_ns()
         step_ns = min(max(round((now - self._fed_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
@@ -93,7 +93,9 @@ class CanDrive(ABC):
         self._machine.feed(torque_N_m / self._machine.constants.motor.torque_constant_N_m_A)
 
     def _reading(self) -> Reading:
-        """Return the reading of the last command, or a new reading if no command came lately."""
+        """Return the reading of the last command, or a new reading if the last command is too
+        old.
+        """
         now = self._clock.now_ns()
         return self._latched if now - self._fed_ns < _IDLE_NS else self._sampler.peek(now)
 

@@ -45,7 +45,7 @@ class SdoServer:
         self._transfer = None
 
     def answer(self, request: bytes) -> bytes | None:
-        """Return the response to one request frame of 8 bytes; None if no response is due."""
+        """Return the response to one request frame of 8 bytes, or None if no response is due."""
         if len(request) != 8:
             return None
         command, index, subindex = _HEAD.unpack_from(request)

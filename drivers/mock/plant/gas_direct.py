@@ -55,7 +55,7 @@ def burn(
         angle_rad: Valve angles, rad, shape (n,).
         period_s: Sampling period, s.
         steps: Integration steps per sample.
-        pressure_Pa: Pressure at the start; None for the steady pressure at the first angle.
+        pressure_Pa: Pressure at the start, or None for the steady pressure at the first angle.
     """
     g = gas_vector(machine)
     y = lit(machine, g, float(angle_rad[0]), pressure_Pa)

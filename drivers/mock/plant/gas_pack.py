@@ -62,7 +62,7 @@ def lit(
         machine: The machine with the gas generator.
         g: Vector of the gas generator.
         angle_rad: Valve angle, rad.
-        pressure_Pa: Pressure at the start; None for the steady pressure at this angle.
+        pressure_Pa: Pressure at the start, or None for the steady pressure at this angle.
     """
     y = np.zeros(gas.GAS_SIZE)
     y[gas.THROAT] = valve_throat(g, np.array([angle_rad]))[0]

@@ -22,7 +22,7 @@ def close_loops(d: Vector, cascade: Loops, position: bool, speed: bool) -> None:
 
 
 def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
-    """Command a joint speed, without the position loop."""
+    """Command a joint speed from now on; the position loop stays open."""
     if s[loops.MODE] != loops.OFF:
         s[loops.MODE] = loops.TRACK
         s[loops.TARGET_LEFT] = math.inf
@@ -30,8 +30,8 @@ def spin(s: Vector, d: Vector, speed_rad_s: float) -> None:
 
 
 def take_over(s: Vector, d: Vector, cascade: Loops) -> bool:
-    """Close all loops of a drive in motion, from where it is and from the speed it has; returns
-    whether one was open.
+    """Close all loops of a drive in motion, at its present position and speed; return whether a
+    loop was open.
     """
     if d[loops.POSITION_GAIN] == cascade.position_gain:
         return False

@@ -185,8 +185,8 @@ class SimulatedMachine:
     def power(self, on: bool) -> None:
         """Switch the power stage.
 
-        When the power is off, the motor is open-circuit and coasts. When it is switched on, the
-        motor holds its position.
+        When the power is off, the motor is open-circuit and coasts. When the power is switched on,
+        the motor holds its position.
         """
         s = self._s
         if on and s[loops.MODE] == loops.OFF:

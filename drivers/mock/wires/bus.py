@@ -117,8 +117,8 @@ class SimulatedBus(can.BusABC):
         return self._times[len(sender.queue[0][1])]
 
     def _arrived(self) -> None:
-        """Deliver the frame on the bus and the following ones, up to the next event of another
-        kind.
+        """Deliver the frame on the bus and the frames that follow it, up to the next event of
+        another kind.
         """
         clock, contenders = self._clock, self._contenders
         now = clock.now_ns()
@@ -170,7 +170,7 @@ class SimulatedBus(can.BusABC):
         self._host.send(identifier, data)
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return the received frames; simulated time advances while there are none.
+        """Return the received frames; if there is none, simulated time advances until one arrives.
 
         Frames without a gap between them are returned together, as from a controller's buffer, each
         with its arrival time.
@@ -197,7 +197,8 @@ class SimulatedBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes python-can's filters.
 
-        ``timeout`` is in seconds of simulated time; None waits as long as any event is scheduled.
+        ``timeout`` is in seconds of simulated time; with None the method waits as long as any event
+        is scheduled.
 
         Raises:
             can.CanOperationError: The bus is closed.

@@ -56,7 +56,7 @@ class SimulatedLine:
         self._closed = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes after those that are being sent.
+        """Send bytes after the bytes that are still being sent.
 
         Raises:
             OSError: The line is closed.
@@ -67,7 +67,7 @@ class SimulatedLine:
         self._clock.call_at(arrival, lambda: self._arrived(data))
 
     def read(self, timeout_s: float) -> bytes:
-        """Return the received bytes; simulated time advances while there are none.
+        """Return the received bytes; if there is none, simulated time advances until one arrives.
 
         Raises:
             OSError: The line is closed.

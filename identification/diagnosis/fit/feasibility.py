@@ -64,7 +64,7 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
 
 
 def is_infeasible(predicted: float, attained: float) -> bool:
-    """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch by
-    `infeasible`, and the noise by as much.
+    """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch, and the
+    noise, by `infeasible`.
     """
     return attained > RULES.infeasible * max(predicted, 1.0)

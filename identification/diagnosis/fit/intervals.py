@@ -36,7 +36,7 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
     parameter that the fit chooses from a list, such as a number per turn, has an interval of zero
     width.
 
-    Units are left empty; the catalogue has them.
+    Units are left empty, because the catalogue states them.
     """
     if not joint.effects:
         return ()
@@ -76,10 +76,11 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
-    """Return a size of effect ``k`` whose interval contains zero, by name; None if there is none.
+    """Return a size of effect ``k`` whose interval contains zero, by name, or None if there is
+    none.
 
     Sizes are the parameters that are proportional to the effect's coefficients, or to their
-    reciprocal, as a stiffness.
+    reciprocal, such as a stiffness.
     """
     effect, sizes = joint.effects[k], estimates(joint)[k]
     if effect.term.size is not None:

@@ -170,8 +170,8 @@ def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Soluti
     """Return the fit after closing steps of the nominal parameters, which lower the attained
     mismatch.
 
-    Static friction that hardly any row is slow enough to determine may change by half of itself in
-    such a step. If no share of the step lowers the mismatch enough, the step without static
+    In such a step, static friction may change by half of its value if hardly any row is slow enough
+    to determine it. If no share of the step lowers the mismatch enough, the step without static
     friction is tried, since the other nominal parameters are better determined.
     """
     for _ in range(CLOSING_STEPS):
@@ -200,7 +200,7 @@ def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Soluti
 def _fit_after_step(
     views: Sequence[View], unit: str, best: Joint, step: Array, enough: float
 ) -> tuple[Joint, Solution] | None:
-    """Return the fit after a step of its nominal parameters; None if the attained mismatch is at
+    """Return the fit after a step of its nominal parameters, or None if the attained mismatch is at
     least ``enough``, or the cost rises by more than :data:`CLOSING_EXCESS`.
     """
     nominal = best.nominal.moved(step, np.zeros(len(step)))
@@ -237,8 +237,8 @@ def _effects_after_step(effects: Sequence[Added], steps: Array) -> tuple[Added, 
 
 
 def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
-    """Return nominal values with what the effects determine for the regressors of others:
-    undeclared load, current offset, torque ripple and efficiency.
+    """Return nominal values with the quantities that effects determine and that the regressors of
+    other effects need: undeclared load, current offset, torque ripple and efficiency.
     """
     ripple = next(
         ((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ()
@@ -332,9 +332,9 @@ def _gauss_newton(stack: Stack, effects: Sequence[Added], k: int) -> Added:
     """Return effect ``k`` with its nonlinear parameters after Gauss-Newton steps from the best
     point of the grid, with the coefficients free.
 
-    The last step of the grid is 1/250 of a frequency or a time, and an oscillation of many cycles
-    determines it better. Nonlinear parameters that determine an effect's size change together with
-    the nominal parameters instead (:func:`_effects_after_step`).
+    The last step of the grid is 1/250 of a frequency or a time; an oscillation of many cycles
+    determines the frequency or time more precisely. :func:`_effects_after_step` changes the
+    nonlinear parameters that determine an effect's size.
     """
     effect = effects[k]
     if not effect.term.refine or effect.term.size is not None:
@@ -368,7 +368,7 @@ def _decreasing_step(
     others: _SingleEffect, effect: Added, step: Array, least: float
 ) -> Shape | None:
     """Return the nonlinear parameters after the largest share of a step that lowers the cost by
-    more than rounding; None if no share does.
+    more than rounding, or None if no share does.
     """
     share = 1.0
     while share >= LEAST_STEP_SHARE:

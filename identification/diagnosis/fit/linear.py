@@ -35,14 +35,16 @@ class Added:
 
 
 def size_entries(effect: Added) -> Mapping[int, float]:
-    """Return the nonlinear parameters that determine the effect's size, by index, with their
-    reaches; empty for an effect with free coefficients.
+    """Return the nonlinear parameters that determine the effect's size, by index, with the widths
+    of their search; empty for an effect with free coefficients.
     """
     return effect.term.refine if effect.term.size is not None else {}
 
 
 def moved_parameters(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return nonlinear parameters with one of them changed by a share of its reach."""
+    """Return nonlinear parameters with one of them changed by a share of the width of its
+    search.
+    """
     entry = (
         shape[index] * float(SCALE_FACTOR**share) if reach == 0.0 else shape[index] + reach * share
     )

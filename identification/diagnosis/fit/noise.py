@@ -35,11 +35,11 @@ mismatch outside the catalogue it was 0.55.
 def with_lower_noise(
     views: Sequence[View], unit: str, baseline: Joint, joint: Joint
 ) -> tuple[Joint, Joint]:
-    """Return the fits of the nominal model and with effects, both with the noise estimated from the
-    latter if that is lower.
+    """Return the fit of the nominal model and the fit with effects; the noise in both is estimated
+    from the fit with effects, if that noise is lower.
 
-    Used only after a fast effect: slow ones do not affect the differences from which the noise is
-    estimated.
+    The function is used only after a fast effect: slow effects do not affect the differences from
+    which the noise is estimated.
 
     Args:
         views: Recordings.
@@ -56,7 +56,7 @@ def with_lower_noise(
 
 
 def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
-    """Return an equation with the noise estimated from what a fit leaves, at most the present
+    """Return an equation with the noise estimated from the residual of a fit, at most the present
     estimate.
     """
     if equation.name == "breakaway":
@@ -72,9 +72,9 @@ def _with_noise_of(equation: Equation, joint: Joint) -> Equation:
 
 
 def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
-    """Return the fit of the nominal model with the noise of these equations, if it is lower by
-    `LOWER_NOISE_RATIO` in one of them; else, if it is so in one recording, with the noise of the
-    recordings alone. The equations have no common parameters.
+    """Return the fit of the nominal model with the noise of these equations, if this noise is lower
+    by `LOWER_NOISE_RATIO` in one equation; else, if the noise of one recording is lower by this
+    ratio, with the noise of the recordings alone. The equations have no common parameters.
     """
     pairs = list(zip(equations, baseline.equations, strict=True))
     if all(e.sigma >= LOWER_NOISE_RATIO * old.sigma for e, old in pairs):
@@ -95,7 +95,9 @@ def _with_lower(baseline: Joint, equations: Sequence[Equation]) -> Joint:
 
 
 def _with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation with another noise, and the same own noise of each recording beyond it."""
+    """Return an equation with another noise; each recording's own noise beyond that of the equation
+    does not change.
+    """
     ratio = equation.sigma / sigma
     own = {index: max(1.0, power * ratio**2) for index, power in equation.own.items()}
     return replace(equation, sigma=sigma, own=own)

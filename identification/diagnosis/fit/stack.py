@@ -2,7 +2,7 @@
 the remaining mismatch.
 
 Scores are sums over blocks of time, which accounts for correlation within blocks (wild cluster
-bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
+bootstrap: Cameron, Gelbach and Miller, Review of Economics and Statistics 90 (2008) 414).
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class Candidate:
 
     @property
     def preference(self) -> float:
-        """Preference of the data for the effect over none, in standard errors of the gain by
+        """Preference of the data for the effect over no effect, in standard errors of the gain by
         blocks; infinite without weights.
         """
         if not len(self.weights):
@@ -241,8 +241,8 @@ class Stack:
     def candidate(
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
     ) -> Candidate | None:
-        """Return the score of regressors; None if they are collinear with the nominal model, active
-        in too few blocks, or have an unphysical sign.
+        """Return the score of regressors, or None if they are collinear with the nominal model,
+        active in too few blocks, or have an unphysical sign.
         """
         if not columns:
             return None
@@ -326,7 +326,7 @@ class Stack:
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
-    """Return these equations and all that ``ties`` connect to them, directly or through others."""
+    """Return these equations and all equations that ``ties`` connect to them, even indirectly."""
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
         found = found.union(*joined)
@@ -381,7 +381,7 @@ def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None
 
 
 def _lengths(columns: Array) -> Array:
-    """Return the norm of each column, in one pass; numpy's needs several."""
+    """Return the norm of each column, in one pass; numpy's function needs several passes."""
     return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 

@@ -61,11 +61,11 @@ def views_and_fit(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ..
 
 
 def fit_from_estimate(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
-    """Fit the nominal model, starting from the estimate and, if that leaves more than noise, from
-    assumed falls of friction as well.
+    """Fit the nominal model, starting from the estimate and, if this fit leaves more than noise,
+    from assumed falls of friction as well.
 
     An unmodelled effect can mask the fall of friction with speed in an estimate, and no step of a
-    fit recovers it.
+    fit recovers this fall.
     """
     return with_assumed_fall(here, unit, fit(here, unit, start), start, model.fixed)
 
@@ -74,7 +74,7 @@ def with_assumed_fall(
     here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
 ) -> Joint:
     """Return the fit, or a fit with the same effects that starts from an assumed fall of friction
-    with speed, if that leaves far less.
+    with speed, if the latter leaves a far smaller mismatch.
 
     Args:
         here: Recordings.
@@ -91,11 +91,11 @@ def with_assumed_fall(
 
 
 def feasible_or_first(here: Sequence[View], unit: str, first: Joint) -> Joint:
-    """Return the fit, or a feasible one that starts from an assumed fall of friction, if the first
-    is infeasible.
+    """Return the fit, or a feasible fit that starts from an assumed fall of friction, if the first
+    fit is infeasible.
 
     The static friction of the load may become equal to Coulomb friction during a fit, because few
-    rows are slow enough to determine it; no later step recovers it.
+    rows are slow enough to determine the static friction; no later step separates the two levels.
 
     Args:
         here: Recordings.

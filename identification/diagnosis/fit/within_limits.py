@@ -3,7 +3,7 @@ parameters.
 
 The search compares effects by fits without limits. A machine has no negative friction and no
 negative inertia. The fit within these limits is reported, and scored on recordings that are set
-aside (bounded least squares: Stark and Parker, Comput. Stat. 10 (1995) 129).
+aside (bounded least squares: Stark and Parker, Computational Statistics 10 (1995) 129).
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ class _Point:
 
 
 def infeasible(joint: Joint) -> bool:
-    """Whether a fit is infeasible: refined within the limits of its parameters it leaves far more
-    than the unlimited fit predicts. Effects of an infeasible fit are not accepted.
+    """Whether a fit is infeasible: refined within the limits of its parameters, the fit leaves a
+    far greater residual than the unlimited fit predicts. Effects of an infeasible fit are not
+    accepted.
     """
     if joint not in _JUDGED:
         _JUDGED[joint] = infeasible_as_fitted(joint) and not _attained_within_limits(joint)
@@ -80,7 +81,9 @@ def infeasible(joint: Joint) -> bool:
 
 
 def _attained_within_limits(joint: Joint) -> bool:
-    """Whether a fit, refined within the limits of its parameters, leaves about what it predicts."""
+    """Whether a fit that is refined within the limits of its parameters leaves about the residual
+    that the fit predicts.
+    """
     promised, _ = predicted_and_attained(joint.stack, joint.effects, joint.residual)
     equation = next(e for e in joint.equations if e.name == "torque")
     limited = within_limits(equation.views, equation.unit, joint)
@@ -89,7 +92,8 @@ def _attained_within_limits(joint: Joint) -> bool:
 
 
 def infeasible_as_fitted(joint: Joint) -> bool:
-    """Whether a fit leaves far more with its parameters moved to their limits than it predicts.
+    """Whether a fit with its parameters moved to their limits leaves a far greater residual than
+    the fit predicts.
 
     A fit whose last effect is not in the torque equation counts as feasible: such an effect changes
     no friction parameter.

@@ -100,7 +100,8 @@ def noise(burns: Sequence[Burn]) -> float:
     steps = np.diff(np.unique(np.concatenate([b.pressure for b in burns])))
     if not steps.size:
         raise RecordingError(
-            f"{burns[0].recording.name}: pressure is constant; the transducer was not read"
+            f"{burns[0].recording.name}: the pressure channel is constant, so that the "
+            "transducer was probably not read"
         )
     return max(scatter, float(np.min(steps)) / math.sqrt(12.0))
 

@@ -1,7 +1,7 @@
 """Lists the nominal constants of the gas generator with their tolerances.
 
 All constants are fitted together with the effects, each with a prior of its tolerance; else a
-throat two hundredths of a millimetre wider than drawn would be taken for missing physics.
+throat two hundredths of a millimetre wider than in the drawing would count as missing physics.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Constant:
     relative: bool = False
 
     def moved(self, value: float, steps: float) -> float:
-        """Return a value ``steps`` tolerances away."""
+        """Return a value that is ``steps`` tolerances from the nominal value."""
         return (
             value * math.exp(self.tolerance * steps)
             if self.relative

@@ -140,8 +140,8 @@ def _verdict(found: GasSearch) -> Verdict:
 
 
 def _explained(found: GasSearch) -> float:
-    """Return the share of the mismatch beyond the noise that the effects explain; 1 if nothing else
-    is left.
+    """Return the share of the mismatch beyond the noise that the effects explain; 1 if no
+    significant mismatch remains.
     """
     if found.p_after > RULES.level:
         return 1.0
@@ -269,7 +269,7 @@ def _rms(fitted: Fitted, sigma: float) -> float:
 
 
 def _validated(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return a model on recordings set aside; only the start of each is fitted."""
+    """Return a model on recordings set aside; only the start of each recording is fitted."""
     starts = nominal_model(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 

@@ -230,7 +230,9 @@ class _Layout:
         )
 
     def touches(self, k: int) -> int | None:
-        """Return the only recording that an entry of the vector affects; None if it affects all."""
+        """Return the only recording that an entry of the vector affects, or None if it affects
+        all.
+        """
         return (k - self.shared) // 2 if self.shared <= k < self.ends else None
 
 

@@ -37,8 +37,8 @@ _SMALL = 0.01
 
 @dataclass(frozen=True)
 class Coordinate:
-    """A coordinate on which the mismatch may depend; ``values`` computes it from a recording and
-    its simulated (pressure, web), shape (m,).
+    """A coordinate on which the mismatch may depend; ``values`` computes the coordinate from a
+    recording and its simulated (pressure, web), shape (m,).
     """
 
     name: str
@@ -61,8 +61,8 @@ def stack_of(
     """Return the stack of the mismatch of a fit, with the tangent of all fitted parameters
     projected out.
 
-    The rows of the recordings are followed by one row for each prior, in a separate block: so an
-    effect is absorbed only as far as the tolerances allow.
+    The rows of the recordings are followed by one row for each prior, in a separate block: fitted
+    parameters can therefore replace an effect only within their tolerances.
 
     Args:
         burns: Recordings.
@@ -180,8 +180,8 @@ def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
 
 
 def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
-    """Number blocks of time, of ten correlation times of the most correlated mismatch within
-    limits; the block of the priors is last.
+    """Number the blocks of time; a block is ten correlation times of the most correlated mismatch,
+    within limits, and the block of the priors is the last.
     """
     length = LEAST_BLOCK_S
     for burn in burns:

@@ -103,7 +103,7 @@ class GasSearch:
 def search(
     burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, progress: Progress
 ) -> GasSearch:
-    """Add effects one at a time while the test allows, then try to remove each."""
+    """Add effects one at a time while the test allows, then try to remove each effect."""
     progress("nominal gas generator", 0.0)
     baseline = here = fit(burns, sigma, nominal_model(burns))
     first = stack_of(burns, baseline, sigma)
@@ -151,7 +151,8 @@ def _stop(
     stack: Stack,
     p_value: float,
 ) -> Step | None:
-    """Return the step that ends the search before one more effect; None if the effect is selected.
+    """Return the step that ends the search before one more effect, or None if the effect is
+    selected.
 
     Args:
         baseline: Fit of the nominal model alone.
@@ -190,8 +191,8 @@ def _stop(
 
 @dataclass(frozen=True)
 class _Test:
-    """Result of a test whether anything is missing: p-value, step, and rows with everything fitted
-    projected out.
+    """Result of a test whether anything is missing: p-value, step, and rows with all fitted
+    parameters projected out.
     """
 
     p_value: float
@@ -223,7 +224,7 @@ def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Gene
 
 
 def _simplest_fit(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
-    """Return the fit of least cost, or an indistinguishable one with fewer parameters."""
+    """Return the fit of least cost, or an indistinguishable fit with fewer parameters."""
     best = min(fitted, key=lambda f: f.cost)
     same = [
         f
@@ -283,8 +284,8 @@ def _fits_with_one_more(
 def _with(
     model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]
 ) -> Model:
-    """Return a start with the effects of a model and one more; its constants are from ``start``,
-    since nominal constants are better start values than distorted ones.
+    """Return a start with the effects of a model and one further effect; its constants are from
+    ``start``, since nominal constants are better start values than distorted constants.
     """
     sizes = dict(zip(term.sizes, (size, *shape), strict=True))
     return replace(start, effects=(*model.effects, GasEffect(term, sizes)))
@@ -337,7 +338,9 @@ def _with_needed_effects(
     stack: Stack,
     steps: list[Step],
 ) -> tuple[Fitted, list[Selected]]:
-    """Remove every effect that later ones have made unnecessary; return fit and effects."""
+    """Remove every effect that effects added later have made unnecessary; return fit and
+    effects.
+    """
     for name in [t.name for t in taken] if len(taken) > 1 else []:
         rest = tuple(e for e in final.model.effects if e.term.name != name)
         without = fit(burns, sigma, replace(final.model, effects=rest))

@@ -30,7 +30,7 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rival:
-    """An alternative effect; ``why_not`` is empty if the data do not reject it."""
+    """An alternative effect; ``why_not`` is empty if the data do not reject the rival."""
 
     name: str
     confidence: float
@@ -103,7 +103,9 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shift:
-    """A nominal parameter before and after the correction; None where it is not identifiable."""
+    """A nominal parameter before and after the correction; a value is None if it is not
+    identifiable.
+    """
 
     before: float | None
     after: float | None

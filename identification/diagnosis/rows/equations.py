@@ -187,7 +187,7 @@ def own_noise(equation: Equation, rest: Array) -> dict[int, float]:
 
 
 def _accuracy(equation: Equation) -> float:
-    """Return the error of an equation that the best sensors may cause, in its unit."""
+    """Return the error of an equation, in its unit, that even the best sensors may cause."""
     if equation.name == "transmission":
         return ARC_SECOND_RAD
     read = [v.torque if equation.name == "torque" else v.voltage for v in equation.views]
@@ -196,9 +196,9 @@ def _accuracy(equation: Equation) -> float:
 
 
 def held_voltage(equation: Equation) -> float:
-    """Return the noise of the voltage's rows, V, that comes from voltages between the samples: a
-    voltage that changes during a sample is not known better than to this change, unless the
-    channel is declared as averaged. A constant lateness of it is a parameter (:func:`_change`).
+    """Return the noise of the voltage's rows, V, due to changes of the voltage between samples: a
+    voltage that changes during a sample is known only to within this change, unless the channel is
+    declared as averaged. A constant delay of the voltage samples is a parameter (:func:`_change`).
     """
     if equation.name != "voltage":
         return 0.0
@@ -226,7 +226,7 @@ def between_samples(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the least possible noise of an equation's rows, that of rounding."""
+    """Return the least possible noise of an equation's rows, which is the rounding error."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least
@@ -302,7 +302,7 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
 
 
 def _rise(view: View) -> Array:
-    """Return the torque's rise over the samples before each one, N m/s."""
+    """Return the torque's rise over the samples before each sample, N m/s."""
     before = np.roll(view.raw_torque, 1)
     return np.asarray(
         (before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step)
@@ -373,9 +373,9 @@ def _voltage(views: Sequence[View]) -> Equation | None:
 def _change(view: View) -> Array:
     """Return the voltage's change over one sample, V; zero for means over the sample.
 
-    A drive holds its voltage from one cycle to the next, before or after the time stamp. Logs state
-    neither which nor how long a cycle is, unless the channel is declared as averaged; the time is
-    therefore a parameter of the voltage equation.
+    A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
+    channel is declared as averaged, a log states neither when a cycle begins nor how long it is;
+    the time is therefore a parameter of the voltage equation.
     """
     assert view.voltage is not None
     if "voltage" in view.recording.averaged:

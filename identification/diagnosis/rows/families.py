@@ -24,8 +24,8 @@ class Coordinate:
     Attributes:
         name: Name in the report.
         unit: Displayed unit of its values.
-        values: Function from a view to values at the full rate, shape (m,); None if the recording
-            lacks them.
+        values: Function from a view to values at the full rate, shape (m,), or None if the
+            recording lacks them.
         by_direction: Whether the two directions of motion are separated.
     """
 

@@ -74,10 +74,10 @@ def quick_speed(series: Array, rate: float) -> Quick:
 def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolArray:
     """Mark moving samples whose friction is not a function of the filtered speed.
 
-    This is so where the speed varies by more than its own size, since the shaft slips and nearly
-    sticks within the filter's window. The same holds where the speed varies faster than the filter
-    resolves, as with a drive that hunts on falling friction at up to 100 Hz: mean friction is not
-    friction at the mean speed.
+    Samples are unsteady where the speed varies by more than its own magnitude, since the shaft
+    slips and nearly sticks within the filter's window. Samples are also unsteady where the speed
+    varies faster than the filter resolves, as with a drive that oscillates on falling friction at
+    up to 100 Hz: mean friction is not friction at the mean speed.
 
     Args:
         velocity: Speed filtered to ``cutoff``, rad/s.
@@ -101,7 +101,7 @@ def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
 
 
 def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value around each sample."""
+    """Return the difference of the greatest and the least value around each sample."""
     size = 2 * reach + 1
     return np.asarray(
         ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)

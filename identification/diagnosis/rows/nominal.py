@@ -72,7 +72,7 @@ class Nominal:
         """Return the values with static levels limited by the greatest torque that broke the joint
         away.
 
-        Without slow rows a fit may otherwise diverge in them.
+        Without slow rows a fit may otherwise diverge in the static levels.
         """
         unloaded = [v for v in views if not v.loaded] or views
         most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
@@ -100,8 +100,8 @@ class Nominal:
     def level(self, view: View) -> Array:
         """Return the magnitude of the system friction, eq. 9, N m.
 
-        With declared load-dependent friction it includes the gear's friction under a weight that
-        turns with the joint.
+        With declared load-dependent friction the level includes the gear's friction under a weight
+        that turns with the joint.
         """
         return _level(self, view)
 

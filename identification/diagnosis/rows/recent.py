@@ -1,7 +1,7 @@
 """Cache of the latest series of recordings, released before the next diagnosis.
 
-Views and nominal values are keys by identity, so that nothing is used again by the next diagnosis;
-its recordings would stay in memory.
+Views and nominal values are keys by identity, so that the next diagnosis uses no old series;
+without the release, the old recordings would stay in memory.
 """
 
 from __future__ import annotations

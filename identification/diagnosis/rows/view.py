@@ -49,7 +49,7 @@ encoder.
 @dataclass(frozen=True, eq=False)
 class View:
     """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless
-    said.
+    stated otherwise.
 
     Instances are cache keys by identity.
 
@@ -76,10 +76,10 @@ class View:
         motor: Angle of the motor shaft, rad; computed from the joint angle without a motor encoder.
         motor_speed: Speed of the motor shaft, rad/s.
         lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
-        current: Motor current, A; None if not recorded.
-        voltage: Voltage, V, NaN while unpowered; None if not recorded.
-        supply: Supply voltage, V; None if not recorded.
-        temperature: Temperature, deg C; None if not recorded.
+        current: Motor current, A, or None if not recorded.
+        voltage: Voltage, V, NaN while unpowered, or None if not recorded.
+        supply: Supply voltage, V, or None if not recorded.
+        temperature: Temperature, deg C, or None if not recorded.
         low_pass: Filter to the stated bandwidth.
         moving: Filter outputs touched by no sample at rest, in reversal or in unsteady motion,
             shape (n,).
@@ -207,9 +207,9 @@ def _shifts_of_zero(
     """Return the offset that is added to the joint angle of each recording, rad, so that all have
     one zero.
 
-    The joint angle is the motor's, with the zero of the joint encoder in that recording
-    (:func:`joint_angle`). If the motor's origin was kept, the zero of the first recording holds for
-    all: a joint encoder that slipped later does not turn the joint.
+    The joint angle is that of the motor encoder, with the zero of the joint encoder in that
+    recording (:func:`joint_angle`). If the motor's origin was kept, the zero of the first recording
+    holds for all recordings: a joint encoder that slipped later does not turn the joint.
     """
     lags = [None if valve_side or finer_joint(r) else _encoder_lag(r) for r in recordings]
     known = [(start, lag) for start, lag in zip(starts, lags, strict=True) if lag is not None]
@@ -220,7 +220,9 @@ def _shifts_of_zero(
 
 
 def _origin_is_lost(lags: Sequence[Array]) -> bool:
-    """Whether the difference of the encoders changes more between recordings than within any."""
+    """Whether the difference of the encoders changes more between recordings than within any
+    recording.
+    """
     within = max(float(np.ptp(lag)) for lag in lags)
     return float(np.ptp([np.median(lag) for lag in lags])) > within
 
@@ -229,8 +231,8 @@ def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
     """Return the views with motor angles from a common origin, given by the joint encoder.
 
     A motor encoder that counts from power-on loses its origin between recordings, and effects
-    periodic in the motor angle lose their phase. The origin counts as lost if the encoders'
-    difference changes more between recordings than within any.
+    periodic in the motor angle lose their phase. The origin counts as lost if the difference of the
+    encoders changes more between recordings than within any recording.
     """
     both = [v for v in found if v.lag is not None]
     if len(both) < 2:
@@ -250,8 +252,8 @@ def _view(
     if len(grid) < 2 * low_pass.half + 8:
         raise RecordingError(
             f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of "
-            f"{bandwidth_Hz:.3g} Hz needs "
-            f"({2 * low_pass.half + 8}); ask for a higher bandwidth, or for none"
+            f"{bandwidth_Hz:.3g} Hz needs ({2 * low_pass.half + 8}); state a higher bandwidth, "
+            "or none"
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
@@ -329,7 +331,7 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
-    """Return the voltage, NaN while the power stage is off; None if voltage and current were not
+    """Return the voltage, NaN while the power stage is off, or None if voltage and current were not
     both measured.
     """
     values = recording.channels.get("voltage")

@@ -1,7 +1,7 @@
 """All numbers by which effects are tested, selected and judged, in one frozen record.
 
-The others in this package are numerics (steps, tolerances, grids of trial values) and constants of
-nature.
+All other numbers in this package are settings of numerics (steps, tolerances, grids of trial
+values) or constants of nature.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 """Finds effects that are collinear with the nominal model, so that no recording of this kind can
-show them.
+show these effects.
 
 For example, if friction is the only load, a gear with 80 % efficiency is equivalent to nominal
 parameters that are larger by 1/0.8.

@@ -90,8 +90,8 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
 
 
 def best_map(drawn: Sequence[Map], coordinate: str) -> Map | None:
-    """Return the map over an effect's own coordinate if it explains about as much as the best map,
-    else the best map.
+    """Return the map over an effect's own coordinate if this map explains about as much as the best
+    map, else the best map.
     """
     own = next((m for m in drawn if m.coordinate == coordinate), None)
     best = drawn[0] if drawn else None
@@ -142,7 +142,7 @@ def map_over(
     blocks: int,
     rng: np.random.Generator,
 ) -> Map | None:
-    """Return the map of the mismatch over one coordinate with simultaneous bands; None if the
+    """Return the map of the mismatch over one coordinate with simultaneous bands, or None if the
     coordinate has too few values.
 
     Args:

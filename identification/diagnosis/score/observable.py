@@ -115,7 +115,9 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain one effect's regressor at most of its trial parameters."""
+    """Return the effects that explain one effect's regressor at the majority of its trial
+    parameters.
+    """
     found = {}
     for name in {t.term.name for t in trials} - {trials[own[0]].term.name}:
         others = [k for k, t in enumerate(trials) if t.term.name == name]
@@ -128,8 +130,8 @@ def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> di
 def _least_sizes(own: Sequence[_Trial], context: Context, level: float) -> dict[str, float]:
     """Return the parameters of an effect at the smallest size that the recordings can show.
 
-    The squares that the effect explains must be significant at ``level``, and at least the share of
-    the noise below which an effect is negligible.
+    The squares that the effect explains must be significant at ``level``, and must reach the share
+    of the noise below which an effect is negligible.
     """
     linear: list[tuple[float, Mapping[str, float]]] = []
     shaped: list[tuple[float, Mapping[str, float]]] = []

@@ -51,7 +51,7 @@ def sign_flip_p_value(
 
     The same flips are used for all candidates, which accounts for their number and correlation. A
     candidate that explains less than ``least`` of the noise is irrelevant even if significant: it
-    is omitted from the observed statistics, but not from those under flips.
+    is omitted from the observed statistics, but not from the statistics under flips.
     """
     if not candidates:
         return 1.0
@@ -72,8 +72,8 @@ def sign_flip_p_value(
 
 
 def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
-    """Return the statistic under sign flips of shape (draws, b), computed as the observed one,
-    shape (draws,).
+    """Return the statistic under sign flips of shape (draws, b), computed in the same way as the
+    observed statistic, shape (draws,).
     """
     sums, weights = candidate.blocks, candidate.weights
     if not len(weights):
@@ -129,7 +129,7 @@ def _over_two(score: Array, variance: Array) -> Array:
 
 def beyond_noise(joint: Joint) -> set[str]:
     """Return the names of the equations whose mismatch is beyond the noise: over all recordings, or
-    by `excess_of_one` in one of them.
+    by `excess_of_one` in one recording.
     """
     return {
         e.name
@@ -176,9 +176,9 @@ def size_p_value(joint: Joint, only: str = "") -> float:
 
     The test needs no candidate: a mismatch that resembles neither an effect nor a smooth function
     is detected by its size. Rows are clipped at `outlier` times the noise, so that a few outliers
-    do not count as a mismatch; a row counts as half an observation, as neighbours share the filter.
-    If outliers recur in many blocks, as after every reversal with presliding, the number of these
-    blocks is tested.
+    do not count as a mismatch; a row counts as half an observation, because neighbouring rows share
+    the filter. If outliers recur in many blocks, as after every reversal with presliding, the
+    number of these blocks is tested.
     """
     chances = []
     for equation in joint.equations:
@@ -197,8 +197,8 @@ def size_p_value(joint: Joint, only: str = "") -> float:
 
 
 def _beyond(powers: Array, limit: float) -> float:
-    """Return the probability of at least this mean square if that of the noise were ``limit``; 1
-    without rows.
+    """Return the probability of at least this mean square if the mean square of the noise were
+    ``limit``; 1 without rows.
     """
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
@@ -206,7 +206,7 @@ def _beyond(powers: Array, limit: float) -> float:
 
 def _recurring(residual: Array, block: np.ndarray) -> float:
     """Return the probability of at least so many blocks with an outlier, if one in a hundred blocks
-    has any (`outlier_blocks`).
+    has an outlier (`outlier_blocks`).
 
     The result is 1 if the whole mismatch has at most `excess` times the noise power.
     """

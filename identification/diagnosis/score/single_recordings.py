@@ -30,7 +30,8 @@ MOST_OF_IT = 0.8
 
 
 def rests_under_torque(views: Sequence[View], unit: str) -> tuple[str, ...]:
-    """Return a text for each rest under more torque than ended any rest of other recordings.
+    """Return a text for each rest under a torque greater than the torque at the end of any rest in
+    other recordings.
 
     At rest friction has only a limit, so a violation does not show in the mismatch. A drive that
     switches its torque off may still log the requested torque.

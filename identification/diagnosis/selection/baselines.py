@@ -6,11 +6,12 @@ tangent projected out, and the same regressors at the same trial parameters, wit
 of their coefficients. The baseline methods lack the search's block-wise tests, joint refits of the
 nonlinear parameters, test of adequacy, and rivals.
 
-Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
-461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
-3932), which the discrepancy models of Kaheman et al. (arXiv:1909.08574) and de Silva et al. (Front.
-Artif. Intell. 3 (2020) 25) use. The threshold is chosen by cross-validation over recordings: the
-sparsest solution within one standard error of the best.
+The greedy method is forward selection by the Bayesian information criterion (Schwarz, Annals of
+Statistics 6 (1978) 461). The sparse method is sequentially thresholded least squares (Brunton,
+Proctor and Kutz, PNAS 113 (2016) 3932); the discrepancy models of Kaheman et al. (arXiv:1909.08574)
+and de Silva et al. (Frontiers in Artificial Intelligence 3 (2020) 25) use the same method. The
+threshold is chosen by cross-validation over recordings: the sparsest solution within one standard
+error of the best solution.
 """
 
 from __future__ import annotations
@@ -122,8 +123,8 @@ def library(joint: Joint, terms: Sequence[Term]) -> Library:
 
 
 def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return whitened regressors with the tangent projected out; empty if one is collinear with the
-    nominal model.
+    """Return whitened regressors with the tangent projected out; empty if a regressor is collinear
+    with the nominal model.
     """
     out: dict[str, Array] = {}
     before: Array | float = 0.0
@@ -237,8 +238,8 @@ def sparse(given: Library) -> tuple[str, ...]:
 
 
 def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
-    """Return coefficients, shape (p,), at rising thresholds; each starts from the groups that
-    remain at the previous one.
+    """Return coefficients, shape (p,), at rising thresholds; each threshold starts from the groups
+    that remain at the previous threshold.
     """
     left = list(groups)
     coefficients = np.zeros(len(moment))

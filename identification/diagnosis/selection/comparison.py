@@ -27,11 +27,12 @@ USUAL_CURRENT_A, USUAL_VOLTAGE_V = 13.0, 40.0
 
 @dataclass(frozen=True)
 class Contender:
-    """An effect fitted jointly, and the preference of the data for the selected effect over it.
+    """An effect fitted jointly, and the preference of the data for the selected effect over this
+    effect.
 
     ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica
-    57 (1989) 307). ``beyond`` names a parameter outside its plausible range; it is empty if there
-    is none.
+    57 (1989) 307). ``beyond`` names a parameter outside its plausible range; the text is empty if
+    all parameters are plausible.
     """
 
     name: str
@@ -150,7 +151,9 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
 
 
 def _greatest(channels: Sequence[Array | None], usual: float) -> float:
-    """Return the greatest absolute value over the usual one; 1 if it was not recorded."""
+    """Return the ratio of the greatest absolute value of a channel to the usual value; 1 if the
+    channel was not recorded.
+    """
     known = [float(np.nanmax(np.abs(c))) for c in channels if c is not None]
     return max(known, default=usual) / usual or 1.0
 
@@ -174,8 +177,8 @@ def parameter_count(effect: Added) -> int:
 
 
 def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
-    """Whether a rival contains the chosen effect as a special case: it has more parameters and the
-    same fit. Such a rival is no alias.
+    """Whether a rival contains the chosen effect as a special case: the rival has more parameters
+    and the same fit. Such a rival is no alias.
     """
     difference = its.residual - best.residual
     return (

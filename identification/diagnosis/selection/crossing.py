@@ -1,12 +1,12 @@
 """Distinguishes backlash from coupling hysteresis by the torque transmitted while one side moves
 and the other rests.
 
-If friction holds the valve until the gap or the hysteresis loop is closed, the angles of both are
-equal within the encoders' resolution. In a gap the drive supplies only the rotor's torque, T = J_r
-domega_m/dt + M_r s. In a hysteresis loop the torque rises with the angle, T = J_r domega_m/dt + M_r
-s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the motor's side, w the torque
-that closes the loop, s the direction, and u from -1 to 1 the position in the loop. The rise w u
-distinguishes the two; the constant part may occur in both.
+If friction holds the valve until the gap or the hysteresis loop is closed, the angles with a gap
+and with a loop are equal within the encoders' resolution. In a gap the drive supplies only the
+rotor's torque, T = J_r domega_m/dt + M_r s. In a hysteresis loop the torque rises with the angle, T
+= J_r domega_m/dt + M_r s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the
+motor's side, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in
+the loop. The rise w u distinguishes a loop from a gap; the constant part may occur with either.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Crossing:
 def crossing_torque(
     views: Sequence[View], nominal: Nominal, gap: float, rotor: float
 ) -> Crossing | None:
-    """Return the torque while a gap of this size is crossed; None if too few crossings last long
+    """Return the torque while a gap of this size is crossed, or None if too few crossings last long
     enough.
 
     Args:
@@ -113,8 +113,8 @@ def _columns(
 def _quick_acceleration(view: View) -> Array:
     """Return motor acceleration referred to the joint, by differences over few samples, rad/s^2.
 
-    A crossing lasts ten samples, which a filter does not resolve: the acceleration that it removes
-    would appear as transmitted torque.
+    A crossing lasts ten samples, which a filter does not resolve: the acceleration that the filter
+    removes would appear as transmitted torque.
     """
     motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
     padded = np.pad(motor, span, mode="edge")
@@ -184,14 +184,14 @@ def _preference(
     views: Sequence[View], own: Added, joint: Joint, beside: Joint, seen: Crossing | None
 ) -> float:
     """Return by how many standard errors the other effect of the pair is preferred to the
-    identified one.
+    identified effect.
 
     Args:
         views: Recordings.
         own: The identified effect.
         joint: Fit with this effect.
         beside: Fit with the other effect in its place, as the last effect.
-        seen: Torque from the crossings; None if none lasts long enough.
+        seen: Torque from the crossings, or None if none lasts long enough.
     """
     loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
     prefers_loop = (
@@ -223,7 +223,7 @@ def _loop_preference(views: Sequence[View], torque: float) -> float:
     angles, is preferred to a gap.
 
     The result is at most zero. A loop that closes without torque equals a gap, which has one
-    parameter less; a loop that closes with torque was compared with a gap by the angles before.
+    parameter less; a loop that closes with torque has been compared with a gap by the angles.
     """
     usual = float(
         np.median(
@@ -255,12 +255,12 @@ def _other_of_pair(
     rotor: float,
     twist: float,
 ) -> Added:
-    """Return the other effect of the pair, with the size of the identified one; a loop gets the
+    """Return the other effect of the pair, with the size of the identified effect; a loop gets the
     torque from the crossings.
 
-    A loop's fit starts from the rotor inertia estimated from the crossings, or from an assumed one,
-    ``rotor``, kg m^2; a gap's fit starts from a shaft compliance of ``twist``, rad/(N m), per
-    count.
+    A loop's fit starts from the rotor inertia estimated from the crossings, or from an assumed
+    inertia, ``rotor``, kg m^2; a gap's fit starts from a shaft compliance of ``twist``, rad/(N m),
+    per count.
     """
     counts = 0.5 * TWIST_COUNTS[1]
     if own.term.name != "backlash":

@@ -1,8 +1,8 @@
 """Tests whether an effect reduces the error on recordings that were not used in its fit.
 
-If recordings are set aside, they are predicted. If none is, each part of the recordings is
-predicted from the others (cross-validation: Stone, J. R. Stat. Soc. B 36 (1974) 111), with
-nonlinear parameters and Stribeck speeds held.
+If recordings are set aside, the error is that of their prediction. If no recording is set aside,
+each part of the recordings is predicted from the other parts (cross-validation: Stone, Journal of
+the Royal Statistical Society B 36 (1974) 111), with nonlinear parameters and Stribeck speeds held.
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ def validated_effects(
     error on unused recordings significantly.
 
     The effect that reduces the error least is dropped first, and the other effects are fitted again
-    without it. Of its rivals, the first that reduces the error significantly replaces it. Then, if
-    several effects remain, one after the first is dropped if the interval of its size contains
-    zero. Finally, the recordings set aside decide between each remaining effect and its rivals.
+    without it. Of the rivals of a dropped effect, the first rival that reduces the error
+    significantly replaces the effect. Then, if several effects remain, an effect other than the
+    first is dropped if the interval of its size contains zero. Finally, the recordings set aside
+    decide between each remaining effect and its rivals.
 
     Args:
         found: The search.
@@ -107,8 +108,8 @@ def validated_effects(
 def _with_replacing_rival(
     case: _Case, joint: Joint, taken: Round, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint:
-    """Return the fit with the first rival of a dropped effect that reduces the error significantly,
-    or the fit without one. Its round and a step are added.
+    """Return the fit with the first rival of a dropped effect that reduces the error significantly;
+    if no rival does, the fit without a rival. Its round and a step are added.
     """
     for rival in taken.rivals:
         tried = _fit_with_rival(case, joint, rival)
@@ -127,11 +128,11 @@ def _with_replacing_rival(
 def _without_undetermined(
     case: _Case, joint: Joint, rounds: dict[str, Round], steps: list[Step]
 ) -> Joint | None:
-    """Return the fit without an effect whose size has an interval that contains zero; None if there
-    is none.
+    """Return the fit without an effect whose size has an interval that contains zero, or None if
+    there is no such effect.
 
-    The effect that was selected first is kept. The round of the other one is removed, and a step is
-    added.
+    The effect that was selected first is kept. The selection round of the dropped effect is
+    removed, and a step is added.
     """
     for k, effect in enumerate(joint.effects):
         name = effect.term.name
@@ -150,8 +151,8 @@ def _without_undetermined(
 
 def _unseen_share(case: _Case, joint: Joint) -> float | None:
     """Return the share of the mismatch beyond the noise on recordings set aside that all effects
-    explain, in the equations by which they are judged; None if there is no such mismatch, or if an
-    effect has no value there, such as a phase that differs between recordings.
+    explain, in the equations by which they are judged, or None if there is no such mismatch, or if
+    an effect has no value there, such as a phase that differs between recordings.
     """
     names = {name for e in joint.effects for name in judging_equations(joint, e.term)}
     before, after = (
@@ -174,11 +175,12 @@ def _unseen_share(case: _Case, joint: Joint) -> float | None:
 def _with_rivals_judged(
     case: _Case, joint: Joint, taken: Round, steps: list[Step]
 ) -> tuple[Joint, Round]:
-    """Return fit and round of an effect after a comparison with its rivals by the errors on the
-    recordings set aside.
+    """Compare an effect with its rivals by their errors on the recordings set aside; return the fit
+    and the selection round of the effect.
 
-    A rival with a significantly larger error is rejected. A rival that the fit does not reject
-    replaces the effect if its error is significantly smaller.
+    A rival is rejected if the error with the rival is significantly larger than the error with the
+    effect. A rival that the fit does not reject replaces the effect if the error with the rival is
+    significantly smaller than the error with the effect.
     """
     seen = _seen_aside(case, joint, taken.name)
     if seen is None:
@@ -227,13 +229,13 @@ def _in_noise_of(joint: Joint, other: Joint, seen: tuple[Stack, Array]) -> Array
 
 
 def _others(joint: Joint, name: str) -> set[str]:
-    """Return the names of a fit's effects without one."""
+    """Return the names of all effects of a fit but one."""
     return {e.term.name for e in joint.effects} - {name}
 
 
 def _seen_aside(case: _Case, joint: Joint, name: str) -> tuple[Stack, Array, list[str]] | None:
     """Return rows and residual of recordings set aside, and the equations by which an effect is
-    judged; None if they cannot judge it.
+    judged, or None if these recordings cannot judge the effect.
     """
     own = next((e for e in joint.effects if e.term.name == name), None)
     if own is None or own.term.place is not None or not case.aside:
@@ -281,7 +283,9 @@ def _step(
 
 
 def _fit_with_rival(case: _Case, joint: Joint, rival: Contender) -> Joint | None:
-    """Return the fit with a rival added to the accepted effects, or None if it is implausible."""
+    """Return the fit with a rival added to the accepted effects, or None if this fit is
+    implausible.
+    """
     added = rival.joint.effects[-1]
     if (
         rival.beyond
@@ -330,8 +334,9 @@ def _error_reduction(case: _Case, joint: Joint, without: Joint, effect: Added) -
 def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequence[str]) -> bool:
     """Whether an effect changes the prediction of recordings set aside.
 
-    An effect does not change it if its value there is unknown, such as a phase that differs between
-    recordings, or if the parameters that are fitted to these recordings compensate it.
+    An effect does not change the prediction if its value there is unknown, such as a phase that
+    differs between recordings, or if the parameters that are fitted to these recordings compensate
+    the effect.
     """
     columns = stack.columns(effect.term, effect.shape).values()
     change = judged_rows(stack, left[0] - left[1], names)
@@ -342,7 +347,7 @@ def _can_show(stack: Stack, left: Sequence[Array], effect: Added, names: Sequenc
 
 def _beyond_noise(stack: Stack, left: Array, names: Sequence[str]) -> bool:
     """Whether the mean square of a residual over the named equations together exceeds the noise;
-    otherwise no effect can reduce it.
+    otherwise no effect can reduce the residual.
     """
     rows = judged_rows(stack, left, names)
     return bool(len(rows) and float(np.mean(rows**2)) > RULES.tested_from)

@@ -1,9 +1,9 @@
-"""Finds effects that these recordings cannot distinguish from an identified one, whatever the
+"""Finds effects that these recordings cannot distinguish from an identified effect, whatever the
 preference of the fit.
 
 If the regressors of another effect contain all but a hundredth of the identified effect's
-contribution, the fits differ by that hundredth only, and regressors are less exact than that for
-real machines.
+contribution, the fits differ by this hundredth only, and the regressors of real machines have a
+larger error.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ between motor and joint is wound up.
 
 def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
     """Return a search in which the effects that these recordings cannot distinguish from an
-    identified one are open rivals.
+    identified effect are open rivals.
 
     Args:
         found: The search.
@@ -78,8 +78,8 @@ def _without_joint_encoder(joint: Joint) -> bool:
 
 
 def _indistinct_effects(final: Joint, place: int, terms: Sequence[Term]) -> list[str]:
-    """Return the effects with no more parameters than an identified one whose regressors, at one of
-    their trial parameters, contain its contribution.
+    """Return the effects that have no more parameters than an identified effect, and whose
+    regressors, at one set of trial parameters, contain the contribution of the identified effect.
 
     The torque of a crossing, by which a gap and a loop are distinguished, is in no regressor.
     """
@@ -119,7 +119,8 @@ def _stack_of_one_effect(final: Joint, place: int) -> Stack:
 
 def _unexplained_share(stack: Stack, made: Array, columns: Mapping[str, Array]) -> float:
     """Return the share of the squares of a contribution, shape (n,), that regressors do not
-    contain; the nominal tangent and the effect basis are projected out of both.
+    contain; the nominal tangent and the effect basis are projected out of contribution and
+    regressors.
     """
     whole = stack.whitened(columns)
     square = whole.T @ whole

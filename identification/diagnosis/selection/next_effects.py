@@ -2,7 +2,7 @@
 
 Encoders resolve a gap a thousand times better than the current resolves friction. The error of an
 approximate regressor in one equation then has far larger squares than every missing effect in the
-other.
+other equation.
 """
 
 from __future__ import annotations
@@ -49,9 +49,10 @@ def finalist_groups(
 ) -> Iterator[list[Candidate]]:
     """Yield groups of finalists, to be tried in turn until one effect is selected.
 
-    For the first effect the score alone decides. For further effects those come first that explain
-    a sufficient share of the mismatch beyond the noise in their equations. Effects are omitted that
-    appear only in equations where nothing is missing, or that would be removed again.
+    For the first effect the score alone decides. Of further effects, those that explain a
+    sufficient share of the mismatch beyond the noise in their equations come first. Effects that
+    appear only in equations where nothing is missing, and effects that would be removed again, are
+    omitted.
 
     Args:
         baseline: Fit of the nominal model.
@@ -89,8 +90,9 @@ def unscored(
     """Return trials of the effects without a score whose size is given by a nonlinear parameter, in
     the equations whose mismatch is beyond the noise.
 
-    The regressors of these effects depend on the nominal values: where these are far from the right
-    ones, as without a Stribeck fall, the score of the right effect may be negative.
+    The regressors of these effects depend on the nominal values: if these values are far from the
+    right ones, as without a fall of friction with speed, the score of the right effect may be
+    negative.
     """
     names = {c.name for c in scored}
     context = Context(joint.equations[0].views, joint.nominal)

@@ -1,5 +1,5 @@
-"""Removes and replaces selected effects, by the squares that each explains beside the others and by
-comparison with rivals.
+"""Removes and replaces selected effects, by the squares that each explains in addition to the
+others and by comparison with rivals.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ def with_needed_effects(
     rounds: list[Round],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Remove effects that explain too little of the mismatch that remains without them, the least
-    first; return fit and rounds.
+    """Remove effects that explain too little of the mismatch that remains without them, beginning
+    with the effect that explains least; return fit and rounds.
     """
     while len(joint.effects) > 1:
         trials = []
@@ -99,8 +99,8 @@ def _explained_share(
 def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
     """Whether one more effect would be removed again after the fit, judged by its predicted gain.
 
-    This is so if no mismatch beyond the noise remains in its equations, and it explains less than
-    the regressor error of the earlier effects or is not significant.
+    An effect would be removed if no mismatch beyond the noise remains in its equations, and if it
+    explains less than the regressor error of the earlier effects or is not significant.
     """
     parts = _judging_rows(joint, term)
     if _beyond_noise(joint, parts) > 1.0:
@@ -113,8 +113,8 @@ def would_be_removed(baseline: Joint, joint: Joint, term: Term, candidate: Candi
 
 
 def _least_gain(beside: Joint, term: Term) -> float:
-    """Return the relative gain below which an effect may be the regressor error of the others, if
-    nothing else is left.
+    """Return the relative gain below which an effect may be the regressor error of the other
+    effects, if no other mismatch is left.
     """
     error = _regressor_error(beside, term)
     return RULES.shape_errors * error if error > EXACT else error

@@ -62,7 +62,7 @@ class Search:
         loudest: Generic family or effect with the least p-value at the end.
         steps: Steps of the search.
         unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
-            effects explain; None if these have no such mismatch.
+            effects explain, or None if these have no such mismatch.
     """
 
     baseline: Joint
@@ -134,7 +134,7 @@ def search(
     progress: Progress,
     options: Options = Options(),
 ) -> Search:
-    """Add effects one at a time while the test allows, then try to remove each.
+    """Add effects one at a time while the test allows, then try to remove each effect.
 
     Each effect is judged at the end together with the others: two effects may explain everything
     together though one alone explains little.
@@ -184,7 +184,7 @@ def _missing_test(
 ) -> _Test:
     """Test whether anything is missing, by size and by sign flips.
 
-    Only equations are tested whose mismatch is beyond the noise. Effects that may vary by their
+    Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
     full amplitude from row to row are tested in any case, because they count as noise.
     """
     beyond = beyond_noise(joint)
@@ -214,7 +214,7 @@ def _next_effect(
     tell: Callable[[Sequence[Candidate]], None],
     steps: list[Step],
 ) -> tuple[Joint, Round] | None:
-    """Return the fit with the best further effect, or None if none is acceptable.
+    """Return the fit with the best further effect, or None if no further effect is acceptable.
 
     Args:
         case: Inputs of the search.
@@ -267,8 +267,8 @@ def _best_finalist(
     p_value: float,
     steps: list[Step],
 ) -> tuple[Joint, Round] | None:
-    """Fit each finalist jointly with the selected effects; return the fit with the best, or None if
-    none is acceptable.
+    """Fit each finalist jointly with the selected effects; return the fit with the best finalist,
+    or None if no finalist is acceptable.
     """
     if not finalists:
         return None
@@ -319,8 +319,8 @@ def _best_finalist(
 def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> Joint:
     """Return the fit with a candidate and the selected effects.
 
-    An effect with several forms is fitted in each; a form must be significantly better than those
-    before it.
+    An effect with several forms is fitted in each form; a form must be significantly better than
+    the forms before it.
     """
     taken, *others = (_fit_from(case, fits, candidate, shape) for shape in _forms(case, candidate))
     for other in others:
@@ -330,8 +330,9 @@ def _fit_with(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate) -> J
 
 
 def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
-    """Return a candidate's trial parameters in each of its forms: its own form first unless it is
-    the last, else in the order of the term, the usual form first.
+    """Return the trial parameters of a candidate in each form of the effect: the form of the
+    candidate first, unless this form is the last of the term, then the forms in the order of the
+    term.
     """
     shapes = [candidate.shape]
     for index, values in case.terms[candidate.name].forms.items():

@@ -21,11 +21,11 @@ def validation_residual(
     joint: Joint, aside: Sequence[View], unit: str, starts: Sequence[Added] = ()
 ) -> tuple[Stack, Array] | None:
     """Return the rows of recordings set aside and the residual of a fit there, over the noise of
-    the fitted recordings; None if hardly a sample is in steady motion.
+    the fitted recordings, or None if hardly a sample is in steady motion.
 
     No parameter of the torque's model is fitted to these rows. In other equations their own
-    constants are fitted, such as the zero of an encoder, which are not reported; and so are unknown
-    states at the start of a recording, of the fit's effects and of those in ``starts``.
+    constants, such as the zero of an encoder, are fitted but not reported. Unknown states at the
+    start of a recording, of the fit's effects and of those in ``starts``, are fitted as well.
     """
     rows = equations(aside, joint.nominal, unit)
     sigma = {e.name: e.sigma for e in joint.equations}
@@ -44,7 +44,7 @@ def validation_residual(
 
 
 def _with_noise(equation: Equation, sigma: float) -> Equation:
-    """Return an equation over another noise; the noise of each recording stays the same."""
+    """Return an equation in units of another noise; the noise of each recording does not change."""
     ratio = (equation.sigma / sigma) ** 2
     own = {index: max(1.0, power * ratio) for index, power in equation.own.items()}
     return replace(equation, sigma=sigma, own=own)
@@ -99,11 +99,11 @@ def judged_rows(stack: Stack, rows: Array, names: Sequence[str]) -> Array:
 
 
 def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float:
-    """Return :func:`studentised_reduction`, infinite if the first residual lacks most of the
-    second's squares beyond the noise.
+    """Return :func:`studentised_reduction`; infinite if the first residual lacks most of the
+    squares beyond the noise that the second residual has.
 
-    An effect in a few blocks, as an end stop, may explain nearly everything, although these are
-    too few for a standard error.
+    An effect in a few blocks, such as an end stop, may explain nearly everything, although a few
+    blocks do not suffice for a standard error.
     """
     explained = explained_share(stack, left, names)
     if explained is not None and explained >= RULES.adequate:
@@ -112,8 +112,9 @@ def reduction(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> floa
 
 
 def explained_share(stack: Stack, left: Sequence[Array], names: Sequence[str]) -> float | None:
-    """Return the share of the second residual's squares beyond the noise that the first lacks, in
-    the named equations together; None if the second has none.
+    """Return the relative reduction of the squares beyond the noise from the second residual to the
+    first, over the named equations together, or None if the second residual has no squares beyond
+    the noise.
     """
     rows = judged_rows(stack, np.stack(left, axis=1), names)
     within = RULES.excess * len(rows)
@@ -125,7 +126,7 @@ def studentised_reduction(stack: Stack, left: Sequence[Array], names: Sequence[s
     """Return by how many standard errors, over blocks of time, the first residual is smaller than
     the second in the named equations together.
 
-    The rms of each block is compared; with squares a few blocks would decide.
+    The rms of each block is compared; if squares were compared, a few blocks would decide.
     """
     shown = np.zeros(len(left[0]), dtype=bool)
     for name in names:

@@ -1,5 +1,5 @@
-"""Computes the regressors of effects of lever, weight and valve that eq. 10 to 13 and 17 omit, and
-of sampling times.
+"""Computes the regressors of effects that eq. 10 to 13 and 17 omit (lever, weight, valve), and of
+effects of sampling times.
 """
 
 from __future__ import annotations

@@ -71,8 +71,8 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 
 def _exponents(context: Context) -> list[Shape]:
-    """Return trial exponents, each with the ratio of its Stribeck speed to the nominal one at which
-    both falls agree at one share.
+    """Return trial exponents, each with the ratio of the trial to the nominal Stribeck speed at
+    which the two falls of friction agree at one share.
     """
     usual = context.nominal.alpha
     return [
@@ -83,8 +83,8 @@ def _exponents(context: Context) -> list[Shape]:
 
 
 def _start_with_exponent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Return nominal values whose Stribeck speeds include the factor of the trial, as start values
-    of a joint fit.
+    """Return nominal values with Stribeck speeds multiplied by the ratio in the trial parameters,
+    as start values of a joint fit.
     """
     alpha, wider = shape
     values = {n: v * wider if n in SPEEDS else v for n, v in nominal.values.items()}
@@ -144,12 +144,13 @@ def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Sha
 
 @recent
 def _initial_friction(view: View, nominal: Nominal) -> float:
-    """Return the friction at the start of a recording, N m, as the drive's torque at rest requires.
+    """Return the friction at the start of a recording, N m, which balances the drive's torque at
+    rest.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
-    direction, which no recording shows. The friction at the start is therefore taken from the
-    measured torque. The contribution of the initial friction decays with the first slip, so that
-    this one value cannot account for any other mismatch.
+    direction; no recording shows this initial friction. The friction at the start is therefore
+    taken from the measured torque. The contribution of the initial friction decays with the first
+    slip, so that this one value cannot account for any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]

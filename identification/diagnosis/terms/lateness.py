@@ -1,11 +1,12 @@
-"""Delayed samples in recordings whose voltage was not measured but computed from them by the
-control law.
+"""Delayed samples in recordings whose voltage was not measured, but computed from the samples by
+the control law.
 
-Such a voltage, U = U_s clip(kp (command - angle)), is computed from the recorded angle, so it has
-the same delay and needs no shift. But its command is on the host's clock: for an angle delayed by
-tau, the motor's voltage was U_s clip(kp (command(t - tau) - angle)), and the error of the recorded
-voltage is about U_s kp tau dcommand/dt. A shift of the whole voltage would correct only the rate of
-the tracking error, which is several times less.
+A voltage that the control law gives, U = U_s clip(kp (command - angle)), is computed from the
+recorded angle, so that it has the delay of the angle and needs no shift. But the command in such a
+voltage is on the host's clock: for an angle delayed by tau, the motor's voltage was U_s clip(kp
+(command(t - tau) - angle)), and the error of the recorded voltage is about U_s kp tau dcommand/dt.
+A shift of the whole voltage would correct only the rate of the tracking error, which is several
+times less than the rate of the command.
 """
 
 from __future__ import annotations

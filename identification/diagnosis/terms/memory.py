@@ -54,7 +54,8 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
     """Return the lead of a gap's driving side over its driven side, within +- gap/2, shape (m,).
 
     Friction holds the driven side at rest until a flank drives it. Applied to torque instead of
-    angle, it is the force of one Maxwell-slip element. ``start`` is the lead at the first sample.
+    angle, the lead is the force of one Maxwell-slip element. ``start`` is the lead at the first
+    sample.
     """
     out = np.empty_like(angle)
     half = 0.5 * gap
@@ -74,10 +75,10 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
 
 @compiled
 def first_swing(series: Array, width: float) -> int:
-    """Return the first sample at which the range of a series reaches ``width``; from there on its
-    play does not depend on the start value.
+    """Return the first sample at which the range of a series reaches ``width``; from this sample on
+    the play of the series does not depend on the start value.
 
-    The number of samples if the range never reaches it.
+    The result is the number of samples if the range never reaches ``width``.
     """
     low = high = series[0]
     for k in range(len(series)):
@@ -142,7 +143,9 @@ def temperature_rise(loss: Array, run_time: Array, time_constant: float) -> Arra
 
 @compiled
 def delayed_series(series: Array, step: float, time_s: float) -> Array:
-    """Return a series delayed by ``time_s`` (advanced if negative), ends held, shape (m,)."""
+    """Return a series delayed by ``time_s`` (advanced if negative), with the end values held, shape
+    (m,).
+    """
     out = np.empty(len(series))
     last = len(series) - 1
     for k in range(len(series)):

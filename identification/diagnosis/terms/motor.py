@@ -85,7 +85,7 @@ def _gain(view: View, nominal: Nominal) -> Array:
     identified so far.
 
     The ratio is 1 if each recording has its own origin: in a validation recording the phase is
-    unknown, and constants that depend on the divided torque would be wrong there.
+    unknown, and constants that depend on the torque divided by this ratio would be wrong there.
     """
     if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))
@@ -95,7 +95,9 @@ def _gain(view: View, nominal: Nominal) -> Array:
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
-    """Return a wave's two columns; two for each recording if each has its own origin."""
+    """Return the two columns of a wave, or two columns for each recording if each recording has its
+    own origin of angles.
+    """
     if len(shape) == 1:
         return wave
     out = np.zeros((2 * round(shape[1]), wave.shape[1]))
@@ -122,7 +124,8 @@ def _cycles(context: Context) -> Sequence[Shape]:
 
 
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
-    """Return the torque of the current beyond the one that would be needed without saturation.
+    """Return the torque of the current in excess of the current that would be needed without
+    saturation.
 
     The torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2), which cannot exceed
     half of Km I_k.
@@ -155,7 +158,8 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 def _loss(view: View) -> Array:
     """Return the heat loss of the winding, W: electrical less mechanical power, I (U - Ke omega).
 
-    R I^2 omits the rise of R, some per cent in a warm winding; it is used if there is no voltage.
+    R I^2 is used only if there is no voltage: it omits the rise of R, some per cent in a warm
+    winding.
     """
     assert view.current is not None
     bench = view.recording.bench
@@ -182,7 +186,9 @@ def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
 
 
 def _warmth(view: View, magnet: float) -> Array:
-    """Return the voltage of a winding, and with ``magnet`` 1 of magnets too, 1 K warmer, V."""
+    """Return the voltage due to a winding that is 1 K warmer, V; with ``magnet`` 1 the magnets are
+    1 K warmer too.
+    """
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
     warmer = COPPER_PER_K * resistance * view.current

@@ -1,5 +1,5 @@
 """Definition of an effect for the search: regressors at the full rate at trial parameters, and
-conversion to its parameters.
+conversion of fitted values to the effect's parameters.
 """
 
 from __future__ import annotations
@@ -122,7 +122,9 @@ def one(name: str) -> Reader:
 
 
 def shaped(name: str, index: int = 0) -> Reader:
-    """Return a reader of a nonlinear parameter, for effects whose size is determined by it."""
+    """Return a function that reads a nonlinear parameter, for effects whose size this parameter
+    determines.
+    """
     return lambda _coefficients, shape, _context: {name: shape[index]}
 
 
@@ -136,20 +138,22 @@ def polar(sine: float, cosine: float) -> tuple[float, float]:
 def everywhere(
     context: Context, needed: Callable[[View], bool], shapes: Sequence[Shape]
 ) -> Sequence[Shape]:
-    """Return the trial parameters if at least one recording can show the effect, else none."""
+    """Return the trial parameters if at least one recording can show the effect, else an empty
+    list.
+    """
     return shapes if any(needed(v) for v in context.views) else ()
 
 
 def rows(*series: Array) -> Array:
-    """Stack series of one recording, shape (k, m); a single one is not copied."""
+    """Stack series of one recording, shape (k, m); a single series is not copied."""
     if len(series) == 1:
         return np.asarray(series[0], dtype=np.float64)[None]
     return np.stack([np.asarray(s, dtype=np.float64) for s in series])
 
 
 def of_each_recording(view: View, count: int, series: Array) -> Array:
-    """Return regressors whose coefficients each of ``count`` recordings has to itself, shape
-    (count k, m), from those of one recording, shape (k, m).
+    """Return regressors with separate coefficients for each of ``count`` recordings, shape (count
+    k, m), from the regressors of one recording, shape (k, m).
 
     A recording that is not fitted has none.
     """

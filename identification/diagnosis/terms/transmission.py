@@ -65,7 +65,7 @@ class Gap(NamedTuple):
 
 class Loop(NamedTuple):
     """Nonlinear parameters of a coupling's hysteresis loop: closing torque, N m, and deflection,
-    rad; the others as in :class:`Gap`.
+    rad; the other parameters are those of :class:`Gap`.
     """
 
     torque: float
@@ -94,8 +94,8 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     """Return the regressors of a shaft's elastic twist: drive torque, and torques of rotor inertia,
     shaft damping, and the rotor's dry and viscous friction.
 
-    All but the first are unknown; with a soft shaft their effect is up to a hundred times the
-    encoders' noise.
+    Of these torques only the drive torque is known; with a soft shaft the effect of the others is
+    up to a hundred times the encoders' noise.
     """
     torque, speed = view.transmitted, view.motor_speed / view.recording.bench.gear_ratio
     damping = -central_difference(torque, view.step)
@@ -140,7 +140,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
     """Return the motor's lead through a gap, rad, shape (m,); the initial position in the gap is
     from the encoders.
 
-    The joint rests while the gap is open, unless a weight exceeds its friction.
+    The joint rests while the gap is open, unless a weight exceeds the friction of the joint.
 
     Args:
         view: The recording.
@@ -221,8 +221,8 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
-    """Return the loop's deflection over its greatest deflection; ``start`` is the initial lead of
-    its play in torque.
+    """Return the deflection of a hysteresis loop over its greatest deflection; ``start`` is the
+    initial lead of the play operator, whose input is the torque.
     """
     out = play(torque, 2.0 * width, start)
     np.subtract(torque, out, out=out)
@@ -286,10 +286,11 @@ def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:
-    """Return the effects for torques computed from the joint encoder, whose delay also delays
-    friction.
+    """Return the effects for torques computed from the joint encoder, whose delay also delays the
+    friction in the torque.
 
-    Otherwise the torque, which leads such angles, would look like a lag of the current.
+    If the friction were not delayed, the torque would lead the delayed angles, which would look
+    like a lag of the current.
     """
     return [
         replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)

@@ -30,13 +30,13 @@ GREATEST_QUANTILE = 0.99
 
 
 def has_current(view: View) -> bool:
-    """Whether a recording has current, and its bench the torque constant."""
+    """Whether a recording has a current channel, and its bench a torque constant."""
     return view.current is not None and view.recording.bench.torque_constant is not None
 
 
 def about_zero(shares: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial parameters: the current over which a drop is reached, share of the greatest
-    current; the reading without current, A; the greatest current, A.
+    """Return trial parameters: the current over which a drop is reached, as a share of the greatest
+    current; the reading at zero current, A; the greatest current, A.
     """
 
     def trials(context: Context) -> Sequence[Shape]:
@@ -67,7 +67,7 @@ def _mean_over_sample(
     linear in time.
 
     Near a reversal the current changes by more than I_b within one period. ``zero_A`` is the
-    reading without current. The function is applied to the logged samples and its result resampled
+    reading at zero current. The function is applied to the logged samples and its result resampled
     like the voltage, since interpolation of the current would widen the step.
     """
     recording = view.recording
@@ -82,7 +82,8 @@ def _mean_over_sample(
 
 
 def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    """Return the regressor of a drop with the sign of the current, 1: tanh(I / I_b), shape (1, n).
+    """Return the regressor of a drop with the sign of the current: tanh(I / I_b), dimensionless,
+    shape (1, n).
 
     Args:
         view: The recording.

@@ -25,7 +25,7 @@ def sine_cosine(frequency: float, angle: Array) -> Array:
     million half turns.
 
     This function has no branches, so that the processor computes several samples at a time; numpy
-    computes one at a time and takes ten times as long.
+    computes one sample at a time and takes ten times as long.
     """
     out = np.empty((2, len(angle)))
     _fill(frequency, angle, out[0], out[1])

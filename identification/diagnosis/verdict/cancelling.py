@@ -1,8 +1,8 @@
-"""Tests whether identified effects nearly cancel each other, so that their small sum is a pattern
+"""Tests whether identified effects nearly cancel each other, so that their small sum has a pattern
 of its own.
 
 A linear spring and a weight of opposite sign together make the torque of a hardening spring: each
-would be many times greater than their sum, and neither is there.
+would be many times greater than their sum, and neither of them exists.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from identification.recording import Array
 
 def cancelling_effects(joint: Joint) -> tuple[str, ...]:
     """Return the names of two effects whose contributions in one equation nearly cancel each other;
-    empty if no two do.
+    empty if there is no such pair.
 
     The nominal tangent is projected out of the contributions.
     """

@@ -2,7 +2,7 @@
 wrong.
 
 A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,
-which then explains most of it. The remaining mismatch starts anew at each reversal.
+which then explains most of the mismatch. The remaining mismatch starts anew at each reversal.
 """
 
 from __future__ import annotations

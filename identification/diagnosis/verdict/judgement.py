@@ -55,8 +55,8 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
     Args:
         found: The search with its fits within their limits and the accepted effects.
         rng: Random generator for the bands of the maps.
-        searched: The search before effects were dropped; None if it is the same. Both must explain
-            enough of the mismatch.
+        searched: The search before effects were dropped, or None if it is the same. Both must
+            explain enough of the mismatch.
     """
     stack = found.baseline.stack
     main = main_equation(found)
@@ -149,8 +149,8 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
-    A rival that replaced an effect is last in the fit, but it keeps the place of the replaced
-    effect here.
+    A rival that replaced an effect is last in the fit, but has the place of the replaced effect in
+    this list.
 
     Args:
         found: The search.
@@ -230,21 +230,21 @@ def _effect(
 
 
 def _more_is_missing(found: Search) -> bool:
-    """Whether the test finds that more is missing, or the effects explain too little on recordings
-    set aside.
+    """Whether the test finds further missing physics, or the effects explain too little on
+    recordings set aside.
     """
     return found.p_after <= RULES.level or little_unseen(found)
 
 
 def little_unseen(found: Search) -> bool:
-    """Whether the effects explain less on recordings set aside than right ones do."""
+    """Whether the effects explain less on recordings set aside than the right effects would."""
     share = found.unseen_share
     return share is not None and share < RULES.nearly_complete
 
 
 def _needing(final: Joint, k: int, rows: slice) -> float:
-    """Return the mean-square mismatch over the noise's that the final model leaves in some rows
-    without the contribution of effect ``k``.
+    """Return the mean-square mismatch, over that of the noise, that the final model leaves in some
+    rows without the contribution of effect ``k``.
     """
     effect, stack = final.effects[k], final.stack
     columns = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -281,7 +281,7 @@ def confidence_of(
 
 
 def _why_not(rival: Contender) -> str:
-    """Return why a rival was rejected; empty if it was not."""
+    """Return why a rival was rejected; empty if the rival was not rejected."""
     if rival.preference >= RULES.rejected:
         return f"its error is larger by {rival.preference:.1f} standard errors"
     return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""

@@ -1,9 +1,9 @@
 """Tests whether an identified effect explains the remaining torque mismatch only with a different
 coefficient in each direction of motion.
 
-Every effect of the catalogue has one coefficient for both directions; for asymmetric friction it is
-half the difference of the directions. An effect that needs two coefficients is not the true cause,
-and the verdict is *outside the catalogue*.
+Every effect of the catalogue has one coefficient for both directions; for asymmetric friction this
+coefficient is half the difference of the directions. An effect that needs two coefficients is not
+the true cause, and the verdict is *outside the catalogue*.
 """
 
 from __future__ import annotations

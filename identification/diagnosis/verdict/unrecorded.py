@@ -1,5 +1,5 @@
 """Finds effects that recordings cannot show because a common origin of their angles, or a common
-clock, was not recorded, or because the bench has no such angle.
+clock, was not recorded, or because the bench has no angle of this kind.
 """
 
 from __future__ import annotations

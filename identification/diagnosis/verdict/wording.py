@@ -74,7 +74,7 @@ def finding(
     recordings: Sequence[str] = (),
     channel: str = "current",
 ) -> str:
-    """Return the sentence with the effect's name and the assumption it breaks.
+    """Return the sentence with the effect's name and the assumption that the effect breaks.
 
     Args: as in :func:`sentence`.
 
@@ -116,8 +116,8 @@ def _field(estimate: Estimate, form: str) -> str:
 
 
 def _places(width: float) -> int | None:
-    """Return the decimals that show an interval of this width by one or two digits; None for sizes
-    that need exponents.
+    """Return the number of decimals that shows an interval of this width by one or two digits, or
+    None for sizes that need exponents.
     """
     exponent = math.floor(math.log10(width))
     places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)

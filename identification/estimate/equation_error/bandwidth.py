@@ -1,5 +1,5 @@
 """Chooses the common bandwidth of recordings that are fitted together: the least of their default
-bandwidths, or a greater one if the motion needs it.
+bandwidths, or a greater bandwidth if the motion needs it.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Floor:
 def noise_floor(
     prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
 ) -> Floor | None:
-    """Return the floor from periods within recordings and from repeated recordings; None where no
+    """Return the floor from periods within recordings and from repeated recordings, or None if no
     motion is repeated.
 
     Args:
@@ -86,7 +86,7 @@ def noise_floor(
 
 
 def command_period(recording: Recording) -> float | None:
-    """Return the period of the command, s; None if it does not repeat."""
+    """Return the period of the command, s, or None if the command does not repeat."""
     if "command" not in recording.channels:
         return None
     series = resample(recording.time, recording.channels["command"], uniform_grid(recording))

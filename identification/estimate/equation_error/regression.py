@@ -70,8 +70,8 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
             else "move the joint further or longer, or choose another bandwidth"
         )
         raise RecordingError(
-            f"{names}: {count} samples in motion and resolved at {bandwidth:.3g} Hz; at least "
-            f"{LEAST_MOTION} are needed: {remedy}"
+            f"{names}: {count} samples are in motion and resolved at {bandwidth:.3g} Hz; at "
+            f"least {LEAST_MOTION} are needed: {remedy}"
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
         raise RecordingError(
@@ -140,8 +140,8 @@ class Stage:
     Attributes:
         name: ``unloaded`` or ``loaded``.
         coulomb: Mc or mu_c.
-        static: Ms or mu_s; None where friction does not rise toward rest.
-        speed: omega_sf or omega_sL; None where friction does not rise toward rest.
+        static: Ms or mu_s, or None if friction does not rise toward rest.
+        speed: omega_sf or omega_sL, or None if friction does not rise toward rest.
         others: Names of the remaining coefficients.
         prepared: Recordings of the stage.
         model: Declared terms, fixed values and alpha.

@@ -1,8 +1,8 @@
 """The conventional method: fits a Stribeck curve to the motor torque in uniform motion (eq. 14).
 
-The method needs no inertia and no derivatives, but motion at constant speed. Where the joint sticks
-and slips, the mean torque is not the friction at the mean speed. Stick-slip shows in the spread of
-the speed and not in the mean speed.
+The method needs motion at constant speed, but neither the inertia nor derivatives. Where the joint
+sticks and slips, the mean torque is not the friction at the mean speed. Stick-slip shows in the
+spread of the speed and not in the mean speed.
 """
 
 from __future__ import annotations

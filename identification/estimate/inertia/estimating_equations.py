@@ -4,9 +4,9 @@ M29).
 Least squares and maximum likelihood of the prediction errors give a biased inertia. The cause is
 the drive: its current loop carries noise of the current sensor to the true torque, and its velocity
 loop reacts to the resulting motion. The difference between measured and true torque is therefore
-independent of neither of them. The solution of the estimating equations is unbiased if the
-prediction errors have zero mean and the instruments of a segment do not contain the noise of that
-segment.
+correlated with the measured torque and with the true torque. The solution of the estimating
+equations is unbiased if the prediction errors have zero mean and the instruments of a segment do
+not contain the noise of that segment.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def fit_beside_inertia(point: Point, refine: Callable[[Point], Searched]) -> Sea
     """Fit the inertia by its estimating equation and all other parameters by likelihood, in turn.
 
     Maximum likelihood is strongly biased in the inertia only. For the other parameters, maximum
-    likelihood is more precise than instruments that are means over a few segments, and its search
+    likelihood is more precise than instruments that are means over a few segments, and the search
     stays in its basin. The step of the inertia eliminates all other unknowns, so that their errors
     have an effect of second order only (M30, M31).
 

@@ -71,8 +71,8 @@ def equation_of_half_cycles(
     segments.
 
     Each segment adds two terms to the equation: one by its residuals, and one by its sensitivities,
-    because these are part of the instruments of other segments (Hoeffding, Ann. Math. Statist. 19
-    (1948) 293).
+    because these are part of the instruments of other segments (Hoeffding, Annals of Mathematical
+    Statistics 19 (1948) 293).
     """
     j = point.free.index(INERTIA)
     first = equation(point, z, jacobian, residual)

@@ -40,8 +40,8 @@ _TRUNCATED = 4.0
 
 
 def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero where no other matching segment has so many
-    samples.
+    """Return the instruments of every residual; zero for samples that no other matching segment
+    has.
 
     Args:
         point: Point at which the sensitivities are computed.
@@ -82,8 +82,8 @@ def instruments(point: Point, jacobian: BlockArrow) -> BlockArrow:
 def replicate_instruments(
     point: Point, plain: BlockArrow, replicates: Sequence[Replicate]
 ) -> BlockArrow:
-    """Return the instruments of every residual from replicates; those of ``plain`` where no
-    replicate contains the segment of the residual.
+    """Return the instruments of every residual from replicates; a residual whose segment is in no
+    replicate keeps its instrument in ``plain``.
 
     Matching half cycles are few and differ slightly; a replicate is the same motion with other
     noise. The mean over replicates is not smoothed, because the drive's response to steps of

@@ -128,7 +128,7 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves the equations for these counts; None if the search
+        """Return the free vector that solves the equations for these counts, or None if the search
         does not converge.
         """
         x = self.origin.copy()

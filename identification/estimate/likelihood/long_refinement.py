@@ -101,8 +101,8 @@ def _step(found: Sequence[Reduced]) -> tuple[Array, float]:
 def _over_all(
     start: Refined, found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> Refined:
-    """Return the estimate of the heads, with values, covariance and innovations replaced by those
-    of all pieces.
+    """Return the estimate of the first pieces, with values, covariance and innovations replaced by
+    those of all pieces.
 
     Args:
         start: The estimate of the heads.
@@ -133,7 +133,7 @@ def _settled(
     noise: Noise,
     begins: tuple[Array, ...] | None,
 ) -> Point | None:
-    """Return a piece with optimised breakaway times; None where prediction errors do not apply to
+    """Return a piece with optimised breakaway times, or None if prediction errors do not apply to
     it.
 
     Args:

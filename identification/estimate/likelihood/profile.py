@@ -1,12 +1,13 @@
-"""Computes the profile likelihood of each parameter: deviance over its value, with the others
-optimised.
+"""Computes the profile likelihood of each parameter: deviance over its value, with all other
+parameters optimised.
 
-At each value of the one parameter, all other parameters and all breakaway times are optimised. The
+At each value of a parameter, all other parameters and all breakaway times are optimised. The
 estimate does not maximise a likelihood, because the inertia solves an estimating equation (M31).
 The profile therefore differs from an ordinary profile likelihood in two ways:
 
 - The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared
-  estimating equation over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
+  estimating equation over its variance (a score test: Rao, Proceedings of the Cambridge
+  Philosophical Society 44 (1948) 50).
 - The deviance is scaled so that its curvature agrees with the interval (Chandler and Bate,
   Biometrika 94 (2007) 167). The profile shows what an interval does not: asymmetry, flat ends, a
   second minimum.
@@ -152,8 +153,8 @@ def profiles(
 
 
 def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
-    """Return the values at which the deviance crosses :data:`LEVEL` on either side of its minimum;
-    None where it does not.
+    """Return the values at which the deviance crosses :data:`LEVEL` on either side of its minimum,
+    or None on a side without a crossing.
 
     The root of the deviance is interpolated linearly, which is exact for a parabolic deviance.
     """
@@ -206,8 +207,8 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q; store Q/2 less the least cost at each J in the
-    criterion.
+    """Return steps of log J and the deviance Q at each step. In addition store the difference of
+    Q/2 and the least cost at each J in the criterion.
 
     The equation is the error of log J with the other parameters at the least-squares solution; its
     slope is -1 if the model is linear.

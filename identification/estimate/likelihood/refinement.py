@@ -142,9 +142,9 @@ def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
 
     Floors are computed from the replicates.
 
-    The equation is solved at the bias-corrected values, because a replicate is simulated at known,
-    true values. Errors of the other parameters have an effect of second order, which is not
-    negligible if they are several standard deviations.
+    The inertia's equation is solved at the bias-corrected values, because in a replicate too the
+    other parameters have their true values. Errors of the other parameters have an effect of second
+    order, which is not negligible if these errors are several standard deviations.
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))

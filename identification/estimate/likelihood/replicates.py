@@ -7,8 +7,9 @@ torque is not linear within the period of a breakaway. The maximum of the likeli
 biased, most of all where static friction is high. A replicate is a simulation with the recorded
 commands and with the drive loop that was estimated from the recordings. The bias is the mean, over
 replicates, of one scoring step from the simulated values (parametric bootstrap; indirect inference:
-Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise realisation is used
-twice, the second time with reversed sign, so that terms of odd order in the noise cancel.
+Gourieroux, Monfort and Renault, Journal of Applied Econometrics 8 (1993) S85). Each noise
+realisation is used twice, the second time with reversed sign, so that terms of odd order in the
+noise cancel.
 
 The sensitivities of replicates are also used as instruments, and products of the sensitivities of
 two replicates give the Cramer-Rao bound.
@@ -71,10 +72,11 @@ def likelihood_bias(
     settings: ReplicateSettings = DEFAULT.replicates,
     progress: Progress = silent,
 ) -> Bias | None:
-    """Return the bias of the likelihood at a point (M35), without that of the inertia.
+    """Return the bias of the maximum-likelihood estimate at a point (M35), without the bias of the
+    inertia.
 
-    None where the experiment cannot be simulated: the recordings do not show the drive loop, a load
-    is not a weight, or the filter diverges on the replicates.
+    The result is None if the experiment cannot be simulated: the recordings do not show the drive
+    loop, a load is not a weight, or the filter diverges on the replicates.
 
     Args:
         joint: The estimate.
@@ -184,7 +186,7 @@ _Pair = tuple[_Scored, _Scored]
 def _pairs(
     there: Point, loop: Loop, share: float, noises: Iterator[int], farthest: float
 ) -> Iterator[_Pair]:
-    """Yield pairs of replicates of which both succeed, until the seeds are used up.
+    """Yield pairs of replicates in which both replicates succeed, until the seeds are used up.
 
     Args:
         there: The experiment, at the simulated values.
@@ -236,8 +238,8 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop; None if the recordings do not determine the loop or their loads cannot
-    be simulated.
+    """Return the drive loop; The result is None if the recordings do not determine the loop or
+    their loads cannot be simulated.
     """
     recordings = [m.recording for m in motions]
     plain = all(not r.known_load and not r.hot_fire and "command" in r.channels for r in recordings)
@@ -254,7 +256,7 @@ def _step_of_encoder(m: Motion) -> float:
 def _step(
     joint: Point, loop: Loop, share: float, seed: int, sign: float, farthest: float
 ) -> _Scored | None:
-    """Simulate a replicate and return its scoring step; None where the filter diverges."""
+    """Simulate a replicate and return its scoring step, or None if the filter diverges."""
     rng = np.random.default_rng(seed)
     motions = [
         _replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions

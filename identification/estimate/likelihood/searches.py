@@ -311,9 +311,9 @@ def refine(
     """Search by least squares at decreasing noise levels, then by likelihood at the estimated
     level.
 
-    Least squares above the estimated noise level lead into the basin. At the estimated level the
-    likelihood is needed: the standard deviations depend on the parameters, and least squares with
-    constant weights miss the maximum of the likelihood.
+    Least squares at noise levels above the estimated level lead the search into the basin of the
+    maximum. At the estimated level the likelihood is needed: the standard deviations depend on the
+    parameters, and least squares with constant weights miss the maximum of the likelihood.
 
     Args:
         point: Start of the search.

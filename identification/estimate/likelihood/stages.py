@@ -148,7 +148,7 @@ def refine_stages(
     correlated: bool = False,
     progress: Progress = silent,
 ) -> Refined:
-    """Fit unloaded recordings, then loaded ones, then all jointly.
+    """Fit the unloaded recordings, then the loaded recordings, then all recordings jointly.
 
     Args:
         unloaded: Unloaded recordings.
@@ -253,7 +253,8 @@ def _joint_fit(
 
 
 def innovation_statistics(residual: Array, breakaways: int) -> tuple[float, float]:
-    """Return the rms of the innovations and the correlation of neighbouring ones, outliers clipped.
+    """Return the rms of the innovations and the correlation of neighbouring innovations, with
+    outliers clipped.
 
     Clipping limits the effect of a few short segments on which the filter diverges. Unmodelled
     physics affects most segments, so that clipping does not hide it.

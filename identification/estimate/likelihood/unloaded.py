@@ -130,7 +130,7 @@ def _best_of(
 
 
 def _solved_from(start: Point, free: _Free) -> Solved | None:
-    """Return the solution of the unloaded fit from one start; None if the solution fails."""
+    """Return the solution of the unloaded fit from one start, or None if the solution fails."""
     system, inertia = free
     point = start.freeing(system)
     try:

@@ -170,8 +170,8 @@ def _contender(
 
 
 def _worst(values: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
-    """Return the greatest relative error over the common parameters, and the name of that
-    parameter.
+    """Return the greatest relative error over the common parameters, and the name of the parameter
+    with this error.
     """
     errors = [
         (abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0

@@ -145,8 +145,8 @@ class _Search:
     def solve(
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
-        """Return the values and estimates of one stage, and the record of its search; no record if
-        all parameters are fixed.
+        """Return the values and estimates of one stage, and the record of its search; if all
+        parameters are fixed, there is no search and no record.
         """
         names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)

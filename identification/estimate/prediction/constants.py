@@ -1,4 +1,6 @@
-"""Compares the motor constants after a fit to the predicted angle with the declared ones (M51)."""
+"""Compares the motor constants after a fit to the predicted angle with the declared constants
+(M51).
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,7 @@ class Constant:
         name: ``torque_constant``, ``resistance`` or ``torque_per_volt``.
         unit: SI.
         declared: Declared value.
-        prior: Relative standard deviation of the declared value; None for a derived constant.
+        prior: Relative standard deviation of the declared value, or None for a derived constant.
         value: Fitted value.
         low: Lower end of the 90 % interval of the fitted value.
         high: Upper end of this interval.
@@ -58,8 +60,8 @@ class Constant:
 def constants(pieces: Sequence[Piece], found: LoopFit, points: Array) -> tuple[Constant, ...]:
     """Return the motor constants of a fit in which they were free.
 
-    The interval is the wider of two: the one from the curvature of cost and priors at the minimum,
-    and the one from the fits to drawn recordings.
+    The interval is the wider of two: the interval from the curvature of cost and priors at the
+    minimum, and the interval from the fits to drawn recordings.
 
     Args:
         pieces: The fitted pieces of recordings.

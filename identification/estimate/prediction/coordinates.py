@@ -2,7 +2,7 @@
 delay (M50).
 
 The coordinates contain rises instead of static levels, and the logarithms of the Stribeck speed and
-of the ratios of motor constants. The lateness is the time by which a logged command acts late. All
+of the ratios of motor constants. The lateness is the delay with which a logged command acts. All
 coordinates have bounds.
 """
 

@@ -31,7 +31,7 @@ LEAST_SAMPLES = 20
 
 @dataclass(frozen=True)
 class Motor:
-    """Ratios of motor constants to the declared ones.
+    """Ratios of motor constants to the declared constants.
 
     Attributes:
         torque_constant: Ratio of Km and of Ke; both are the same constant in SI units.
@@ -109,7 +109,7 @@ def pieces_of(prepared: Prepared, horizon: float | None = None) -> list[Piece]:
 
     Args:
         prepared: The recording; without a controller its velocity gives the initial states.
-        horizon: Length of a piece, s; None for the whole recording in a known loop, else
+        horizon: Length of a piece, s, or None for the whole recording in a known loop, else
             :func:`open_horizon`.
 
     Raises:
@@ -165,7 +165,7 @@ def _ends(time: Array, horizon: float) -> Sequence[int]:
 
 
 def _open_inputs(recording: Recording) -> tuple[Inputs, bool]:
-    """Return the measured torque or voltage of the drive as inputs, and whether it is a voltage;
+    """Return the measured torque or voltage of the drive as inputs, and whether it is a voltage, or
     NaN where the drive is off.
 
     Raises:

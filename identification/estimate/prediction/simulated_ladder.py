@@ -59,7 +59,7 @@ class SimulatedRung:
         crossed: Cross-validated error: the same error on each third of the fitted recordings,
             predicted with a fit to the other two thirds. NaN for a single recording; then no rung
             is chosen.
-        scored: The same error on the recordings for validation; None if there are none.
+        scored: The same error on the recordings for validation, or None if there are none.
         constants: Motor constants and their changes; empty if they were fixed.
         horizon_s: Longest prediction, s.
         best: Share of the draws in which this fit has the least error on the scored recordings.
@@ -87,7 +87,9 @@ class SimulatedRung:
 
 @dataclass(frozen=True)
 class _Problem:
-    """Data of all rungs: pieces of the recordings to fit and to score, and draws of both."""
+    """Data of all rungs: pieces of the recordings to fit and to score, and draws of these
+    recordings.
+    """
 
     dataset: Dataset
     fitted: Sequence[Piece]
@@ -103,7 +105,7 @@ class _Case:
     recordings.
 
     ``crossed`` contains the sum of absolute errors and the number of samples of each fitted
-    recording, predicted with a fit to others, shape (m, 2).
+    recording, predicted with a fit to other recordings, shape (m, 2).
     """
 
     found: LoopFit
@@ -351,8 +353,8 @@ def _crossed_error(sums: Array) -> float:
 
 
 def _tied(sums: Array, least: Array) -> bool:
-    """Return whether the errors exceed the least ones by no more than 1.645 standard errors of the
-    paired differences over recordings.
+    """Return whether the errors exceed the least errors by no more than 1.645 standard errors of
+    the paired differences over recordings.
     """
     apart = sums[:, 0] / sums[:, 1] - least[:, 0] / least[:, 1]
     if not np.all(np.isfinite(apart)):

@@ -56,8 +56,8 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 
     The variance of the inertia is that of its estimating equation; the other parameters change with
     the inertia (M39). The standard deviation of each parameter is scaled by the scatter of its
-    scores from segment to segment (M40, M41; Liang and Zeger, Biometrika 73 (1986) 13); the scaling
-    never lowers the variance of the inertia.
+    scores from segment to segment (M40, M41, and Liang and Zeger, Biometrika 73 (1986) 13); the
+    scaling never lowers the variance of the inertia.
 
     Args:
         point: Point at the estimate.
@@ -101,7 +101,7 @@ def covariances(point: Point, replicates: Sequence[Replicate] = ()) -> Covarianc
 def _replicate_bounds(
     point: Point, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the bound with and without variance inflation, shape (p, p) each; None if the
+    """Return the bound with and without variance inflation, shape (p, p) each, or None if the
     replicates determine no bound.
 
     Variance inflation is a choice of the estimator and not part of the floor (M38).
@@ -141,8 +141,8 @@ def _spread(
     deviation by the noise model, shape (p,) (M41).
 
     A recording has few segments, so that the ratio is moved toward its mean over replicates, or
-    toward one without replicates. The ratio may be below one, because the drive's loop compensates
-    part of the current noise within a segment.
+    toward one if there are no replicates. The ratio may be below one, because the drive's loop
+    compensates part of the current noise within a segment.
 
     Args:
         jacobian: Jacobian of the residuals.

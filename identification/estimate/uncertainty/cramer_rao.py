@@ -4,7 +4,7 @@ M38).
 The bound holds for a measured current that is a given input, because the drive loop is unknown, for
 a quantised encoder, and for unknown breakaway times. The Fisher information is computed from the
 mean of the prediction errors: products of sensitivities over standard deviations, summed over
-samples (Ljung, System Identification, 2nd ed., 7.4), breakaway times eliminated.
+samples (Ljung, System Identification, 2nd ed., 7.4), with the breakaway times eliminated.
 
 The sensitivities of a segment contain the current noise, whose square would count as excitation.
 With replicates, products of sensitivities from two different noise realisations are used. Without
@@ -96,7 +96,7 @@ def replicate_bound(information: Array) -> Array | None:
         information: Information of each segment (:func:`replicate_information`), shape (m, p, p).
 
     Returns:
-        Covariance of the free parameters, shape (p, p); None if the information is singular.
+        Covariance of the free parameters, shape (p, p), or None if the information is singular.
     """
     total = np.sum(information, axis=0)
     if np.any(np.diag(total) <= 0.0):
@@ -111,8 +111,8 @@ def _products(segment: ReplicatedSegment, matching: Array) -> Array:
     """Return the sum over a segment's samples of the expected products of its sensitivities, shape
     (p + 1, p + 1).
 
-    The expectation is the mean over all pairs of different noise realisations (Hoeffding, Ann.
-    Math. Statist. 19 (1948) 293).
+    The expectation is the mean over all pairs of different noise realisations (Hoeffding, Annals of
+    Mathematical Statistics 19 (1948) 293).
     """
     noises = {curve.noise for curve in segment.curves}
     total, squares, seen = (

@@ -1,10 +1,10 @@
 """Adds the uncertainty of known constants, such as the torque constant, to that of the estimates.
 
-The fit takes torque constant, gear ratio, weights and similar constants as exact. Here each
-uncertain constant is raised and lowered by its standard deviation, and the equation error is solved
-for both values. Half the difference of the two solutions, d, is the effect of one standard
-deviation to first order; d d' is added to the covariance of the estimates. The errors of the
-constants count as independent of each other and of the noise.
+The fit takes torque constant, gear ratio, weights and similar constants as exact. Each uncertain
+constant is raised and lowered by its standard deviation, and the equation error is solved for the
+raised and for the lowered value. Half the difference of the two solutions, d, is the effect of one
+standard deviation to first order; d d' is added to the covariance of the estimates. The errors of
+the constants count as independent of each other and of the noise.
 """
 
 from __future__ import annotations

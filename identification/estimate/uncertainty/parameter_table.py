@@ -54,8 +54,8 @@ def fit_of(
 ) -> Fit:
     """Return the torque error over the used samples, and over the validation recordings.
 
-    The unit is the torque's; if only the voltage was measured, it is V, and the error is the
-    armature voltage R I of the torque error.
+    The unit is that of the torque; if only the voltage was measured, the unit is V, and the error
+    is the armature voltage R I of the torque error.
     """
     first = prepared[0]
     volts = volts_per_torque(first.recording)

@@ -91,8 +91,8 @@ def _finite(covariance: np.ndarray, deviations: Mapping[int, float]) -> np.ndarr
 
 
 def _within(values: dict[str, float], names: Sequence[str]) -> tuple[dict[str, float], list[str]]:
-    """Return the values moved to their limits where a prior led beyond them, and warnings about
-    these.
+    """Return the values, each moved to its limit if a prior led beyond the limit, and warnings
+    about these values.
     """
     found = {n: max(v, 0.0) if n in names and n != "offset" else v for n, v in values.items()}
     for coulomb, static, _ in STRIBECK_TERMS:

@@ -58,7 +58,8 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     """Return a text with the least determined combination of relative changes; empty if nothing was
     fitted.
 
-    This combination is the eigenvector of the relative covariance with the greatest eigenvalue.
+    The least determined combination is the eigenvector of the relative covariance with the greatest
+    eigenvalue.
     """
     names, correlation = _correlation(spread, values)
     if not names:

@@ -55,7 +55,7 @@ def require_schema_place(path: Path) -> None:
     try:
         if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
             raise InputError(
-                f"{path}: exists already and is no schema of this program; move it away"
+                f"{path}: exists already and is no schema of this program; move the file away"
             )
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; move it away") from error
+        raise InputError(f"{path}: cannot be read: {error.strerror}; move the file away") from error

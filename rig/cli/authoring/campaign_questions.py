@@ -212,7 +212,7 @@ def _constants(
 
 
 class Names(Kind):
-    """Names between commas; none is an empty list.
+    """Names separated by commas; an empty answer is an empty list.
 
     Args:
         allowed: Names that are known; empty for any.
@@ -241,7 +241,7 @@ class Names(Kind):
 
 
 class Masses(Numbers):
-    """Masses between commas, one for each recording; 0 for none.
+    """Masses separated by commas, one for each recording; 0 means no mass.
 
     Args:
         count: Number of recordings.
@@ -310,7 +310,9 @@ OPTIONS: Final = (
 
 
 def column_of(answer: str, names: Sequence[str]) -> str | int | None:
-    """Return the column selected by an answer, by name or else by index; None for none."""
+    """Return the column selected by an answer, by name or else by index, or None if the answer is
+    `none`.
+    """
     if answer in names:
         return answer
     if answer.isdecimal() and int(answer) < len(names):

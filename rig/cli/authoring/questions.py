@@ -29,8 +29,8 @@ class Number(Kind):
     """A finite number above a bound; a decimal comma is accepted.
 
     Args:
-        above: Exclusive lower bound; None for no bound.
-        at_least: Inclusive lower bound; None for no bound.
+        above: Exclusive lower bound, or None for no bound.
+        at_least: Inclusive lower bound, or None for no bound.
         not_zero: Whether zero is refused.
     """
 
@@ -63,7 +63,7 @@ class Number(Kind):
 
 
 class Numbers(Kind):
-    """Positive numbers between commas or blanks; none is an empty list."""
+    """Positive numbers separated by commas or blanks; an empty answer is an empty list."""
 
     name = "numbers"
 
@@ -88,7 +88,7 @@ class Question:
         words: Text for the prompt and the help of the option.
         unit: Unit of the answer; empty for none.
         kind: Reads the answer.
-        default: Default: a value, or a function of the earlier answers; None if an answer is
+        default: Default: a value, or a function of the earlier answers, or None if an answer is
             required.
         when: Function of the earlier answers that decides if it is asked.
         why: Advice in the message if it has no default.
@@ -110,7 +110,7 @@ class Question:
         return f"--{self.name.replace('_', '-')}"
 
     def default_for(self, answers: Mapping[str, Any]) -> Any:
-        """Return the default after the earlier answers; None if there is none."""
+        """Return the default after the earlier answers, or None if the question has no default."""
         return self.default(answers) if callable(self.default) else self.default
 
     def prompt(self, default: Any) -> str:
@@ -132,12 +132,12 @@ def shown(value: Any) -> str:
 def assumed(
     questions: Iterable[Question], given: Mapping[str, Any], answers: Answers, names: Iterable[str]
 ) -> str:
-    """Return a note on the named values that no option gave and the defaults replaced; empty if
-    there are none.
+    """Return a note on the named values that no option gave, and that are therefore defaults; empty
+    if there are none.
 
     Args:
         questions: The questions of the file.
-        given: Answers given as options, by name; None for options not given.
+        given: Answers given as options, by name, or None for options not given.
         answers: The answers, defaults included.
         names: Names of the answers that only a data sheet or a measurement can tell.
     """
@@ -183,7 +183,7 @@ def ask_all(
 
     Args:
         questions: The questions in order.
-        given: Answers given as options, by name; None for options not given.
+        given: Answers given as options, by name, or None for options not given.
         asker: Asks the user the others; None to use the defaults.
         tell: Shows what is wrong with an answer. With an ``asker``, a refused option is reported
             and asked for again, so that no typed answer is lost.
@@ -214,7 +214,7 @@ def ask_all(
             except InputEndedError as error:
                 remedy = _remedy(_without_default(asked[place:], given, answers))
                 raise InputError(
-                    f"{question.option}: {error} before this was answered; {remedy}"
+                    f"{question.option}: {error} before this question was answered; {remedy}"
                 ) from error
         if value is None:
             value = default

@@ -2,9 +2,9 @@
 
 The schemas are generated from the records into which the program reads the files. A schema refuses
 unknown keys, wrong types and values outside their range. A schema cannot check relations between
-values or the existence of files, and leaves those to the program. A schema accepts every file that
-the program accepts, except wrong values under ``defaults`` that every recording overrides, or
-beside a table whose rows all do.
+values or the existence of files; the program makes these checks. A schema accepts every file that
+the program accepts, except files with wrong values under ``defaults`` that every recording, or
+every row of a table, overrides.
 """
 
 from __future__ import annotations

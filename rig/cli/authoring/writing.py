@@ -24,10 +24,14 @@ def require_new(path: Path, kind: str) -> None:
         InputError: The file is there already, its folder is not, or it can't be written.
     """
     if path.suffix.lower() not in (".yaml", ".yml"):
-        raise InputError(f"{path}: must end in .yaml, as the commands that read it expect")
+        raise InputError(
+            f"{path}: the name must end in .yaml, because the commands that read the file expect "
+            "this ending"
+        )
     if path.exists():
         raise InputError(
-            f"{path}: exists already; it is not overwritten. Choose another name, or move it away"
+            f"{path}: exists already and is not overwritten; choose another name, or move the "
+            "file away"
         )
     require_file(path, "PATH")
     require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
@@ -61,7 +65,8 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
             schema = write_schema(kind, path.parent / FOLDER)
             if path.exists():
                 raise InputError(
-                    f"{path}: another program has created it meanwhile; it is not overwritten"
+                    f"{path}: another program has created this file meanwhile; the file is not "
+                    "overwritten"
                 )
     except OSError as error:
         raise InputError(

@@ -105,7 +105,7 @@ def _of_records(value: Any) -> bool:
 
 
 def scalar(value: Any) -> str:
-    """Return plain data in the flow style of YAML; numbers to twelve digits."""
+    """Return plain data in the flow style of YAML; numbers have twelve digits."""
     if value is None:
         return "null"
     if isinstance(value, bool):

@@ -133,13 +133,13 @@ def command(
     The corrected bench is written to a new file; BENCH itself is never changed. The folder contains
     protocol, recording and the corrections as a patch.
 
-    With --home the drive sets its zero itself (CiA 402 homing), where its EDS file and the drive
-    have the objects for it. If the drive does not offer the method, the other steps are done, and
-    the exit status is 1.
+    With --home the drive sets its zero itself (CiA 402 homing), if its EDS file and the drive have
+    the necessary objects. If the drive does not offer the method, the other steps are done, and the
+    exit status is 1.
 
     \b
     Example:
-      rig commission my_bench.yaml --operator "A. Person"
+      rig commission my_bench.yaml --operator Ada
       rig commission practical --yes --angle 0 --out runs/commissioned
       rig commission practical --yes --mistake rpm
       rig commission practical --yes --angle 0 --home 37
@@ -231,7 +231,7 @@ def _carry_out(plan: _Plan, yes: bool, angle_deg: float | None) -> tuple[int, di
 
 
 def _status(result: Commissioning) -> int:
-    """Return the exit status; a homing that was asked for and not done is a bad verdict."""
+    """Return the exit status; a requested homing that was not done is a bad verdict."""
     if result.safe is not None and not result.safe.verified:
         return STATUS[result.ending] or DEVICE_FAILED
     if result.ending is Ending.DONE and result.not_homed:
@@ -278,8 +278,8 @@ Connect = Callable[[Document[Bench]], Any]
 
 
 def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Screen) -> Connect:
-    """Return the function that opens a bench; it builds a mistake into the simulated devices if one
-    is requested.
+    """Return the function that opens a bench; the function builds a mistake into the simulated
+    devices if one is requested.
     """
 
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
@@ -316,7 +316,7 @@ def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_fi
         write_text(new_file, result.text)
     except OSError as error:
         raise InputError(
-            f"{new_file}: cannot be written: {error.strerror}; {folder / PATCH_FILE} has the "
-            f"corrections"
+            f"{new_file}: cannot be written: {error.strerror}; {folder / PATCH_FILE} contains "
+            "the corrections"
         ) from error
     return str(new_file)

@@ -26,7 +26,7 @@ DEFAULT_BENCH = "practical"
     type=click.IntRange(0, 65535),
     default=PORT,
     show_default=True,
-    help="Port on this computer; 0 for a free one.",
+    help="Port on this computer; 0 for a free port.",
 )
 @click.option(
     "--runs",
@@ -36,13 +36,13 @@ DEFAULT_BENCH = "practical"
     help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
 def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
-    """Watch runs on a page, stop, pause and answer them, and start new ones on BENCH, a file or the
-    name of a packaged one; without BENCH, on any packaged bench.
+    """Watch runs on a page, stop and pause these runs and answer their prompts, and start new runs
+    on BENCH, a bench file or the name of a packaged bench; without BENCH, on any packaged bench.
 
-    Prints the address of the page, which only this computer can open, and serves the page until
-    Ctrl-C. The address contains a token that is valid until this command ends; without the token
-    the page is read-only. Runs go on when the page or this command ends. STOP in the page is a stop
-    function in software, not an emergency stop.
+    The command prints the address of the page, which only this computer can open, and serves the
+    page until Ctrl-C. The address contains a token that is valid until this command ends; without
+    the token the page is read-only. Runs go on when the page or this command ends. STOP in the page
+    is a stop function in software, not an emergency stop.
 
     \b
     Example:

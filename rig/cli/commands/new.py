@@ -76,7 +76,8 @@ def _name(path: Path) -> str:
 @options(benches.QUESTIONS)
 @_YES
 def bench(path: Path, yes: bool, **given: Any) -> None:
-    """Write a bench file to PATH. What no option gives is asked for, with a default.
+    """Write a bench file to PATH. The command asks for every value that no option gives, and
+    proposes a default.
 
     A simulated bench is the machine that the file describes, with friction scaled to its torque, so
     that sequences can be tried before there is hardware.
@@ -147,7 +148,7 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 @options(CAMPAIGN_OPTIONS)
 @_YES
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
-    """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
+    """Write a campaign file to PATH that describes FILES, which are recordings made elsewhere.
 
     The command reads the columns from the files and proposes a channel for each column, with a
     scale to SI if a name states a unit. A mass in a file's name, such as log_5kg.csv, is used as
@@ -186,7 +187,7 @@ def _until_valid(
         ask: Returns answers; takes earlier answers as defaults.
         write: Writes the file.
         given: Answers given as options.
-        asker: Asks again; None if nobody can be asked.
+        asker: Asks again, or None if nobody can be asked.
         tell: Shows why answers were refused.
 
     Raises:

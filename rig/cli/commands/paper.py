@@ -20,7 +20,7 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
     show_default=True,
     help="Searches per method.",
 )
-@shared.seed("The first of them.")
+@shared.seed("First seed; each search has the next seed.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),

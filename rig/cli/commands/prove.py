@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.command("prove")
 @click.option(
-    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many."
+    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of rigs."
 )
 @click.option(
     "--plant",
@@ -87,8 +87,8 @@ def command(
     diagnose, unseal and score.
 
     The command prints the SHA-256 of every sealed truth before the first diagnosis starts. With
-    --from, all rigs are diagnosed before the first truth is opened. The results are the same bytes
-    with any number of processes or workers; SHA256SUMS in the folder lists them.
+    --from, all rigs are diagnosed before the first truth is opened. The result files have the same
+    bytes for any number of processes or workers; SHA256SUMS in the folder lists their digests.
 
     \b
     Example:
@@ -158,11 +158,13 @@ def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: 
         InputError: They do.
     """
     if home is not None and source is not None:
-        raise InputError("--seal writes trials and --from reads them; give one of the two")
+        raise InputError(
+            "--seal writes trials and --from reads trials; give only one of these options"
+        )
     if gas and (home is not None or source is not None or plant != OWN):
-        raise InputError("--gas cannot be combined with --seal, --from or --plant; leave it out")
+        raise InputError("--gas cannot be combined with --seal, --from or --plant; leave --gas out")
     if source is not None and plant != OWN:
-        raise InputError("--from judges trials that are made already; leave --plant out")
+        raise InputError("--from judges trials that exist already; leave --plant out")
 
 
 def _prove(

@@ -24,10 +24,10 @@ from rig.wiring.ownership import until_the_end
 @click.argument("run", type=click.Path(path_type=Path))
 @shared.record_file("Also write the completed run.json here.")
 def command(run: Path, json_file: Path | None) -> int:
-    """Write a clean recording of RUN from all readable records of the damaged one, and complete
-    run.json and the page of the run.
+    """Write a clean recording of RUN from all readable records of the damaged recording, and
+    complete run.json and the page of the run.
 
-    The damaged file is kept next to the clean one. A complete run is not changed; only a missing
+    The damaged file is kept next to the clean file. A complete run is not changed; only a missing
     page is written.
 
     \b

@@ -48,7 +48,7 @@ from rig.wiring.preflight import require_startable
     "--bench",
     default="practical",
     show_default=True,
-    help="Bench file, or the name of a packaged one.",
+    help="Bench file, or the name of a packaged bench.",
 )
 @click.option(
     "--out",
@@ -96,8 +96,8 @@ def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged sequence, and record the run.
 
     Before each stage the drive is de-energised, and the program asks for the weight; `repeat` and
-    `abort` are answers as well. SIGUSR1 pauses the run at the end of the stage, with the drive off.
-    After a stop or a crash, `rig resume` continues the run.
+    `abort` are also possible answers. SIGUSR1 pauses the run at the end of the stage, with the
+    drive off. After a stop or a crash, `rig resume` continues the run.
 
     One Ctrl-C or SIGTERM stops the run immediately: the program brakes with the drive's ramp, takes
     the power off and reads the drive's state back. A second Ctrl-C during braking takes the power
@@ -137,7 +137,7 @@ class _Options:
     json_file: Path | None
 
     def patience_s(self, bench: Bench) -> float | None:
-        """Return the time to wait for an answer of the operator, s; None for unlimited time."""
+        """Return the time to wait for an answer of the operator, s, or None for unlimited time."""
         return self.prompt_timeout_s or bench.prompt_timeout_s
 
 

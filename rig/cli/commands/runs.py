@@ -153,8 +153,8 @@ def show(run: Path, out: Path | None, json_file: Path | None) -> None:
 @_page
 @shared.result_file
 def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> None:
-    """Compare the identified parameters of RUNS with those of the first run, and mark those that
-    changed.
+    """Compare the identified parameters of RUNS with those of the first run, and mark the
+    parameters that changed.
 
     A parameter has changed if the difference is larger than the 90 % interval of the difference.
     --out writes a page with the figures side by side.
@@ -182,7 +182,9 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
 @_folder
 @_filters
 @_last
-@click.option("--constant", metavar="NAME", help="Only this constant, judged as among all.")
+@click.option(
+    "--constant", metavar="NAME", help="Only this constant; the test accounts for all constants."
+)
 @shared.seed("Seed of the test's simulated distribution.")
 @_page
 @shared.result_file
@@ -195,13 +197,13 @@ def trend(
     json_file: Path | None,
     **given: Any,
 ) -> None:
-    """Follow each identified parameter over the runs of each bench in FOLDER, and test it for a
-    change.
+    """Follow each identified parameter over the runs of each bench in FOLDER, and test each
+    parameter for a change.
 
-    The command reports a drift, or a step from one run to the next, if it is larger than the
-    scatter of the runs and their intervals explain. At most one in 100 series of runs without a
-    change gives a false report. If a parameter has a step at a run, the output names the
-    devices that were replaced at that run.
+    The command reports a drift, or a step from one run to the next, if the change is larger than
+    the scatter of the runs and their intervals explain. At most one in 100 series of runs without a
+    change gives a false report. If a parameter has a step at a run, the output names the devices
+    that were replaced at that run.
 
     \b
     Example:
@@ -217,8 +219,8 @@ def trend(
     found = histories(folder, latest(wanted, last), seed, constant)
     if constant is not None and not found:
         raise InputError(
-            f"{folder}: no identified run that was chosen has a constant {constant}; `rig runs "
-            "trend` without --constant shows which there are"
+            f"{folder}: no identified run that the options choose has a constant {constant}; "
+            "`rig runs trend` without --constant shows the constants"
         )
     _write(json_file, lambda: trend_record(found))
     _show(trend_document(found), out)

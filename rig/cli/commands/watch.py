@@ -17,8 +17,8 @@ from rig.runs.run_record import RunRecord
 
 PORT = 8765
 _NO_TOKEN = (
-    "no token: PlotJuggler's client takes a host and a port only, so that nothing could carry one; "
-    "every program of this computer can read the recording meanwhile (pages in a browser cannot)"
+    "no token, because PlotJuggler's client takes a host and a port only; every program of this "
+    "computer can read the recording meanwhile (pages in a browser cannot)"
 )
 
 
@@ -30,7 +30,7 @@ _NO_TOKEN = (
     type=click.IntRange(0, 65535),
     default=PORT,
     show_default=True,
-    help="Port on this computer; 0 for a free one.",
+    help="Port on this computer; 0 for a free port.",
 )
 @click.option(
     "--no-token",
@@ -70,7 +70,7 @@ def command(
       rig watch runs/demo --foxglove --no-token   (for PlotJuggler)
     """
     if not foxglove:
-        raise InputError("rig watch: name the protocol to serve; add --foxglove")
+        raise InputError("rig watch: no protocol is chosen; add --foxglove")
     record = read_record(run)
     number = _number(run, record, part)
     recording = run / record.parts[number - 1].file
@@ -89,7 +89,8 @@ def command(
         click.echo("no longer served")
     except OSError as error:
         raise InputError(
-            f"--port: {port} cannot be used ({error.strerror}); give another, or 0 for a free one"
+            f"--port: {port} cannot be used ({error.strerror}); give another port, or 0 for a "
+            "free port"
         ) from error
     return DONE
 

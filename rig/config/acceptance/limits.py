@@ -185,7 +185,7 @@ def _line(item: str | Mapping[str, str]) -> str:
     if isinstance(item, str):
         return item
     if len(item) != 1:
-        raise ValueError(f"{len(item)} limits in one item; begin each with a dash")
+        raise ValueError(f"{len(item)} limits in one item; begin each limit with a dash")
     ((name, rest),) = item.items()
     return f"{name}: {rest}"
 

@@ -31,10 +31,10 @@ class Certificate:
         accepted: Whether the run is accepted.
         facts: Name and value of each fact on run, bench, time and operator.
         checks: Limits, found values and verdicts.
-        constants: Identified constants; None where none were needed.
+        constants: Identified constants, or None if none were needed.
         masses: Stages with their masses.
         devices: Identities of the devices.
-        calibrations: Calibrations and due dates; None where the bench file names none.
+        calibrations: Calibrations and due dates, or None if the bench file names none.
         digests: Files and their SHA-256.
         figure: Figure that shows the result.
         made: Program and time.

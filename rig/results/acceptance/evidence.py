@@ -44,7 +44,7 @@ class Evidence:
     Attributes:
         record: ``run.json``.
         digests: SHA-256 of its recordings, by file.
-        dataset: Its finished excitations; None if there are none.
+        dataset: Its finished excitations, or None if there are none.
         constants: Identified constants; empty where they were not needed.
         method: Method of the identification; empty without one.
         fit_rms: Torque error of the identification; None without one.
@@ -121,7 +121,7 @@ def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
 
 
 def _current(path: Path, digests: Mapping[str, str]) -> dict[str, Any]:
-    """Return a result file if it was made from the present recordings; else an empty one."""
+    """Return a result file if it was made from the present recordings; else an empty record."""
     try:
         found = json.loads(path.read_bytes())
         used = {each["sha256"] for each in found["inputs"] if Path(each["file"]).suffix == ".mcap"}

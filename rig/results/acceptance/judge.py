@@ -26,7 +26,7 @@ class Check:
         limit: The limit as written.
         passed: Whether the limit is met; an unknown value fails.
         words: Message on the found value, with the remedy if there is none.
-        value: Found value, in ``unit``; None if it is unknown or not a number.
+        value: Found value, in ``unit``, or None if it is unknown or not a number.
         low: Lower end of its 90 % interval; None without one.
         high: Upper end of it.
         unit: Unit of these values.

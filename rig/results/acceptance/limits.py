@@ -39,7 +39,7 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
 
 def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
     """Return the limits for a run and their origin: the given file, else the file that the run was
-    given, else the recorded sequence, which may state none.
+    given, else the recorded sequence, which may state no limits.
 
     Raises:
         InputError: A file is not valid, or cannot be read.
@@ -64,5 +64,7 @@ def _limits_of_the_sequence(folder: Path) -> tuple[Limit, ...]:
     try:
         root, _ = parse(first_attachment(path, SEQUENCE_ATTACHMENT).decode("utf-8"))
     except (DamageError, DocumentError, OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: the sequence in it cannot be read: {error}") from error
+        raise InputError(
+            f"{path}: the sequence in this recording cannot be read: {error}"
+        ) from error
     return limits_of(validated(Path(SEQUENCE_ATTACHMENT), root, Sequence).value.acceptance)

@@ -1,4 +1,6 @@
-"""Output of ``rig runs compare``: identified parameters of several runs, and those that changed."""
+"""Output of ``rig runs compare``: identified parameters of several runs, and the parameters that
+changed.
+"""
 
 from __future__ import annotations
 
@@ -42,10 +44,10 @@ class Difference:
     Attributes:
         name: Name of the constant.
         first: Value in the first run.
-        other: Value in the other run; None if that run has none.
-        change: Difference; None where either is not known.
+        other: Value in the other run, or None if that run has none.
+        change: Difference, or None if either is not known.
         joint: Half width of the 90 % interval of the difference, both estimates being
-            independent; None where either has no interval.
+            independent, or None if either has no interval.
     """
 
     name: str
@@ -56,7 +58,9 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference exceeds its uncertainty; None if the uncertainty is not known."""
+        """Whether the difference exceeds its uncertainty, or None if the uncertainty is not
+        known.
+        """
         if self.change is None or self.joint is None:
             return None
         return abs(self.change) > self.joint
@@ -120,7 +124,7 @@ def compare_document(runs: Sequence[Compared]) -> Document:
 
 
 def _short(runs: Sequence[Compared]) -> list[str]:
-    """Return the folders of runs without what all of them begin with, each once."""
+    """Return the folders of runs without the common first part of their paths, each folder once."""
     above = os.path.commonpath([each.run.absolute().parent for each in runs])
     short = [os.path.relpath(each.run.absolute(), above) for each in runs]
     if len(set(short)) == len(short):

@@ -53,8 +53,8 @@ def courses(
 
     Args:
         histories: Name to the index of a run and its constant there, in the order of time.
-        alarms: Names with a change, and which of the runs that have it is the first after a step;
-            None for a drift.
+        alarms: Names with a change, and which of the runs that have it is the first after a step,
+            or None for a drift.
     """
     rows = math.ceil(len(histories) / _COLUMNS)
     size = (_LEAD_WIDTH, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)

@@ -70,7 +70,7 @@ def _figure(folder: Path) -> Iterator[Section]:
 
 
 def stored_picture(folder: Path, name: str, caption: str) -> Picture | None:
-    """Return a figure from a file of a run folder; None if the file cannot be read."""
+    """Return a figure from a file of a run folder, or None if the file cannot be read."""
     try:
         data = (folder / name).read_bytes()
     except OSError:

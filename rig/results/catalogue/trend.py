@@ -83,8 +83,8 @@ def histories(
         root: The searched folder.
         entries: The runs, the earliest first.
         seed: Seed of the simulated distribution of the test.
-        only: The one constant to follow, and only the histories that have it; None for all. It is
-            judged as it is among all of them.
+        only: The one constant to follow, and only the histories that have it, or None for all. It
+            is judged as it is among all of them.
     """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
@@ -196,5 +196,7 @@ def _devices(history: Sequence[Details], runs: Sequence[int], start: int | None)
 
 
 def alarms(history: History) -> Mapping[str, int | None]:
-    """Return the parameters that changed, with the first run after the step; None for a drift."""
+    """Return the parameters that changed, with the first run after the step, or None for a
+    drift.
+    """
     return {each.name: each.change.start for each in history.courses if each.alarm and each.change}

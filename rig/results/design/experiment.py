@@ -73,10 +73,10 @@ def plan_experiment(
         sequence: The experiment to assess.
         bench: Its limits, sensors and stated constants; the simulated machine's section is not
             used.
-        nominal_file: Result of ``rig identify --json`` on this bench; None for the default nominal
-            values.
-        current_noise_A: Noise of the logged current, A rms; None for the value in the nominal file,
-            or a thousandth of the current limit.
+        nominal_file: Result of ``rig identify --json`` on this bench, or None for the default
+            nominal values.
+        current_noise_A: Noise of the logged current, A rms, or None for the value in the nominal
+            file, or a thousandth of the current limit.
         seed: Seed of the search.
         progress: Called with the current step and the completed share.
 

@@ -28,9 +28,9 @@ class NominalValues:
     Attributes:
         values: The nine parameters, SI.
         source: Their origin, as text.
-        weakest: The least accurate parameter; None if unknown.
+        weakest: The least accurate parameter, or None if unknown.
         recordings: The recordings they were identified from, if the run can still be read.
-        torque_noise: Noise of the measured torque, N m rms; None if unknown.
+        torque_noise: Noise of the measured torque, N m rms, or None if unknown.
     """
 
     values: dict[str, float]
@@ -76,7 +76,8 @@ def nominal_values(path: Path | None) -> NominalValues:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the total noise of the measured torque in a result file, N m rms; None if absent.
+    """Return the total noise of the measured torque in a result file, N m rms, or None if the file
+    states no noise.
 
     Raises:
         KeyError, TypeError, ValueError: It is damaged.

@@ -37,7 +37,9 @@ def plain_sequence(sequence: Sequence) -> dict[str, Any]:
 
 
 def intervals_words(found: Intervals) -> str:
-    """Return a message on the number of determined parameters and on the least accurate one."""
+    """Return a message on the number of determined parameters and on the least accurate
+    parameter.
+    """
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
         return f"does not determine {', '.join(open_names)}"

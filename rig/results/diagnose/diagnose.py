@@ -199,7 +199,7 @@ def refined(dataset: Dataset, found: Diagnosis, seed: int) -> Diagnosis:
 def _identified(
     dataset: Dataset, seed: int, progress: Callable[[str, float], None] | None
 ) -> tuple[dict[str, float | None], tuple[str, ...]]:
-    """Return the nominal parameters by ``rig identify``, None for parameters that are not
+    """Return the nominal parameters by ``rig identify``, with None for parameters that are not
     determined, and the warnings of the identification.
     """
     try:
@@ -215,8 +215,9 @@ def _refined(
     seed: int,
     progress: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """If physics is missing, return a diagnosis with nominal parameters from prediction errors,
-    after the effects have been subtracted; only where this takes no longer than the search.
+    """If physics is missing, and if prediction errors take no longer than the search, return a
+    diagnosis with nominal parameters from prediction errors, after the effects have been
+    subtracted.
     """
     if found.verdict is Verdict.NOTHING_MISSING:
         return found
@@ -249,8 +250,8 @@ def settled(found: Diagnosis) -> Diagnosis:
     determine static friction.
 
     Equation errors at a low bandwidth may give an arbitrarily high static friction below the
-    resolvable speed, and a machine simulated with it never breaks away. Static friction is then set
-    to Coulomb friction, and the result says so.
+    resolvable speed, and a machine simulated with this friction never breaks away. Static friction
+    is then set to Coulomb friction, and the result states this.
     """
     parameters, notes = dict(found.parameters), []
     for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c"), ("mu_gs", "mu_gc")):

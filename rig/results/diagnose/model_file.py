@@ -76,8 +76,8 @@ def model_of(
     """
     if record.get("fit", {}).get("equation") == PRESSURE:
         raise InputError(
-            f"{place}: a diagnosis of a gas generator has no torque model; give a result on "
-            "the motion"
+            f"{place}: a diagnosis of a gas generator has no torque model; give the result of a "
+            "diagnosis of the motion"
         )
     given = record.get("fitted") or record.get("parameters") or {}
     parameters = {}

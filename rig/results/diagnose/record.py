@@ -42,7 +42,7 @@ def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance)
 
 
 def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return the additions of the corrected model to the nominal one: effects, and the empirical
+    """Return the additions of the corrected model to the nominal model: effects, and the empirical
     curve.
     """
     return {

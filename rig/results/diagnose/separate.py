@@ -219,8 +219,8 @@ shaft.
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:
-    """Return a sequence file that splits an alias group on a bench; None if no sequence can split
-    the group.
+    """Return a sequence file that splits an alias group on a bench, or None if no sequence can
+    split the group.
 
     Args:
         names: The group, the likeliest first.

@@ -82,7 +82,9 @@ def fit_table(found: Diagnosis) -> Table:
 
 
 def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters before and after the correction; no rows if none changed."""
+    """Return the nominal parameters before and after the correction; no rows if no parameter
+    changed.
+    """
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())
     rows = tuple(

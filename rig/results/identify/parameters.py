@@ -15,7 +15,7 @@ def parameter_table(
     """Return one row per parameter, with value and 90 % interval by each method; columns without
     content are left out.
 
-    The column ``floor`` is the half width that the Cramer-Rao bound allows the interval.
+    The column ``floor`` is the least half width of the interval by the Cramer-Rao bound.
 
     Args:
         results: One per method; the first names the rows.
@@ -54,7 +54,7 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
 
 def pinned_notes(results: Sequence[Identification]) -> list[str]:
     """Return for each method with intervals the number of determined parameters, and the least
-    accurate one.
+    accurate parameter.
     """
     lines = []
     for result in results:

@@ -140,7 +140,7 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
 
 def ladder_table(rungs: Sequence[Rung]) -> Table:
     """Return one row for each rung of the ladder: the error of the fit, the error on the recordings
-    with role validate, and the error of the simulated angle on these.
+    with role validate, and the error of the simulated angle on the recordings with role validate.
     """
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"

@@ -1,4 +1,6 @@
-"""Values that we chose because the paper does not state them, read from the code that sets them."""
+"""Values that this project chose because the paper does not state them, read from the code that
+sets them.
+"""
 
 from __future__ import annotations
 

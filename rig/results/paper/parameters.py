@@ -80,7 +80,7 @@ class Reproduction:
         """Return the estimates of one parameter by one method, one for each seed.
 
         A genetic search always ends with some J, which the result withholds if the data do not
-        determine it; for the comparison with Table 1 it is read from the search history.
+        determine it; for the comparison with Table 1 this J is read from the search history.
         """
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 

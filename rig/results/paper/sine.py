@@ -39,7 +39,9 @@ def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Da
 
 
 def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
-    """Return the tracking error of both cases over two whole cycles, and the energy of one."""
+    """Return the tracking error of both cases over two whole cycles, and the energy of one
+    cycle.
+    """
     pairs = list(zip(plain.recordings, fed.recordings, strict=True))
     return Exhibit(
         "compensation",

@@ -69,7 +69,7 @@ class Sweep:
         """Return angle (deg), current (A), pressure (MPa) and area (mm^2) at these angles, shape
         (m, 4).
 
-        Means over the samples within half a degree in uniform motion; NaN where there are none.
+        Means over the samples within half a degree in uniform motion, or NaN if there are none.
         """
         angle = np.rad2deg(self.angle)
         rows = np.full((len(degrees), 4), np.nan)

@@ -42,7 +42,7 @@ _THIN = 5  # of the samples, in the data files
 
 
 def tables(found: Reproduction) -> dict[str, Table]:
-    """Return Tables 1 and 2, with printed and our values."""
+    """Return Tables 1 and 2, with the printed values and the values of this program."""
     header = ["parameter", "printed original", "simulated", "printed identified", "printed error"]
     for method in found.runs:
         header += [f"{method}: worst value", "worst error", "median error"]
@@ -87,9 +87,7 @@ def remarks(found: Reproduction) -> list[str]:
 
 
 def exhibits(found: Reproduction) -> list[Exhibit]:
-    """Return Table 1 with Fig. 12 and Table 2 with Fig. 13; the second with the errors over the
-    seeds as well.
-    """
+    """Return Table 1 with Fig. 12, and Table 2 with Fig. 13 and with the errors over the seeds."""
     made = []
     for k, (title, table) in enumerate(tables(found).items()):
         fig = f"fig_{12 + k}"

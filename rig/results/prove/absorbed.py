@@ -3,8 +3,8 @@ parameters does not explain, over the noise.
 
 The strength of an effect is the change that it makes in a channel. An effect may be collinear with
 the nominal model; for example, if the load consists only of friction, the loss of a gear increases
-every parameter by one factor. So the nominal model is fitted to the trial's recordings and to those
-of its reference simulation without the effect, and the residuals are compared.
+every parameter by one factor. Therefore the nominal model is fitted to the trial's recordings and
+to those of its reference simulation without the effect, and the residuals are compared.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ class Rig(NamedTuple):
 def assignment(rigs: int, seed: int) -> list[Assigned]:
     """Return kind and effect names of each trial, in random order.
 
-    Single effects are drawn in turn from the whole catalogue, effects outside it in turn from their
-    list; pairs are drawn at random.
+    Single effects are drawn in turn from the whole catalogue, effects outside the catalogue in turn
+    from their list; pairs are drawn at random.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs)

@@ -71,8 +71,9 @@ def tones(*parts: tuple[float, float, float]) -> Array:
 def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     """Return ramps between both ends of a span, one speed after another until the time is over.
 
-    At slow speeds only the part of the span that fits their share of the time is covered. Corners
-    are rounded over 0.12 s, which keeps the torque of the fastest within the drive's limit.
+    At slow speeds the ramps cover only the part of the span for which the time of one speed
+    suffices. Corners are rounded over 0.12 s, which keeps the torque of the fastest ramp within the
+    drive's limit.
     """
     span = np.deg2rad(span_deg)
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(speeds_rad_s)
@@ -107,8 +108,8 @@ def dwells(
 def small_loops(
     amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]
 ) -> Array:
-    """Return loops of increasing size around several angles: first below breakaway, at the end
-    beyond it.
+    """Return loops of increasing size around several angles: first below the breakaway torque, at
+    the end above it.
     """
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(centers_deg)

@@ -25,8 +25,8 @@ def write(
 ) -> Path:
     """Write a campaign; return the campaign file.
 
-    Time runs through the whole campaign, so that each recording's first time stamp is its start in
-    it.
+    Time runs through the whole campaign, so that the first time stamp of each recording is the
+    start of the recording in the campaign.
 
     Args:
         folder: Folder of the campaign.

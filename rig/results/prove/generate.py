@@ -123,7 +123,9 @@ def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[st
 
 @click.command()
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
-@click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True, help="How many.")
+@click.option(
+    "--rigs", type=click.IntRange(min=1), default=12, show_default=True, help="Number of rigs."
+)
 @click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws."
 )

@@ -82,7 +82,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
         names: The true effects, all of the catalogue.
 
     Returns:
-        The record of :class:`identification.diagnosis.oracle.HeldOut`; None where the nominal model
+        The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model
         cannot be fitted, or if the campaign has no unused recordings.
 
     Raises:

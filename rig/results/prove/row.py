@@ -42,7 +42,7 @@ def row_of(
         truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
         strengths: Channel to rms change over noise.
         judgement: Judgement of the trial.
-        oracle: Held-out errors with the true structure; None where there is none.
+        oracle: Held-out errors with the true structure, or None if there is none.
         digest: Digest of the seal.
         floor: Equation to the nominal model's residual of the reference simulation; empty where
             that is not known.
@@ -91,7 +91,7 @@ def row_of(
 def _location(
     truth: Mapping[str, Any], diagnosis: Mapping[str, Any], recordings: Sequence[str]
 ) -> dict[str, Any] | None:
-    """Score the place of a single effect; None for other kinds of trial."""
+    """Score the place of a single effect; return None for other kinds of trial."""
     if truth["kind"] != "one":
         return None
     ((name, true),) = truth["effects"].items()
@@ -155,8 +155,8 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the errors on unused recordings, and the reduction of this error over the largest
-    possible one, from the error before the diagnosis to the noise floor.
+    """Return the errors on unused recordings, and the reduction of this error as a share of the
+    largest possible reduction, which is from the error before the diagnosis to the noise floor.
 
     On unused recordings the error of a model does not fall below the noise floor, except by chance.
     """
@@ -178,10 +178,10 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
     """Return the reduction of the error on unused recordings by the diagnosis over that by the
-    oracle, in the equation in which the oracle reduces it most.
+    oracle, in the equation in which the oracle reduces the error most.
 
-    Null if the true structure does not reduce the error there, or if the diagnosis has no such
-    equation.
+    The result is null if the true structure does not reduce the error there, or if the diagnosis
+    has no such equation.
     """
     mine = [
         f

@@ -80,8 +80,8 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
 
 
 def _make_folders(out: Path) -> None:
-    """Make the folders of a proof; one that was copied, or begun by an older version, may lack
-    some.
+    """Make the folders of a proof; a proof that was copied, or begun by an older version, may lack
+    some folders.
     """
     for name in (ROWS, DIAGNOSES, TIMES):
         (out / name).mkdir(parents=True, exist_ok=True)
@@ -102,7 +102,7 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
     if found != settings:
         raise InputError(
             f"{file}: this folder contains a proof with other settings, {found}; give --out "
-            f"another one"
+            "another folder"
         )
     return seals
 

@@ -61,8 +61,8 @@ def reference_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
 def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dict[str, float]:
     """Compare a campaign with its reference simulation.
 
-    Current and voltage are compared only where both move: the current that holds a joint at rest
-    depends on how it came to rest, down to a single encoder count.
+    Current and voltage are compared only where the joint moves in both campaigns: the current that
+    holds a joint at rest depends on how the joint came to rest, down to a single encoder count.
 
     Returns:
         For each channel the rms difference over the channel's noise. The noise is the difference of

@@ -14,7 +14,7 @@ FIELDS = ("created", "seconds", "baseline_seconds")
 
 
 def without_times(record: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return a record without date and durations, and these alone."""
+    """Return a record without date and durations, and a record of date and durations alone."""
     kept = {name: value for name, value in record.items() if name not in FIELDS}
     return kept, {name: record[name] for name in FIELDS if name in record}
 

@@ -33,15 +33,17 @@ class Truth(Schema):
         parameters: Nominal constants, by the names of `rig identify`; those not given are not
             scored.
         not_scored: Names whose values are not scored, for example because this simulator has
-            another formula: a nominal constant, or `effect.parameter`. An effect's name alone,
-            injected or not, excuses it altogether: naming it is no error, missing it neither.
-        axes: The rig's place in the world, axis to value: rates, encoders, excitation, loads.
-            Results are listed by them.
-        strength: Channel to the rms change by the effects, over the channel's noise.
-        floor: Equation to the residual of the nominal model on the same rig without its effects;
-            measured from the `.reference` campaign instead, where there is one.
+            another formula: a nominal constant, or `effect.parameter`. The name of an effect alone,
+            injected or not, excludes the effect from the score: neither a diagnosis that names the
+            effect nor a diagnosis that misses it counts as an error.
+        axes: Value of the rig on each axis of the worlds, such as rates, encoders, excitation,
+            loads. The results are listed by these values.
+        strength: For each channel, the rms change by the effects over the noise of the channel.
+        floor: For each equation, the residual of the nominal model on the same rig without its
+            effects; if there is a `.reference` campaign, the residual is computed from that
+            campaign instead.
         maker: Further content of any form, which the author of the rig adds.
-        rig: Its number or name, for the reader; the file's name counts.
+        rig: Number or name of the rig, for the reader; the program uses the name of the file.
         salt: Random text, so that the digest cannot be guessed.
     """
 

@@ -43,7 +43,7 @@ def go_on_notes(record: RunRecord) -> list[str]:
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
-    """Return the command that continues a run, quoted for the shell; None if every stage is
+    """Return the command that continues a run, quoted for the shell, or None if every stage is
     done.
     """
     if all(stage.state == "done" for stage in record.stages):
@@ -76,6 +76,6 @@ def _in_fault(record: RunRecord) -> bool:
 
 
 def _tripped(record: RunRecord) -> Check | None:
-    """Return the check that tripped the run; None if no check did."""
+    """Return the check that tripped the run, or None if no check did."""
     name = record.trip.get("check") if record.trip else None
     return next((check for check in Check if check.value == name), None)

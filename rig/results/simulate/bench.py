@@ -12,7 +12,7 @@ from rig.results.simulate.simulate import Simulation
 def as_bench(source: Path, found: Simulation) -> tuple[dict[str, str], list[str]]:
     """Return the first model as a simulated bench (file name to text), and remarks on this bench.
 
-    If this is impossible there is no file, and the remarks state why.
+    If the model cannot be a simulated bench, there is no file, and the remarks state why.
     """
     try:
         constants = found.dataset.recordings[0].bench

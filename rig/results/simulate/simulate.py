@@ -91,7 +91,7 @@ class Simulation:
 
     @property
     def rotary(self) -> bool:
-        """Whether the bench is rotary; a linear one has forces and positions."""
+        """Whether the bench is rotary; a linear bench has forces and positions."""
         return self.dataset.recordings[0].bench.motion == "rotary"
 
     def names(self, role: str) -> list[str]:
@@ -111,7 +111,8 @@ def simulate_source(
     Args:
         source: Campaign file or run folder.
         results: Result files of ``rig identify`` or ``rig diagnose``.
-        bandwidth_Hz: Bandwidth of the errors; None for the bandwidth of the first result, or chosen
+        bandwidth_Hz: Bandwidth of the errors, or None for the bandwidth of the first result, or
+            chosen
         as in the identification.
         progress: Called with the current step and the completed share.
 

@@ -20,17 +20,17 @@ class Head:
     Attributes:
         kind: `run`; or what else the folder is: `half written` (its record is missing or
             incomplete), `other version` (the record has a format that this program does not read),
-            `unreadable` (the record is invalid, or may not be read).
+            `unreadable` (the record is invalid, or cannot be read).
         problem: Message with the remedy; empty for a run.
         sequence: Name of the sequence.
-        created: When it began, ISO 8601, UTC.
+        created: Start of the run, ISO 8601, UTC.
         bench: Name of the bench.
-        simulated: Whether the bench is simulated; None where unknown.
-        operators: Who ran it, in order.
+        simulated: Whether the bench is simulated, or None if unknown.
+        operators: Names of the operators, in order.
         masses_kg: Confirmed masses of its stages, each once; the planned ones if none was
             confirmed.
-        state: `running` or how it ended.
-        message: How it ended, in words.
+        state: `running`, or how the run ended.
+        message: How the run ended, as text.
         seconds: Time of the bench, s.
         weights: Verdicts of its weight checks, each once.
         identified: Method of its identification; empty without one.
@@ -70,8 +70,8 @@ class Constant:
     """One identified parameter with its 90 % interval.
 
     Attributes:
-        value: Estimate; None where it is not identifiable.
-        low: Lower end of the interval; None where there is none.
+        value: Estimate, or None if it is not identifiable.
+        low: Lower end of the interval, or None if there is none.
         high: Upper end.
         unit: Unit.
         at_bound: Whether the estimate is at a bound of the search.
@@ -85,8 +85,8 @@ class Constant:
 
     @property
     def half_width(self) -> float | None:
-        """Half the width of the interval; None if value or interval is missing, or if the estimate
-        is at a bound.
+        """Half the width of the interval, or None if value or interval is missing, or if the
+        estimate is at a bound.
         """
         if self.value is None or self.low is None or self.high is None or self.at_bound:
             return None
@@ -99,7 +99,7 @@ class Details:
 
     Attributes:
         constants: Name to identified constant.
-        fit_rms: Torque error of the identification; None where unknown.
+        fit_rms: Torque error of the identification, or None if unknown.
         fit_unit: Its unit.
         motion: `rotary` or `linear`.
         devices: Role to the device's identity: name and serial number.

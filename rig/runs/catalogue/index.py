@@ -2,8 +2,8 @@
 
 Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
 made, and a checksum. A row is used only if its signature is that of the present files and its
-checksum is right; any other folder is read again. So a deleted, damaged or older index changes no
-answer.
+checksum is right; any other folder is read again. Therefore a deleted, damaged or older index
+changes no answer.
 """
 
 from __future__ import annotations
@@ -164,7 +164,7 @@ def _read(
     rows = []
     for number, each in enumerate(waiting, start=1):
         if each.signature.startswith("unreadable"):
-            problem = f"{root / each.folder}: may not be read"
+            problem = f"{root / each.folder}: no permission to read"
             head, details = Head("unreadable", problem), Details()
         else:
             head, details = read_entry(root / each.folder, benches)

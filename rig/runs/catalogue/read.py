@@ -129,7 +129,9 @@ def _verdict(result: Mapping[str, Any], schema: str) -> str:
 
 
 def _result(path: Path, notes: list[str]) -> dict[str, Any]:
-    """Return a result file; empty if there is none, or with a note if it cannot be read."""
+    """Return a result file; empty if the file does not exist or, with a note, if it cannot be
+    read.
+    """
     if not is_file(path):
         return {}
     try:

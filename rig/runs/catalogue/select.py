@@ -62,8 +62,8 @@ class Wanted:
     until: datetime | None = None
 
     def fits(self, root: Path, entry: Entry) -> bool:
-        """Return whether a run has the wanted properties; a run with an unknown property does not
-        have it.
+        """Return whether a run has the wanted properties; a run in which a wanted property is
+        unknown does not fit.
         """
         head = entry.head
         names = (
@@ -90,7 +90,7 @@ class Wanted:
 
 
 def time_of(created: str) -> datetime | None:
-    """Return a time of a record in UTC; None if the text is not a time."""
+    """Return a time of a record in UTC, or None if the text is not a time."""
     try:
         found = datetime.fromisoformat(created)
     except ValueError:

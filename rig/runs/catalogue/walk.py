@@ -28,9 +28,10 @@ class Found(NamedTuple):
 
 
 def find_runs(root: Path) -> Iterator[Found]:
-    """Yield the run folders in and below ``root``, in no order; each link is followed once.
+    """Yield the run folders in and below ``root``, in any order; each link is followed once.
 
-    A run folder has a ``run.json`` or a ``recording.mcap``; no runs are sought inside one.
+    A run folder has a ``run.json`` or a ``recording.mcap``; runs inside a run folder are not
+    sought.
     """
     yield from _found(str(root), "", 0, {os.path.realpath(root)})
 
@@ -62,7 +63,7 @@ def _found(root: str, folder: str, depth: int, seen: set[str]) -> Iterator[Found
 
 
 def signature_of(path: str) -> str | None:
-    """Return the signature of a run folder; None if the folder is not a run folder."""
+    """Return the signature of a run folder, or None if the folder is not a run folder."""
     first = _stamp(f"{path}/{RUN_JSON}")
     if not first:
         # Half written: the recording is all there is.

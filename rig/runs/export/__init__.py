@@ -73,7 +73,7 @@ def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
 
 
 def beside(path: Path, kind: str) -> Path | None:
-    """Return the path of the description of an export; None if the exported file contains the
+    """Return the path of the description of an export, or None if the exported file contains the
     description.
     """
     return sidecar(path) if kind == "csv" else None
@@ -110,7 +110,7 @@ def export_beside(dataset: Dataset, path: Path) -> None:
 
 
 def read_back(path: Path, kind: str, bench: Mapping[str, object]) -> list[Recording] | None:
-    """Return the recordings of an export; None if another program wrote the file.
+    """Return the recordings of an export, or None if another program wrote the file.
 
     Args:
         path: The file.

@@ -131,7 +131,7 @@ def parse(text: str | bytes, path: Path) -> tuple[Described, ...]:
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(
             f"{path}: the description of this export cannot be read ({place}: {first['msg']}); "
-            f"export it again"
+            "export the recordings again"
         ) from error
 
 
@@ -143,5 +143,6 @@ def sidecar(path: Path) -> Path:
 def misfit(path: Path, error: RecordingError | str) -> InputError:
     """Return the error for a file whose numbers contradict its description."""
     return InputError(
-        f"{path}: the numbers contradict the description of this export ({error}); export it again"
+        f"{path}: the numbers contradict the description of this export ({error}); export the "
+        "recordings again"
     )

@@ -39,7 +39,7 @@ def write_mcap(dataset: Dataset, path: Path, run: tuple[Path, RunRecord] | None)
     Args:
         dataset: The recordings.
         path: The file.
-        run: Folder and record of the run that the recordings are from; None for a campaign.
+        run: Folder and record of the run that the recordings are from, or None for a campaign.
 
     Raises:
         InputError: A recording of the run is damaged.
@@ -122,7 +122,7 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
 
 
 def read_mcap(path: Path) -> list[Read] | None:
-    """Read the recordings back; None if the file contains no description.
+    """Read the recordings back; The result is None if the file contains no description.
 
     Raises:
         InputError: Its numbers do not fit its description.
@@ -147,7 +147,11 @@ def read_mcap(path: Path) -> list[Read] | None:
         width = len(one.channels)
         values = np.frombuffer(b"".join(data), "<f8")
         if len(data) != one.samples or values.size != one.samples * width:
-            raise misfit(path, f"{one.name}: {len(data)} samples, {one.samples} described")
+            raise misfit(
+                path,
+                f"{one.name}: the file contains {len(data)} samples, its description states "
+                f"{one.samples}",
+            )
         columns = values.reshape(one.samples, width).T
         found.append(
             (one, {n: np.array(c, float) for n, c in zip(one.channels, columns, strict=True)})

@@ -1,7 +1,7 @@
 """Recordings as tables: CSV, MATLAB, Parquet, written and read back.
 
 Channels keep their canonical names and SI units. A description beside the numbers, or inside the
-file, holds what a table has no column for (:mod:`rig.runs.export.description`).
+file, contains the data for which a table has no column (:mod:`rig.runs.export.description`).
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ def _channel(recording: Recording, name: str) -> Array:
 def write_csv(dataset: Dataset, path: Path) -> None:
     """Write the only recording as a table, one column a channel.
 
-    A missing value is an empty cell. The description goes into a file beside it, which
-    :func:`rig.runs.export.export` does not write.
+    A missing value is an empty cell. The description goes into a file beside the CSV file; this
+    function does not write the description.
     """
     (recording,) = dataset.recordings
     columns = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
@@ -95,7 +95,7 @@ def write_parquet(dataset: Dataset, path: Path) -> None:
 
 
 def read_csv(path: Path) -> list[Read] | None:
-    """Read a CSV file back; None if no description stands beside it.
+    """Read a CSV file back; return None if there is no description beside the file.
 
     Raises:
         InputError: File and description do not fit together.
@@ -117,7 +117,7 @@ def read_csv(path: Path) -> list[Read] | None:
 
 
 def read_mat(path: Path) -> list[Read] | None:
-    """Read a MATLAB file back; None if it holds no description.
+    """Read a MATLAB file back; return None if it holds no description.
 
     Raises:
         InputError: Its numbers do not fit its description.
@@ -134,7 +134,10 @@ def read_mat(path: Path) -> list[Read] | None:
     described = parse(str(content[KEY].ravel()[0]), path)
     structs = content["recordings"].ravel()
     if len(structs) != len(described):
-        raise misfit(path, f"{len(structs)} recordings, {len(described)} described")
+        raise misfit(
+            path,
+            f"the file contains {len(structs)} recordings, its description states {len(described)}",
+        )
     try:
         return [
             (one, {name: np.array(struct[name]).ravel() for name in one.channels})
@@ -145,7 +148,7 @@ def read_mat(path: Path) -> list[Read] | None:
 
 
 def read_parquet(path: Path) -> list[Read] | None:
-    """Read a Parquet file back; None if it holds no description.
+    """Read a Parquet file back; return None if it holds no description.
 
     Raises:
         InputError: Its numbers do not fit its description.
@@ -176,7 +179,9 @@ def _split(path: Path, described: tuple[Described, ...], columns: dict[str, Any]
     missing = {name for one in described for name in one.channels} - columns.keys()
     if rows != expected or missing:
         lacks = f"; no column {', '.join(sorted(missing))}" if missing else ""
-        raise misfit(path, f"{rows} rows, {expected} described{lacks}")
+        raise misfit(
+            path, f"the file contains {rows} rows, its description states {expected}{lacks}"
+        )
     found: list[Read] = []
     start = 0
     for one in described:

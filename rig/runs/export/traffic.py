@@ -31,7 +31,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 def messages(folder: Path, part: PartRecord) -> Iterator[tuple[str, Message]]:
     """Yield topic and message of one recording of a run, in recorded order.
 
-    Of a recording that was never closed, everything up to its last whole chunk.
+    Of a recording that was never closed, all messages up to its last whole chunk are yielded.
 
     Raises:
         InputError: It is damaged, or cannot be read.
@@ -59,7 +59,7 @@ class FrameClock:
     """Converts the time stamps of raw frames, which count from an origin of the host's clock, to
     UTC.
 
-    The first frame of a recording is taken as sent when the recording was created.
+    The first frame of a recording counts as sent when the recording was created.
     """
 
     created_ns: int

@@ -2,7 +2,6 @@
 
 The modules here only read recordings, and have no way to command a bench.
 
-Everything here reads; nothing can command a bench.
 """
 
 from rig.runs.live.layout_files import layout

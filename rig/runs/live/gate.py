@@ -43,7 +43,7 @@ class Gate:
 
     Attributes:
         port: The port that it came to.
-        token: The token that its address must carry, or None where the client cannot carry one.
+        token: The token that its address must carry, or None if the client cannot carry one.
     """
 
     port: int
@@ -68,8 +68,8 @@ class Gate:
             origin = fields.get("origin", "")
             if origin not in ("", APP):
                 raise RefusedError(
-                    f"the stream was started with --no-token and refuses web pages, this one of "
-                    f"{origin}; start `rig watch` without --no-token"
+                    "the stream was started with --no-token and therefore refuses web pages, "
+                    f"also the page of {origin}; start `rig watch` without --no-token"
                 )
         elif not self._carries_token(target):
             raise RefusedError(

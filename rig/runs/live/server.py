@@ -29,7 +29,7 @@ class Offer:
         recording: The file.
         name: What clients show as the name of the source.
         token: What an address must carry; None to ask for none.
-        last_s: Length of the recorded part that a new subscriber gets, s; None for all.
+        last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
     """
 
     recording: Path
@@ -39,10 +39,10 @@ class Offer:
 
 
 def inner_host() -> str:
-    """Return the address for the servers behind the gate.
+    """Return the address on which the servers behind the gate listen.
 
-    Where the system takes any address of 127.0.0.0/8 without setting up, as Linux does, it is one
-    at random: no web page can try them all.
+    If the system accepts any address of 127.0.0.0/8 without set-up, as Linux does, a random address
+    is used: no web page can try all of these addresses.
     """
     drawn = ".".join(["127", *(str(1 + secrets.randbelow(254)) for _ in range(3))])
     with socket.socket() as probe:
@@ -150,8 +150,8 @@ async def _pump(
 
 
 async def _until_one_ends(*work: Coroutine[Any, Any, None]) -> None:
-    """Run all tasks until the first one ends, then cancel the others; raise the error of the first
-    one.
+    """Run all tasks until the first task ends, then cancel the others; raise the error of the first
+    task.
     """
     tasks = [asyncio.ensure_future(one) for one in work]
     try:

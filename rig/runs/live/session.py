@@ -54,7 +54,7 @@ class Session:
         name: What the client shows as the name of the source.
         host: Address that the client's server listens on.
         tail: The recording.
-        last_s: Length of the recorded part that a new subscriber gets, s; None for all.
+        last_s: Length of the recorded part that a new subscriber gets, s, or None for all.
     """
 
     def __init__(self, name: str, host: str, tail: Tail, last_s: float | None) -> None:
@@ -108,7 +108,7 @@ class Session:
     async def feed(self) -> None:
         """Pass the recording, and everything that is added to it, to the server until cancelled.
 
-        At a damaged place it stops, and the client shows why.
+        At a damaged place the stream stops, and the client shows the reason.
         """
         while True:
             if not self._at:
@@ -144,7 +144,9 @@ class Session:
         self._changed.set()
 
     async def _hand(self, offset: int, piece: Piece) -> None:
-        """Hand over what the topics that stand at ``offset`` get of a piece, and advance them."""
+        """Pass the messages of a piece to the topics that are complete up to ``offset``, and
+        advance these topics.
+        """
         topics = frozenset(name for name, at in self._at.items() if at == offset)
         for item in outgoing(piece.messages, topics):
             await self._room()

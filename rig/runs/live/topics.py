@@ -63,7 +63,8 @@ class Outgoing(NamedTuple):
 
 
 def outgoing(messages: Iterable[tuple[str, Message]], wanted: frozenset[str]) -> Iterator[Outgoing]:
-    """Yield what a record of the recording becomes in the stream, in recorded order.
+    """Yield the messages of the stream that follow from a record of the recording, in recorded
+    order.
 
     Args:
         messages: Recorded topic and message.
@@ -112,7 +113,7 @@ _WRITERS: dict[str, Callable[[Sequence[Message], frozenset[str]], Iterator[Outgo
 def json_without_nan(data: bytes) -> bytes:
     """Return an event as strict JSON: NaN and infinities, which JSON lacks, become text.
 
-    An event without them is returned unchanged.
+    An event without NaN and infinities is returned unchanged.
     """
     found: list[str] = []
 

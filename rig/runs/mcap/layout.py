@@ -105,7 +105,7 @@ def encode_sample(sample: Sample) -> bytes:
 
 
 def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array per field, shape (n,); NaN for missing fields.
+    """Unpack concatenated samples into one array per field, shape (n,); missing fields are NaN.
 
     Args:
         messages: The samples.

@@ -1,5 +1,5 @@
 """Reads a recording back, intact or damaged: returns all sound records, and a message on the lost
-ones.
+records.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _TOLD = 3
 
 
 class NotARecordingError(ValueError):
-    """The file is not a recording, or holds no samples; the message names it."""
+    """The file is not a recording, or holds no samples; the message names the file."""
 
 
 class Message(NamedTuple):
@@ -219,7 +219,7 @@ class _Reading:
                         raise DamageError(text)
                     sample_bytes = len(content)
                 if time_ns < latest_ns:
-                    raise DamageError("a chunk that is older than the one before it")
+                    raise DamageError("a chunk is older than the chunk before it")
                 latest_ns = time_ns
                 taken.append((topic, Message(time_ns, content)))
             offset = end
@@ -243,7 +243,9 @@ class _Reading:
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
-    """Return a text on the times of the samples around a loss, if there is one on both sides."""
+    """Return a text on the times of the samples around a loss, if there are samples on both
+    sides.
+    """
     return (
         f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
         if 0 < before < len(times)

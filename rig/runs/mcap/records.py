@@ -128,14 +128,14 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     """
     footer_at = len(data) - len(MAGIC) - _FOOTER.size
     if not data.endswith(MAGIC) or footer_at < offset:
-        raise DamageError("the index at its end is cut off")
+        raise DamageError("the index at the end of the file is cut off")
     opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer_at)
     if (
         opcode != Opcode.FOOTER
         or start != before + offset
         or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc
     ):
-        raise DamageError("the index at its end fails its checksum")
+        raise DamageError("the index at the end of the file fails its checksum")
     while offset < footer_at:
         found = record_at(data, offset)
         if found.opcode == Opcode.STATISTICS:
@@ -143,7 +143,7 @@ def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
                 counts: Statistics = Statistics.read(_stream(found.content))
                 return counts
         offset = found.end
-    raise DamageError("the index at its end holds no statistics")
+    raise DamageError("the index at the end of the file holds no statistics")
 
 
 @contextmanager

@@ -60,7 +60,7 @@ class Tail:
         self._stream.close()
 
     def at(self, offset: int) -> Piece | None:
-        """Read the record at ``offset``; None if the record is not complete yet.
+        """Read the record at ``offset``; return None if the record is not complete yet.
 
         Raises:
             OSError: The file cannot be read.
@@ -100,7 +100,7 @@ class Tail:
         return next(recent, START)
 
     def _head(self, offset: int) -> tuple[int, int] | None:
-        """Return opcode and length of the record at ``offset``; None if they are not written
+        """Return opcode and length of the record at ``offset``, or None if they are not written
         yet.
         """
         self._stream.seek(offset)

@@ -1,9 +1,9 @@
 """Writes MCAP files, with a fast path for messages.
 
 The writer of the ``mcap`` library needs 2.6 microseconds per message, and a control cycle writes
-two messages. Here one ``struct.pack`` writes a message, and the record types of the library write
-everything that occurs once. Chunks, message indexes and summary follow the specification
-(https://mcap.dev/spec), so that every reader can seek.
+two messages. In this module one ``struct.pack`` writes a message, and the record types of the
+library write everything that occurs once. Chunks, message indexes and summary follow the
+specification (https://mcap.dev/spec), so that every reader can seek.
 """
 
 from __future__ import annotations

@@ -65,8 +65,8 @@ def _obstacle(signal: Any) -> str:
 
 
 def _signal(signal: Any, by_name: dict[str, Any], found: dict[str, BusSignal]) -> BusSignal | None:
-    """Return a signal, after its multiplexers were added to ``found``; None if a multiplexer cannot
-    be read.
+    """Return a signal, after its multiplexers were added to ``found``, or None if a multiplexer
+    cannot be read.
     """
     if signal.name in found:
         return found[signal.name]

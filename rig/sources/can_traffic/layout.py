@@ -52,9 +52,9 @@ class BusSignal:
         factor: Value of one raw unit.
         offset: Value at raw 0.
         unit: As the source states it.
-        low: Least value that the source allows, None where it states none.
+        low: Least value that the source allows, None if it states none.
         high: Greatest value.
-        selector: The multiplexer that says whether the signal is in a frame; None for one that
+        selector: The multiplexer that says whether the signal is in a frame, or None for one that
             always is.
         pages: Raw values of the selector with which the signal is in the frame.
     """

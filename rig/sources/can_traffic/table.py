@@ -45,10 +45,10 @@ class CanTable(Table):
     """Table with one column per signal, named ``Message.Signal``, and the time stamps of each
     message, ``Message.time``, in s since the first frame of the file.
 
-    Each message has a time base of its own, as have signals that a multiplexer puts into some of
-    its frames only (``Message.Signal.time``); all are on the clock of the file. A message that
-    comes on several buses is named with its bus before it. Error frames, remote frames and frames
-    that no map names are left out and counted.
+    Each message has its own time base, and so have signals that a multiplexer puts into only some
+    frames of a message (``Message.Signal.time``); all are on the clock of the file. A message that
+    occurs on several buses is named with the bus before its name. Error frames, remote frames and
+    frames that no map names are left out and counted.
 
     Args:
         path: The file.
@@ -67,8 +67,9 @@ class CanTable(Table):
         frames = self._of_bus(traffic.frames, options.bus)
         if not options.dbc_files and options.bench is None:
             raise InputError(
-                f"{path}: CAN traffic, {_listed(frames)}; name what its frames mean: a DBC file "
-                f"(read.dbc, or --dbc), or the bench file of the drive (read.bench, or --bench)"
+                f"{path}: CAN traffic, {_listed(frames)}; state the meaning of its frames: give "
+                "a DBC file (read.dbc, or --dbc), or the bench file of the drive (read.bench, "
+                "or --bench)"
             )
         known = [message for name in options.dbc_files for message in messages_of(Path(name))]
         if options.bench is not None:
@@ -112,7 +113,9 @@ class CanTable(Table):
         kept = {key: found for key, found in frames.items() if key[0] == str(bus)}
         if not kept:
             there = ", ".join(dict.fromkeys(key[0] for key in frames))
-            raise InputError(f"{self.path}: has no bus {bus}; read.bus is one of {there}")
+            raise InputError(
+                f"{self.path}: the file has no bus {bus}; set read.bus to one of {there}"
+            )
         return kept
 
     def _named(

@@ -85,7 +85,7 @@ class ArrayTable(Table):
             doubles, note = as_doubles(values)
         except NotNumbersError as error:
             raise InputError(
-                f"{self.path}: variable {column.variable!r} is not real numbers ({error})"
+                f"{self.path}: variable {column.variable!r} does not contain real numbers ({error})"
             ) from None
         if note:
             self.note(f"`{column.variable}`: {note}")
@@ -139,8 +139,8 @@ class MatTable(ArrayTable):
         if not self.names:
             held = ", ".join(f"{name} ({kind})" for name, _, kind in contents) or "nothing"
             raise InputError(
-                f"{path}: holds no arrays of numbers, but {held}; of a timeseries or Dataset "
-                "object, save .Time and .Data as separate variables"
+                f"{path}: holds no arrays of numbers, but {held}; if it is a timeseries or "
+                "Dataset object, save .Time and .Data as separate variables"
             )
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:

@@ -324,7 +324,7 @@ class DelimitedTable(Table):
 
 
 def _names_its_row(line: str, cell: str) -> bool:
-    """Return whether the first cell is a word, or is quoted while the next cell is not."""
+    """Return whether the first cell is a word, or is quoted while the next cell is not quoted."""
     rest = line.lstrip()
     return (rest.startswith('"') and rest.count('"') == 2) or not is_number(cell)
 

@@ -20,7 +20,7 @@ _TIME_UNITS = {"s": 1.0, "sec": 1.0, "seconds": 1.0, "ms": 1e-3, "us": 1e-6, "µ
 
 
 def seconds_per(unit: str) -> float | None:
-    """Return the length of a unit of time, as files write it, in seconds; None for any other
+    """Return the length of a unit of time, as files write it, in seconds, or None for any other
     unit.
     """
     return _TIME_UNITS.get(unit.strip().lower())
@@ -33,8 +33,8 @@ class NotNumbersError(Exception):
 def as_doubles(values: NDArray[Any]) -> tuple[Array, str]:
     """Return values as doubles, and a note if the conversion changed them.
 
-    Integers beyond 2^53 are read as differences to the first one; dates and times as seconds since
-    the first; their missing values are NaN.
+    Integers beyond 2^53 are read as differences to the first integer; dates and times are read as
+    seconds since the first date or time; missing dates and times are NaN.
 
     Args:
         values: Shape (n,), of any type.

@@ -58,7 +58,7 @@ class Hdf5Table(ArrayTable):
     """Table with one column for each dataset of numbers, named by its path with dots:
     ``run.motor.current``.
 
-    A matrix counts as in :class:`ArrayTable`, a compound dataset as its fields. Structs and cells
+    A matrix is read as in :class:`ArrayTable`, a compound dataset by its fields. Structs and cells
     of MATLAB are named as in files of its version 7. ``scale_factor``, ``add_offset`` and
     ``_FillValue`` of the CF conventions are applied, with a note. Links to other files, virtual
     datasets and objects of MATLAB are left out, with a note.

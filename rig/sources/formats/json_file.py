@@ -37,10 +37,11 @@ class _Rows:
 class JsonTable(Table):
     """Table with one column for each number, named by its path in the file.
 
-    Read are a list of objects, a list of lists (a first one of text is the header), an object of
-    lists of equal length, and what pandas writes: ``split`` (``columns`` and ``data``), ``table``,
-    ``index`` and ``columns``. Each may stand inside an object; where there are several, the names
-    begin with their place. A date in text is seconds since the first.
+    These forms are read: a list of objects; a list of lists, whose first list is the header if it
+    is text; an object of lists of equal length; and the forms that pandas writes, ``split``
+    (``columns`` and ``data``), ``table``, ``index`` and ``columns``. Each form may be inside an
+    object; if a file has several tables, the names of the columns begin with the place of the
+    table. A date in text is read as seconds since the first date.
 
     Raises:
         InputError: It is no JSON, or holds none of these.

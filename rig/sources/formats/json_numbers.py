@@ -50,8 +50,9 @@ def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]:
     """Return one field of all rows, shape (n,), with NaN where a row lacks the field; and a note.
 
-    Stamps are seconds since the first one: nanoseconds since 1970 exceed the 53 bits of a double,
-    their differences do not. Other integers beyond 2^53 are differences to the first as well.
+    Stamps are read as seconds since the first stamp: nanoseconds since 1970 exceed the 53 bits of a
+    double, their differences do not. Other integers beyond 2^53 are read as differences to the
+    first integer as well.
     """
     known = [row.get(field) for row in rows]
     first = next((stamp for stamp in known if isinstance(stamp, Stamp)), None)
@@ -70,7 +71,7 @@ def series(rows: Sequence[Mapping[str, float]], field: str) -> tuple[Array, str]
 
 
 def number(value: object) -> float | None:
-    """Return a JSON value as a number; None if it is not a number.
+    """Return a JSON value as a number, or None if it is not a number.
 
     Integers stay integers, dates become :class:`Stamp`.
     """
@@ -85,8 +86,8 @@ def number(value: object) -> float | None:
 
 
 def stamp_of(value: Mapping[str, object]) -> Stamp | None:
-    """Return the time stamp that an object of seconds and nanoseconds contains; None if it contains
-    none.
+    """Return the time stamp that an object of seconds and nanoseconds contains, or None if it
+    contains none.
     """
     parts = {key: part for key, part in value.items() if isinstance(part, int)}
     if set(parts) not in _STAMPS or len(parts) != len(value):
@@ -98,8 +99,8 @@ def stamp_of(value: Mapping[str, object]) -> Stamp | None:
 def numbers(value: object, prefix: str) -> Iterator[tuple[str, float]]:
     """Yield dotted name and value of every number inside a JSON message.
 
-    An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds is one more column
-    under the name of both, and a date in text is one.
+    An element of a list is ``name[0]``. A time stamp of seconds and nanoseconds is one additional
+    column, which is named after both; a date in text is one column.
     """
     if isinstance(value, dict):
         for key, child in value.items():

@@ -94,7 +94,7 @@ def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[
             fits = start + 8 + length <= stop
         if not fits:
             raise DamagedElementError(
-                f"an element of {element.length} bytes does not fit, at byte {start}"
+                f"an element of {element.length} bytes does not fit into the file, at byte {start}"
             )
         yield element
         start = element.end
@@ -141,8 +141,8 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
         values = _part(parts, matrix, name, *SIZES)
         if min(shape) < 0 or values.length != prod(shape) * SIZES[values.kind]:
             raise DamagedElementError(
-                f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at "
-                f"byte {values.start}"
+                f"{values.length} bytes of {name} do not fit "
+                f"{' x '.join(map(str, shape))} numbers, at byte {values.start}"
             )
 
 
@@ -163,13 +163,14 @@ def _check_members(
         size = struct.unpack(f"{order}i", stream.read(4))[0] if length.length == 4 else 0
         if size <= 0 or names.length % size:
             raise DamagedElementError(
-                f"field names of {names.length} bytes with {size} bytes each, at byte {names.start}"
+                f"{names.length} bytes of field names do not fit names of {size} bytes each, at "
+                f"byte {names.start}"
             )
         fields = names.length // size
     members = list(parts)
     if min(shape) < 0 or len(members) != prod(shape) * fields:
         raise DamagedElementError(
-            f"{len(members)} members for {' x '.join(map(str, shape))} elements of {fields} "
+            f"{len(members)} members do not fit {' x '.join(map(str, shape))} elements of {fields} "
             f"fields, at byte {matrix.start}"
         )
     for member in members:

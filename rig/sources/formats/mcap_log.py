@@ -47,8 +47,8 @@ class McapTable(Table):
     Messages are JSON, CDR of ROS 2 or protobuf. ``topic.log_time`` is the logger's time stamp in
     seconds since the first message of that topic. Elements of a list are ``topic.field[0]``, also
     of lists of messages; a stamp of ``sec`` and ``nanosec`` is one column. Of a file without an
-    end, the whole messages are read, with a note. Each topic has a time base of its own; the
-    logger's time is their clock.
+    end, the complete messages are read, with a note. Each topic has its own time base; the logger's
+    time is the common clock.
 
     Raises:
         InputError: The file is damaged, holds no messages that can be read, or their library is

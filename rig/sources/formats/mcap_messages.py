@@ -40,7 +40,7 @@ class Decoders:
         self._factories: dict[str, Any] = {}
 
     def of(self, encoding: str, schema: Schema | None) -> Decoder | None:
-        """Return the decoder of a channel; None if no decoder reads its encoding.
+        """Return the decoder of a channel, or None if no decoder reads its encoding.
 
         Raises:
             InputError: The library that decodes it is not installed.

@@ -157,7 +157,9 @@ class MdfTable(Table):
                 raise NotNumbersError("bytes or a structure")
             values, note = as_doubles(samples)
         except NotNumbersError as error:
-            raise InputError(f"{self.path}: channel {name!r} is not numbers ({error})") from None
+            raise InputError(
+                f"{self.path}: channel {name!r} does not contain numbers ({error})"
+            ) from None
         if note:
             self.note(f"`{name}`: {note}")
         invalid = signal.invalidation_bits
@@ -166,7 +168,7 @@ class MdfTable(Table):
         return values
 
     def _labels(self, mdf: Any, where: _Channel, name: str, samples: NDArray[Any]) -> NDArray[Any]:
-        """Return the numbers behind labels; if there are none, the text."""
+        """Return the numbers to which labels belong; if there are none, the text."""
         numbers = [
             float(value) if isinstance(value, int | float | np.number) else np.nan
             for value in samples.tolist()
@@ -228,7 +230,9 @@ def _parts(mdf: Any, group: int, index: int) -> Iterator[_Channel]:
 
 
 def _linear(conversion: Any, version: str) -> tuple[float, float] | None:
-    """Return factor and offset of a linear conversion; None for any other conversion or none."""
+    """Return factor and offset of a linear conversion, or None for a channel without a conversion
+    or with another one.
+    """
     if conversion is None:
         return None
     linear = _LINEAR.get(min(4, max(3, int(str(version)[0]))))

@@ -68,7 +68,7 @@ class ParquetTable(Table):
             values = column.cast(arrow.float64()).to_numpy()
         except arrow.ArrowException as error:
             raise InputError(
-                f"{self.path}: column {name!r} is not numbers (type {column.type})"
+                f"{self.path}: column {name!r} does not contain numbers (type {column.type})"
             ) from error
         return np.asarray(values, dtype=np.float64)
 
@@ -78,7 +78,7 @@ EXACT = 2**53
 
 
 def _first(column: Any) -> int:
-    """Return the first value that is not missing; 0 if all are missing."""
+    """Return the first value that is not missing; 0 if all values are missing."""
     known = column.drop_null()
     return int(known[0].as_py()) if len(known) else 0
 

@@ -17,7 +17,7 @@ from rig.common.errors import InputError
 
 
 class Table(ABC):
-    """An opened recording file. Opening reads only the names of the columns.
+    """An opened recording file. Opening a file reads only the names of the columns.
 
     Attributes:
         path: The file.

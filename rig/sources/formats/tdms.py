@@ -41,8 +41,8 @@ _UNSUPPORTED = "Unsupported scale type"
 
 
 class _Waveform(NamedTuple):
-    """Time of a waveform: its start (seconds and 2^-64 s since 1904; None if not stated), the time
-    from the start to its first sample, and its sample period, s.
+    """Time of a waveform: its start (seconds and 2^-64 s since 1904, or None if not stated), the
+    time from the start to its first sample, and its sample period, s.
     """
 
     start: tuple[int, int] | None
@@ -68,7 +68,7 @@ class TdmsTable(Table):
 
     Channels of one group that have the same length and the same waveform properties share their
     rows; the time of a waveform is one more column, ``time``. Scales of the file are applied. A
-    channel of time stamps is read as seconds since its first.
+    channel of time stamps is read as seconds since its first stamp.
 
     Raises:
         InputError: npTDMS is not installed, or the file is damaged or holds no channels.
@@ -178,7 +178,7 @@ class TdmsTable(Table):
     def stamps(self, base: int) -> Array | None:
         """Return the time of the waveform on the clock of the file; see :meth:`Table.stamps`.
 
-        Without a waveform, a channel of time stamps of the same length is taken.
+        Without a waveform, the stamps are those of a channel of time stamps of the same length.
         """
         starts = [b.waveform.start for b in self._bases if b.waveform and b.waveform.start]
         waveform = self._bases[base].waveform
@@ -213,7 +213,9 @@ class TdmsTable(Table):
         try:
             values, note = as_doubles(np.asarray(samples))
         except NotNumbersError as error:
-            raise InputError(f"{self.path}: channel {name!r} is not numbers ({error})") from None
+            raise InputError(
+                f"{self.path}: channel {name!r} does not contain numbers ({error})"
+            ) from None
         if note:
             self.note(f"`{name}`: {note}")
         return values
@@ -224,8 +226,8 @@ def _unit(properties: Mapping[str, Any]) -> str:
 
 
 def _waveform(channel: Any) -> _Waveform | None:
-    """Return the waveform properties of a channel; None if it has none, or if its waveform is not
-    over time.
+    """Return the waveform properties of a channel, or None if the channel has none, or if its
+    waveform is not over time.
     """
     properties = channel.properties
     try:

@@ -183,7 +183,7 @@ def are_units(cells: Sequence[str], width: int) -> bool:
     """Return whether a line below the names contains only short words and no number, as a line of
     units does.
 
-    A dash stands for no unit where another cell has one.
+    A dash means no unit if another cell has a unit.
     """
     given = [cell.strip(' "\t') for cell in cells]
     words = [word for word in given if word != "-"]
@@ -198,7 +198,7 @@ def are_units(cells: Sequence[str], width: int) -> bool:
 
 
 def nanoseconds(cell: str) -> int | None:
-    """Return a date and time, or a time of day, in ns since the year 1; None if the cell is
+    """Return a date and time, or a time of day, in ns since the year 1, or None if the cell is
     neither.
 
     The date starts with the year (ISO 8601); an offset from UTC is subtracted.

@@ -177,7 +177,7 @@ def infeasible(**channels: np.ndarray | None) -> Dataset:
         ({"pressure": None}, "burn_0: no pressure"),
         ({"angle": None}, "burn_0: no angle"),
         ({"pressure": np.linspace(4e6, -1e5, 800)}, "falls to -100000 Pa"),
-        ({"pressure": np.full(800, 4e6)}, "pressure is constant"),
+        ({"pressure": np.full(800, 4e6)}, "pressure channel is constant"),
     ],
 )
 def test_recordings_that_cannot_be_used(channels: dict[str, np.ndarray | None], words: str) -> None:

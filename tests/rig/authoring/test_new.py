@@ -219,7 +219,7 @@ def test_nothing_is_overwritten(kind: str, capsys: pytest.CaptureFixture[str]) -
     assert status(["new", kind, "a.yaml", "--yes", *options]) == 0
     before = Path("a.yaml").read_bytes()
     assert status(["new", kind, "a.yaml", "--yes", *options]) == 2
-    assert "exists already; it is not overwritten" in capsys.readouterr().err
+    assert "exists already and is not overwritten" in capsys.readouterr().err
     assert Path("a.yaml").read_bytes() == before
     # A schema of another origin is not overwritten either, and then nothing is written.
     Path(f"schemas/{kind}.schema.json").write_text("{}")
@@ -309,7 +309,8 @@ def test_questions_are_put_until_they_are_answered(capsys: pytest.CaptureFixture
         "an answer is needed: it has no default",
     ]
     with pytest.raises(
-        InputError, match=r"--lever: the input has ended before this was answered; give the option"
+        InputError,
+        match=r"--lever: the input has ended before this question was answered; give the option",
     ):
         ask_all(questions, {"gear": 1.0}, Answering([]), said.append)
 
@@ -318,8 +319,8 @@ def test_where_the_input_ends_the_options_without_default_are_named() -> None:
     with pytest.raises(InputError) as caught:
         ask_all(QUESTIONS, {}, Answering(["canopen"]), str)
     assert caught.value.problems == (
-        "--devices: the input has ended before this was answered; give the options; --yes takes "
-        "the defaults, but --lever-ratio must be given",
+        "--devices: the input has ended before this question was answered; give the options; "
+        "--yes takes the defaults, but --lever-ratio must be given",
     )
     with pytest.raises(InputError, match="give the option, or --yes for the defaults"):
         ask_all(QUESTIONS, {"lever_ratio": 1.0}, Answering([]), str)

@@ -183,16 +183,16 @@ def test_a_page_without_contact_and_a_repeated_command_make_nothing(desk: Desk) 
 @pytest.mark.parametrize(
     ("runs", "said"),
     [
-        (["mine-01", "../outside"], "../outside: no run of the list"),
-        (["mine-01", "mine-02/../mine-03"], "no run of the list"),
-        (["mine-01", "/etc"], "/etc: no run of the list"),
-        (["mine-01", "mine-99"], "mine-99: no run of the list"),
-        (["mine-01", "--out=x"], "--out=x: no run of the list"),
-        (["mine-01", "mine-01"], f"choose 2 to {MOST_COMPARED} runs; these are 1"),
-        ([f"mine-{n}" for n in range(9)], "these are 9"),
+        (["mine-01", "../outside"], "../outside: not in the list of runs"),
+        (["mine-01", "mine-02/../mine-03"], "not in the list of runs"),
+        (["mine-01", "/etc"], "/etc: not in the list of runs"),
+        (["mine-01", "mine-99"], "mine-99: not in the list of runs"),
+        (["mine-01", "--out=x"], "--out=x: not in the list of runs"),
+        (["mine-01", "mine-01"], f"choose 2 to {MOST_COMPARED} runs (got 1)"),
+        ([f"mine-{n}" for n in range(9)], "(got 9)"),
         (["mine-01", 2], "runs must be a list of folders"),
         ("mine-01", "runs must be a list of folders"),
-        (["mine-01", "\udcff"], "no run of the list"),
+        (["mine-01", "\udcff"], "not in the list of runs"),
     ],
 )
 def test_only_runs_of_the_list_are_compared(desk: Desk, runs: object, said: str) -> None:

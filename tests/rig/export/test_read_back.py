@@ -146,7 +146,7 @@ def test_a_changed_export_is_refused(tmp_path: Path) -> None:
     exported(tmp_path, "csv", dataset())
     place = tmp_path / "x-empty-1.csv"
     place.write_text("\n".join(place.read_text().splitlines()[:-1]))
-    with pytest.raises(InputError, match="299 rows, 300 described"):
+    with pytest.raises(InputError, match="the file contains 299 rows, its description states 300"):
         load_source(campaign(tmp_path, place.name))
     described = tmp_path / "x-empty-1.csv.json"
     described.write_text(described.read_text().replace('"fit"', '"fits"'))

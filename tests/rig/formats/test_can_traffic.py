@@ -184,7 +184,7 @@ def test_several_buses_in_one_file(tmp_path: Path) -> None:
     same(found["1.Motion.Position"], found["2.Motion.Position"][::-1])
     single = columns(path, bus=2)
     same(single["Motion.Position"], found["2.Motion.Position"])
-    with pytest.raises(InputError, match=r"has no bus 3; read\.bus is one of 1, 2"):
+    with pytest.raises(InputError, match=r"the file has no bus 3; set read\.bus to one of 1, 2"):
         table(path, bus=3)
 
 

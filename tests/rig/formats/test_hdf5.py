@@ -59,7 +59,7 @@ def test_variables_rows_and_matrices_of_matlab(tmp_path: Path) -> None:
     assert "word" not in table.names
     same(table.read([table.names.index("big")])[0], np.arange(N))
     assert "beyond 2^53" in table.notes[0]
-    with pytest.raises(InputError, match=r"'z' is not real numbers \(complex"):
+    with pytest.raises(InputError, match=r"'z' does not contain real numbers \(complex"):
         table.read([table.names.index("z")])
 
 

@@ -120,7 +120,7 @@ def test_nanoseconds_in_numpy_are_exact_and_complex_numbers_refused(tmp_path: Pa
     channels = CHANNELS.replace("time: t", "time: {column: t, scale: 1.0e-9}")
     recording = load_file(tmp_path, "log.npz", channels)
     same(recording.time, np.arange(N) * 1_000_001 * 1e-9)
-    with pytest.raises(InputError, match=r"'z' is not real numbers \(complex numbers\)"):
+    with pytest.raises(InputError, match=r"'z' does not contain real numbers \(complex numbers\)"):
         load_file(tmp_path, "log.npz", "{time: t, current: i, angle: z}")
 
 

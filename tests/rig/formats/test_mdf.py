@@ -132,10 +132,10 @@ def test_labels_text_and_mixtures_are_told_apart(tmp_path: Path) -> None:
     recording = load_file(tmp_path, path.name, CHANNELS[:-1] + ", enabled: on}")
     same(recording.channels["enabled"], state.astype(np.float64))
     assert "`on` holds labels (off, on): read as its raw numbers" in recording.notes
-    with pytest.raises(InputError, match=r"channel 'text' is not numbers \(text\)"):
+    with pytest.raises(InputError, match=r"channel 'text' does not contain numbers \(text\)"):
         load_file(tmp_path, path.name, "{time: time, current: i, angle: text}")
     (problem,) = [c.problem for c in look_at_file(path, PLAIN).columns if c.name == "text"]
-    assert "not numbers" in problem
+    assert "does not contain numbers" in problem
 
 
 def test_damage_is_refused(tmp_path: Path) -> None:

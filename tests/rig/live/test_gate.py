@@ -79,7 +79,7 @@ def test_pages_without_a_token(origin: str, passes: bool) -> None:
     if passes:
         assert OPEN.pass_on(head, "inner")
     else:
-        with pytest.raises(RefusedError, match="refuses web pages, this one of"):
+        with pytest.raises(RefusedError, match="refuses web pages, also the page of"):
             OPEN.pass_on(head, "inner")
 
 

@@ -110,7 +110,7 @@ def step_slipping(
 def step_bristles(
     omega: float, z: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance a joint with bristle friction (LuGre model; Canudas de Wit et al. 1995) by ``h``.
+    """Advance a joint with bristle friction (LuGre model, Canudas de Wit et al. 1995) by ``h``.
 
     dz/dt = omega - sigma_0 |omega| z / g(omega); friction = sigma_0 z + sigma_1 dz/dt + viscous
     part, with sigma_1 fading with speed. The step is linearly implicit, and therefore stable for

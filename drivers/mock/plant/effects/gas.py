@@ -121,8 +121,8 @@ def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
-    """Return the relative loss of temperature if ``burnt`` kg/s mix at once and the walls are
-    cold.
+    """Return the relative temperature loss of the gas if ``burnt`` kg/s of fresh gas mix at once
+    and the walls are cold.
     """
     return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 

@@ -28,8 +28,8 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
     """Return the torque of imbalance, spring and end stop on the joint, N m.
 
     A stop pushes only away from itself. One stop acts beyond ``angle_rad``, in the direction of the
-    sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first acts above
-    ``angle_rad`` and the second below ``other_rad``.
+    sign of ``angle_rad``. With a second stop (``other_rad``, 0 for none) the first stop acts above
+    ``angle_rad`` and the second stop below ``other_rad``.
     """
     torque = 0.0
     if e[GRAVITY_TORQUE] != 0.0:

@@ -82,8 +82,8 @@ from typing import NamedTuple
 
 
 class Parameter(NamedTuple):
-    """One parameter of an effect: its slot in the vector, its range, and its default value; None if
-    the value must be given.
+    """One parameter of an effect: its slot in the vector, its range, and its default value, or None
+    if the value must be given.
     """
 
     slot: int

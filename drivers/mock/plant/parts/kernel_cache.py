@@ -1,13 +1,13 @@
 """Cache on disk for the machine code of kernels compiled by numba.
 
 This cache corrects three faults of numba's own cache. Numba's cache refuses to compile a kernel if
-no cache folder is writable. It raises an error if the disk is full. The cache does not recompile a
-kernel when a kernel or constant of another module changes that was compiled into it. With the cache
-of this module, an error of the cache only costs a compilation, and the name of a cache file
-contains a digest of everything that is compiled into the kernel.
+no cache folder is writable. It raises an error if the disk is full. Numba's cache does not
+recompile a kernel if another module changes a kernel or a constant that was compiled into it. With
+the cache of this module, an error of the cache only costs a compilation, and the name of a cache
+file contains a digest of everything that is compiled into the kernel.
 
-`identification` and `drivers.mock.plant` never import each other. Each has a copy of this file, and
-a test verifies that the two copies are equal.
+`identification` and `drivers.mock.plant` never import each other. Each of these two packages has a
+copy of this file, and a test verifies that the copies are equal.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class KernelCache:
         return None if self._files is None else str(self._files.cache_path)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return the compiled code of a signature; None if it is missing or damaged."""
+        """Return the compiled code of a signature, or None if it is missing or damaged."""
         try:
             found = self._opened().load_overload(signature, target)
             if found is None:
@@ -229,7 +229,7 @@ class _Files(FunctionCache):
     _impl_class = _Naming
 
     def remove(self, *, outdated: bool = False) -> None:
-        """Remove the kernel's cache files; with ``outdated`` only those of other digests."""
+        """Remove the kernel's cache files; with ``outdated`` only the files with another digest."""
         current: str = self._impl.filename_base
         names = current.removesuffix(self._impl.digest) if outdated else current
         for file in Path(self.cache_path).glob(f"{names}*.nb[ci]"):
@@ -244,7 +244,9 @@ def _user() -> int:
 
 
 def _say_compiling() -> None:
-    """Log once, for all kernels, why a first start takes long, if a person may be waiting."""
+    """Log once, for all kernels, that compiling makes a first start slow, if a person may be
+    waiting.
+    """
     if not _COMPILING.is_set() and sys.stderr is not None and sys.stderr.isatty():
         _COMPILING.set()
         _LOG.warning(

@@ -108,8 +108,8 @@ def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, de
     """Integrate eq. 1 over one loop period at constant voltage.
 
     Strang splitting: half a step of the current (exact for a given speed), a step of the speed
-    (trapezoidal, implicit in friction), half a step of the current. The torque impulse on the shaft
-    is exactly Km i times the logged mean. ``decay`` is exp(-R h / 2 L).
+    (trapezoidal, implicit in friction), half a step of the current. The mean torque on the shaft is
+    exactly Km i times the logged mean current. ``decay`` is exp(-R h / 2 L).
     """
     h = d[LOOP_S] / d[STEPS]
     omega = s[OMEGA]

@@ -1,9 +1,9 @@
 """Covered and free area of the valve opening over the valve angle (Fig. 3), in closed form.
 
 The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the
-opening's centre; its centre line passes through the pivot, and the centre of its hole lies on it at
-L1 too. At the angle theta the distance of the opening's centre is L1 sin(theta) from this line and
-2 L1 sin(theta/2) from the centre of the hole, so that
+opening's centre; its centre line passes through the pivot, and the centre of its hole is on this
+line at distance L1 from the pivot. At the angle theta the distance of the opening's centre is L1
+sin(theta) from this line and 2 L1 sin(theta/2) from the centre of the hole, so that
 
     A_t = (opening beside the strip) + (opening and hole),    A_s = pi D^2/4 - A_t.
 
@@ -28,8 +28,8 @@ def disc_beyond(radius: float, distance: float) -> float:
 
 @inlined
 def lens(large: float, small: float, distance: float) -> float:
-    """Return the area common to two discs of these radii, ``large`` >= ``small``, their centres
-    ``distance`` apart.
+    """Return the area common to two discs of these radii, ``large`` >= ``small``, with their
+    centres ``distance`` apart.
     """
     if distance >= large + small:
         return 0.0

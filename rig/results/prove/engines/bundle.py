@@ -1,6 +1,4 @@
-"""Files that travel inside tasks and results, for workers that share no disk with the process that
-asks.
-"""
+"""Packs files into tasks and results, for workers that share no disk with the calling process."""
 
 from __future__ import annotations
 
@@ -59,7 +57,7 @@ def write_folder(folder: Path, files: Files) -> None:
 
 
 def bundle(campaign: Path) -> Bundle:
-    """Return a campaign as it travels to a worker on another machine.
+    """Return a campaign in the form in which it is sent to a worker on another machine.
 
     Raises:
         InputError: It names files outside its folder, or a file cannot be read.
@@ -72,8 +70,8 @@ def bundle(campaign: Path) -> Bundle:
     astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
     if astray:
         raise InputError(
-            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker on "
-            f"another machine cannot read it; move it into {folder}, or use --jobs"
+            f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker "
+            f"on another machine cannot read them; move these files into {folder}, or use --jobs"
         )
     try:
         return Bundle(folder.name, campaign.name, read_folder(folder))
@@ -83,7 +81,8 @@ def bundle(campaign: Path) -> Bundle:
 
 @contextmanager
 def unpacked(given: Path | Bundle) -> Iterator[Path]:
-    """Yield the path of a campaign file; a bundle is written into a temporary folder for it.
+    """Yield the path of a campaign file; the files of a bundle are first written into a temporary
+    folder.
 
     Raises:
         OSError: It cannot be written.
@@ -98,8 +97,8 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
 
 
 def without_place(record: Any, folder: Path) -> Any:
-    """Return a record in which paths begin at the folder's own name, so that its bytes do not
-    depend on where the folder was, or this program.
+    """Return a record in which paths begin with the name of the folder, so that the bytes of the
+    record depend neither on the place of the folder nor on that of this program.
 
     Args:
         record: Record of plain values.

@@ -24,7 +24,10 @@ def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[En
         InputError: More than one is given, or the cluster cannot be used.
     """
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
-        raise InputError("--jobs, --cluster and --scheduler are three engines; give one of them")
+        raise InputError(
+            "--jobs, --cluster and --scheduler each choose an engine; give only one of these "
+            "options"
+        )
     if workers is None and scheduler is None:
         yield Processes(jobs)
         return

@@ -1,9 +1,10 @@
-"""Shares work among the workers of a dask cluster: one that exists, or one of worker processes on
-this machine.
+"""Divides work among the workers of a dask cluster: an existing cluster, or a cluster of worker
+processes on this machine.
 
-What this package starts listens on the loopback interface alone and takes only connections with a
-key that is made for it and stays in memory. A scheduler of the user's own is trusted: whoever can
-connect to it can have its workers, and this process, run any code.
+A cluster that this package starts listens on the loopback interface only, and accepts only
+connections with a key that is made for this cluster and stays in memory. A scheduler that the user
+started is trusted: anyone who can connect to such a scheduler can run any code on its workers and
+in this process.
 """
 
 from __future__ import annotations
@@ -78,7 +79,9 @@ class DaskCluster:
 
     @property
     def shares_files(self) -> bool:
-        """Return whether workers read the files of this process: they may be on other machines."""
+        """Return False: workers may be on other machines, and then cannot read the files of this
+        process.
+        """
         return False
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
@@ -102,7 +105,7 @@ class DaskCluster:
                 self._client.cancel(list(waiting), force=True)
 
     def _first_of(self, waiting: Collection[Any]) -> Collection[Any]:
-        """Return those of some tasks that are finished, one or more.
+        """Wait until a task is finished; return all tasks that are finished.
 
         Raises:
             InputError: No worker is left for a while, or the scheduler is gone.
@@ -119,8 +122,8 @@ class DaskCluster:
                 # A worker that died takes its time to start again.
                 without = 0 if self._workers() else without + 1
         raise InputError(
-            f"{self._where}: no worker for {IDLE * WAIT_S:g} s; nothing that is done is lost: "
-            f"start workers and continue with the same --out"
+            f"{self._where}: no worker for {IDLE * WAIT_S:g} s; all finished work is kept: start "
+            "workers and continue with the same --out"
         )
 
     def _workers(self) -> int:
@@ -141,7 +144,7 @@ class DaskCluster:
 
     def _gone(self) -> InputError:
         return InputError(
-            f"{self._where}: the scheduler is gone; nothing that is done is lost: start it again "
+            f"{self._where}: the scheduler is gone; all finished work is kept: start it again "
             f"and continue with the same --out"
         )
 
@@ -165,7 +168,8 @@ class DaskCluster:
 
 
 def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task: Task) -> Result:
-    """Do the work on one task, on a worker whose packages are those of the process that asks.
+    """Do the work on one task, on a worker that has the same package versions as the calling
+    process.
 
     Raises:
         InputError: They are not.
@@ -179,15 +183,15 @@ def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task:
     ]
     if other:
         raise InputError(
-            f"worker on {platform.node()}: {'; '.join(other)}: its results could differ; install "
-            f"the same versions there"
+            f"worker on {platform.node()}: {'; '.join(other)}: the results of this worker could "
+            "differ; install the same versions on it"
         )
     return one(task)
 
 
 @cache
 def _set_up() -> None:
-    """Set up a worker as the command line sets up its own process, once."""
+    """Set up a worker once, as the command line sets up its own process."""
     keep_freed_memory()
 
 
@@ -240,7 +244,7 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
 
 @contextmanager
 def remote_cluster(address: str) -> Iterator[DaskCluster]:
-    """Connect to a scheduler of the user's own; keys for TLS are those of dask's configuration.
+    """Connect to a scheduler that the user started; keys for TLS are those of dask's configuration.
 
     Args:
         address: Its address, such as ``tls://10.0.0.5:8786``.
@@ -260,8 +264,8 @@ def remote_cluster(address: str) -> Iterator[DaskCluster]:
             client = distributed.Client(address, timeout=WAIT_S, set_as_default=False)
         except (OSError, ValueError) as error:
             raise InputError(
-                f"--scheduler {address}: cannot connect: {error}; start it with `dask scheduler`, "
-                f"or give its address as it prints it"
+                f"--scheduler {address}: cannot connect: {error}; start a scheduler with `dask "
+                "scheduler`, or give the address that `dask scheduler` prints"
             ) from error
         with client:
             try:

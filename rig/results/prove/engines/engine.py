@@ -46,6 +46,6 @@ def died(what: str) -> InputError:
         what: What died, and how often.
     """
     return InputError(
-        f"{what}, perhaps for lack of memory; nothing that is done is lost: continue with the same "
+        f"{what}, perhaps for lack of memory; all finished work is kept: continue with the same "
         f"--out, with fewer --jobs or workers"
     )

@@ -31,7 +31,7 @@ class Processes(NamedTuple):
 
     @property
     def shares_files(self) -> bool:
-        """Return whether workers read the files of this process: they do."""
+        """Return True: the workers can read the files of this process."""
         return True
 
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:

@@ -22,7 +22,7 @@ def seal_own(
 ) -> list[SealedRig]:
     """Draw, simulate and seal trials; return the trials with their digests. Nothing is diagnosed.
 
-    Trials that are there already are kept, so that a call that was stopped can be repeated.
+    Trials that exist already are kept, so that a call that was stopped can be repeated.
 
     Args:
         home: Folder of the sealed rigs.

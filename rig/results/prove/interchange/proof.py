@@ -53,7 +53,7 @@ class FromProof(NamedTuple):
     rigs: tuple[SealedRig, ...]
 
     def file(self, folder: str, rig: SealedRig) -> Path:
-        """Return a rig's file in a folder of the proof."""
+        """Return the path of the file of a rig in a folder of the proof."""
         return self.out / folder / f"{rig.name}.json"
 
 
@@ -83,15 +83,17 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
 
 
 def _make_folders(out: Path) -> None:
-    """Make the folders of a proof; one that was copied, or begun by an older version, may lack
-    some.
+    """Make the folders of a proof; a proof that was copied, or begun by an older version, may lack
+    some folders.
     """
     for name in (ROWS, DIAGNOSES, JUDGEMENTS, TIMES):
         (out / name).mkdir(parents=True, exist_ok=True)
 
 
 def _stated(source: Path, out: Path) -> str:
-    """Return the source as the proof states it: relative to the proof's folder if it is in it."""
+    """Return the path of the source as the proof states it: relative to the proof's folder if the
+    source is inside that folder.
+    """
     whole = source.resolve()
     inside = whole.is_relative_to(out.resolve())
     return str(whole.relative_to(out.resolve()) if inside else whole)
@@ -150,7 +152,7 @@ class Diagnosed(NamedTuple):
 
 
 def given(campaign: Path, engine: Engine) -> Path | Bundle:
-    """Return a campaign as a worker of the engine can read it.
+    """Return a campaign in the form in which a worker of the engine can read it.
 
     Raises:
         InputError: It has files outside its folder, which another machine cannot read.
@@ -247,8 +249,8 @@ class ToScore(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """Fits with the truth of a rig: of the true structure, and of the nominal model without
-    effects; None where there is none.
+    """Fits with the truth of a rig: of the true structure, and of the nominal model to the rig
+    without effects; the latter is None if there is no such rig.
     """
 
     name: str

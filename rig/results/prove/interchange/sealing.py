@@ -1,4 +1,4 @@
-"""Makes sealed rigs with the workers of an engine; this process writes what they make."""
+"""Makes sealed rigs with the workers of an engine; this process writes the files of the rigs."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def seal_all(
     progress: Callable[[str, float], None],
     salt: Callable[[int], str] = random_salt,
 ) -> list[SealedRig]:
-    """Make and write the rigs that are not there yet; return all rigs with their digests.
+    """Make and write the rigs that do not exist yet; return all rigs with their digests.
 
     Args:
         home: Folder of the sealed rigs.

@@ -34,7 +34,7 @@ LAST, SPEED, SUM, CURRENT_SUM, HELD, STATES = range(6)
 
 
 def settings(world: World) -> Array:
-    """Return the settings of the loops, in the order of the names above.
+    """Return the settings of the loops, in the order of the names at the top of this module.
 
     A ``pd`` loop overcomes the static friction with an error that falls with its gain, a third of
     the smallest motion at 1 Hz.

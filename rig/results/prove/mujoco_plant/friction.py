@@ -34,7 +34,7 @@ LEVEL, REST_S, LAGGED, KEPT = range(4)
 
 def values(world: World, k: int, began_s: float) -> Array:
     """Return the values of recording ``k``, which began at ``began_s`` of the session, in the order
-    of the names above.
+    of the names at the top of this module.
     """
     given, constants, motor = world.effects, world.constants, world.motor
     out = np.zeros(VALUES)

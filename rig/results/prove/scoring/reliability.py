@@ -1,5 +1,5 @@
 """Computes how often the effects that diagnoses identify are right, by confidence and by axes of
-the world, and lists the wrong ones.
+the world, and lists the wrong effects.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return every name that a diagnosis gave: trial, name, confidence, and whether the name is
     right.
 
-    A name is right if it, or one of its alias group, is injected and not claimed before.
+    A name is right if the named effect, or another effect of its alias group, is injected and does
+    not belong to an earlier name.
     """
     given = []
     for row in rows:
@@ -68,9 +69,9 @@ def wrong_names(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def right(row: Row) -> bool:
-    """Return whether a trial's verdict is right: the injected effects come first, or nothing is
-    identified if none is injected, or the verdict is outside the catalogue if the effect is not in
-    it.
+    """Return whether a trial's verdict is right: the first identified effects are the injected
+    effects, or nothing is identified where nothing is injected, or the verdict is outside the
+    catalogue where the injected effect is not in the catalogue.
     """
     if row["kind"] == "outside":
         return bool(row["verdict"] == "outside_catalogue")

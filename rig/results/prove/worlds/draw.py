@@ -215,11 +215,11 @@ def _commanded(
 
 
 def _loaded(k: int, kind: str, loads: int, body: Body, sends_torque: bool) -> Planned:
-    """Return recording ``k`` with its known load and nothing else; the first recording has none,
-    except for a weight on the joint.
+    """Return recording ``k`` with its known load and nothing else; the first recording has no known
+    load, except for a weight on the joint.
 
-    If a host sends the torques, a weak spring that it computes pulls the joint to angle zero; the
-    weight therefore hangs straight down at zero.
+    If a host sends the torques, a weak spring that the host computes pulls the joint to angle zero;
+    the weight therefore hangs straight down at zero.
     """
     empty = Planned("", "fit", "", np.zeros(0), 0.0)
     if kind == "lever":

@@ -113,8 +113,8 @@ def _counted(angle: Array, count: float, flicker: float, rng: np.random.Generato
 def _late(world: World, signal: Array, channel: str, further_s: float = 0.0) -> Array:
     """Return a signal delayed by the sampling delay of its channel.
 
-    A positive ``time_skew`` is a current that is late against the angles, a negative one angles
-    that are late against current and voltage.
+    A positive ``time_skew`` means a current that is late against the angles, a negative one means
+    angles that are late against current and voltage.
     """
     skew = world.effects.get("time_skew", {}).get("time_s", 0.0)
     late_s = further_s + (max(skew, 0.0) if channel == "current" else max(-skew, 0.0))

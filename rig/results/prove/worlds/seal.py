@@ -59,7 +59,7 @@ def seal_worlds(
 ) -> list[SealedRig]:
     """Draw, simulate and seal worlds; return the worlds with their digests. Nothing is diagnosed.
 
-    Worlds that are there already are kept, so that a call that was stopped can be repeated.
+    Worlds that exist already are kept, so that a call that was stopped can be repeated.
 
     Args:
         home: Folder of the sealed rigs.

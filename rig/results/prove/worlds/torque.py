@@ -1,8 +1,8 @@
-"""Draws the torques that a host sends, open loop, and predicts the motion that they make.
+"""Draws the torques that a host sends, open loop, and predicts the motion that these torques cause.
 
-A weak spring that the host computes keeps the joint near zero; its friction alone decides how far a
-torque moves it. The prediction is the nominal machine's, so that an amplitude can be found that
-moves the machine well within its travel and speed.
+A weak spring that the host computes keeps the joint near zero; the friction of the joint alone
+decides how far a torque moves the joint. The prediction is that of the nominal machine, so that an
+amplitude can be found that moves the machine well within its travel and speed.
 """
 
 from __future__ import annotations
@@ -65,9 +65,7 @@ class Load(NamedTuple):
 
 
 class Course(NamedTuple):
-    """A torque that is sent, N m, and the angle that is expected of it, rad, every
-    :data:`COMMAND_S`.
-    """
+    """A torque that is sent, N m, and the expected angle, rad, every :data:`COMMAND_S`."""
 
     torque: Array
     angle: Array
@@ -129,7 +127,8 @@ def _shape(
 
 
 def _within(values: Array, shape: Array, sizes: tuple[float, float], reach: Reach) -> Course:
-    """Return the course with the size that keeps travel and speed, or that moves the joint enough.
+    """Return the course scaled so that the motion stays within travel and speed, or moves the joint
+    enough.
 
     Args:
         values: Values of the nominal machine.
@@ -180,7 +179,8 @@ def _values(constants: Constants, load: Load, stiffness: float) -> Array:
 def _predicted(p: Array, torque: Array) -> Array:
     """Return the angle of the nominal machine at each sample of the torque.
 
-    Dry friction takes at most the speed that is there, so that a joint that it stops stays at rest.
+    Dry friction reduces the speed to zero at most, so that a joint that is stopped by friction
+    stays at rest.
     """
     out = np.zeros(len(torque))
     q, w, dt = 0.0, 0.0, COMMAND_S / SUBSTEPS

@@ -187,7 +187,7 @@ class Planned:
         pause_s: Time without power before it.
         hoisted_kg: Known mass that the carriage of a linear machine lifts: force -m g, inertia m.
         pull_N_m: Known constant torque on the joint, positive if it drives the joint forward.
-        torque: Torque sent, N m, every :data:`COMMAND_S`; None where an angle is sent.
+        torque: Torque sent, N m, every :data:`COMMAND_S`, or None if an angle is sent.
     """
 
     name: str
@@ -316,8 +316,8 @@ class World:
 
     @property
     def loop_count_rad(self) -> float:
-        """Return the step, at the joint, of the encoder that closes the loop: the motor's if there
-        is one.
+        """Return the step, at the joint, of the encoder that closes the loop: the motor encoder if
+        there is one.
         """
         motor, joint = self.motor_count_rad, self.joint_count_rad
         if motor is not None:

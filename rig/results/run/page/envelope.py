@@ -114,7 +114,7 @@ class Envelope:
                 self._most *= 2
 
     def bins(self) -> Bins | None:
-        """Return the reduced samples; None if none were added."""
+        """Return the reduced samples, or None if no samples were added."""
         if not self._count:
             return None
         self._join()

@@ -36,8 +36,10 @@ class Attachments:
     """Content of the files attached to a recording.
 
     Attributes:
-        bench: The bench, with the limits in force; None if its file is missing or cannot be read.
-        plan: The plan, with the first passes of each stage; None if a file is missing or cannot be
+        bench: The bench, with the limits in force, or None if its file is missing or cannot be
+            read.
+        plan: The plan, with the first passes of each stage, or None if a file is missing or cannot
+            be
         read.
         problem: Message why one of them is None.
     """

@@ -53,7 +53,7 @@ class Panel:
 
 @dataclass(frozen=True)
 class Tripped:
-    """Trip of a run: value and limit in SI units; NaN if the value is not a number."""
+    """Trip of a run: value and limit in SI units; a value that is not a number is NaN."""
 
     check: Check
     value: float
@@ -200,7 +200,8 @@ def tripped_first(check: Check | None) -> list[Panel]:
 def chart(
     panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | None, tall: bool
 ) -> Chart | None:
-    """Return one chart of a time interval; None if none of its channels was recorded.
+    """Return one chart of a time interval; The result is None if no channel of the panel was
+    recorded.
 
     Args:
         panel: The panel.

@@ -114,7 +114,7 @@ def moment_of(
 ) -> Moment:
     """Return the time at which an unfinished run ended, by the clock of its last recording.
 
-    For a trip it is the time of the trip, otherwise the last sample of the current excitation, or
+    For a trip this is the time of the trip, otherwise the last sample of the current excitation, or
     the last sample under power.
 
     Args:

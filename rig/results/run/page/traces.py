@@ -32,8 +32,8 @@ class Traces:
     """Content of a recording for plotting.
 
     Attributes:
-        bins: All samples, reduced; None if no cycle was recorded.
-        tail: Its last :data:`TAIL_S`, sample by sample; None if no cycle was recorded.
+        bins: All samples, reduced, or None if no cycle was recorded.
+        tail: Its last :data:`TAIL_S`, sample by sample, or None if no cycle was recorded.
         events: Events in order; each has ``time`` and ``event``.
         attachments: Name to content.
         starts: Time, s, and command, rad, of the first sample of each stage under power.
