@@ -16,6 +16,7 @@ from drivers.mock.plant.effects.kernel import CONSTANTS_AT
 from drivers.mock.plant.effects.motor import dead_time_voltage
 from drivers.mock.plant.effects.pack import bare_vector
 from drivers.mock.plant.effects.sensing import Histories
+from drivers.mock.plant.effects.shaft import mesh_error
 from drivers.mock.plant.effects.state import (
     HEAT,
     JOINT,
@@ -86,7 +87,7 @@ class Sampled(NamedTuple):
 class SampledMachine(SimulatedMachine):
     """The simulated machine, sampled in every loop period, with effects of any size.
 
-    The machine starts at rest at angle 0, with the power off and no load.
+    The machine starts at rest with the joint at angle 0, the power off and no load.
     """
 
     def __init__(
@@ -110,6 +111,8 @@ class SampledMachine(SimulatedMachine):
         super().__init__(machine, rng, any_size=True)
         self._d[loops.COUNT] = count_rad
         self._x[RUN], self._x[HEAT] = run_s, heat_K
+        if self._e.size:
+            self._s[loops.THETA] = self._s[loops.MEASURED] = mesh_error(0.0, self._e)[0]
 
     @property
     def heat_K(self) -> float:

@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator
 
 import numpy as np
 
+from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.sampled import SampledMachine, Sent
 from rig.results.prove.own_plant.machine import machine_of
 from rig.results.prove.worlds.gains import gains
@@ -23,9 +24,7 @@ class OwnPlant:
     """
 
     effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
-    outside: Collection[str] = frozenset(
-        {"x_timed_torque", "x_switching_torque", "x_bursts", "x_acceleration_drag"}
-    )
+    outside: Collection[str] = frozenset(n for n in OUTSIDE if n in SIZES)
     not_scored: Collection[str] = frozenset()
 
     def play(self, world: World) -> Iterator[Signals]:
