@@ -88,6 +88,22 @@ def test_the_drive_makes_the_torque_of_a_host_until_the_next() -> None:
     assert ARM_N_M * rare.current_A[-1] == pytest.approx(2.0, rel=1e-6)
 
 
+def test_the_mean_current_is_that_of_the_winding() -> None:
+    """A stuck joint: within a period the current approaches U / R with the time constant L / R."""
+    slow = Loops(1000.0, 0.0, None, current_gain_V_A=0.5)
+    machine = replace(OPEN, loops=slow, steps_per_loop=40)
+    found = built(machine).sample(sent(np.zeros(200), 0.5 * OPEN.joint.Ms_N_m, 50), (0.0, 0.0))
+    motor = OPEN.motor
+    time_s = motor.inductance_H / motor.resistance_ohm
+    final = found.voltage_V / motor.resistance_ohm
+    share = time_s / 1e-3 * (1.0 - np.exp(-1e-3 / time_s))
+    expected = final + (found.current_A - final) * share
+    assert not found.joint_rad.any()
+    assert np.allclose(found.mean_current_A, expected, atol=1e-3 * np.abs(final).max())
+    line = 0.5 * (found.current_A[1:] + found.current_A[:-1])
+    assert np.abs(line - expected[:-1]).max() > 0.01 * np.abs(final).max()
+
+
 def test_a_count_and_an_error_of_the_encoder_reach_the_loops() -> None:
     path = np.zeros(4000)
     coarse = built(QUIET, 0.01).sample(sent(path + 0.008))

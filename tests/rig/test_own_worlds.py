@@ -5,6 +5,7 @@ processes, and the command as a user runs it.
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from rig.results.prove.sums import SUMS_FILE
 from rig.results.prove.truth import load_truth
 from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.draw import draw_world, without_effects
+from rig.results.prove.worlds.logger import columns
 from rig.results.prove.worlds.seal import log_of, seal_worlds, strength_of
 from rig.results.prove.worlds.sizes import SIZES
 
@@ -44,13 +46,31 @@ def test_every_effect_leaves_a_trace(name: str) -> None:
     for seed in range(3):
         world = draw_world("outside" if name in PLANT.outside else "one", (name,), (3, seed))
         logged, plain = log_of(PLANT, world), log_of(PLANT, without_effects(world))
-        for columns in (*logged, *plain):
-            assert all(np.isfinite(values).all() for values in columns.values())
+        for channels in (*logged, *plain):
+            assert all(np.isfinite(values).all() for values in channels.values())
         strength = strength_of(world, logged, plain)
         # A set's order would differ by process, and with it the bytes of the truth.
         assert list(strength) == [channel for channel in CHANNELS if channel in logged[0]]
         found.append(max(strength.values()))
     assert max(found) > 2.0
+
+
+@pytest.mark.usefixtures("short")
+def test_an_averaged_current_is_the_mean_of_the_plant() -> None:
+    world = draw_world("nothing", (), (5, 3))
+    world = replace(world, log=replace(world.log, current="averaged", rate_Hz=500))
+    signals = next(iter(PLANT.play(world)))
+    quiet = replace(world.sensing, current_noise_A=0.0, current_quantum_A=1e-12)
+    logged = columns(replace(world, sensing=quiet), 0, signals, np.random.default_rng(1))["current"]
+    assert signals.mean_current is not None
+    step = world.drive.rate_Hz // 500
+    means = signals.mean_current[: len(logged) * step].reshape(-1, step).mean(axis=1)
+    assert np.allclose(logged, means, atol=1e-9)
+    line = columns(
+        replace(world, sensing=quiet), 0, replace(signals, mean_current=None),
+        np.random.default_rng(1),
+    )["current"]  # fmt: skip
+    assert np.abs(line - means).max() > 1e-3 * np.abs(means).max()
 
 
 def test_the_plant_has_the_whole_catalogue() -> None:

@@ -38,13 +38,14 @@ from drivers.mock.plant.parts.compiled import Vector, compiled
 ) = range(4)
 (
     CURRENT,
+    MEAN_CURRENT,
     VOLTAGE,
     TERMINAL,
     LINK,
     ROTOR_ANGLE,
     JOINT_ANGLE,
     SAMPLED,
-) = range(7)
+) = range(8)
 
 
 class Sent(NamedTuple):
@@ -68,6 +69,7 @@ class Sampled(NamedTuple):
 
     Attributes:
         current_A: Current in the winding.
+        mean_current_A: Mean current in the period.
         voltage_V: Voltage that the drive commands for the period.
         terminal_V: Mean voltage at the motor in the period: with the sag of the supply and the
             dead time, which opposes the mean current.
@@ -77,6 +79,7 @@ class Sampled(NamedTuple):
     """
 
     current_A: NDArray[np.float64]
+    mean_current_A: NDArray[np.float64]
     voltage_V: NDArray[np.float64]
     terminal_V: NDArray[np.float64]
     supply_V: NDArray[np.float64]
@@ -185,6 +188,7 @@ def _sample(v: _Vectors, noise: Vector, sent: Histories, law: Vector, out: Histo
         out[JOINT_ANGLE, k] = x[JOINT] if hidden else s[loops.THETA]
         path = sent[SENT_ANGLE, k : k + 1]
         advance_loaded(1, s, x, v.histories, d, v.p, e, v.y, v.g, noise[k : k + 1], path)
+        out[MEAN_CURRENT, k] = s[loops.SUM_CURRENT] / period
         out[VOLTAGE, k] = out[TERMINAL, k] = s[loops.SUM_VOLTAGE] / period
         out[LINK, k] = x[SUPPLY]
         if hidden:

@@ -80,5 +80,6 @@ def _played(world: World, k: int, session_s: float, heat_K: float) -> tuple[Sign
         angle=out.joint_rad[first:],
         command=command[first:],
         start_s=session_s + planned.lead_s,
+        mean_current=out.mean_current_A[first:],
     )
     return signals, machine.heat_K
