@@ -29,7 +29,7 @@ help:
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis in ten minutes: a small set, and 12 worlds that cover every axis (out/proof, out/proof-worlds)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
-	@echo "make prove-worlds  the blind proof on MuJoCo's machine and on the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
+	@echo "make prove-worlds  the blind proof in worlds on the project's machine, MuJoCo's and the tests' own, 60 rigs each; goes on where it was stopped (out/proof-*)"
 	@echo "make cluster   the same proof with one process, two, and a cluster of which a worker is killed: the same bytes (out/cluster)"
 	@echo "make power-map  from which size recordings show each effect, along rate, bits, encoders, loads, excitation (docs/power.md)"
 	@echo "make bench     speed, as ratios within one run"
@@ -143,6 +143,7 @@ prove-gas: $(VENV)/.runtime
 	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
 
 prove-worlds: $(VENV)/.dev
+	$(BIN)/rig prove --plant own-worlds --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-own-worlds
 	$(BIN)/rig prove --plant mujoco --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2 --out out/proof-mujoco
 	$(BIN)/python -m tests.worlds.plant out/worlds-ode --rigs $(or $(RIGS),60) --seed $(or $(SEED),1) --jobs 2
 	$(BIN)/rig prove --from out/worlds-ode --jobs 2 --out out/proof-ode

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import special
 
 from identification.numerics.arrays import Array
 from identification.numerics.arrays import BoolArray as BoolArray
@@ -207,7 +206,8 @@ def _low_pass(half: int, cutoff: float) -> Array:
     """
     # scipy.signal.firwin gives the same; its import takes a quarter of all imports' time.
     place = np.arange(-half, half + 1, dtype=np.float64)
-    window = special.i0(_KAISER * np.sqrt(1.0 - (place / half) ** 2.0)) / special.i0(_KAISER)
+    bessel = scipy.special.i0  # imported here, since no run needs it
+    window = bessel(_KAISER * np.sqrt(1.0 - (place / half) ** 2.0)) / bessel(_KAISER)
     taps = cutoff * np.sinc(cutoff * place) * window
     taps /= np.sum(taps)
     return np.asarray(taps / taps.sum())

@@ -7,10 +7,11 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import signal
 import sys
 import tempfile
 import threading
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import psutil
@@ -22,6 +23,7 @@ from rig.cli.entry import GARBAGE_THRESHOLD
 from rig.common.allocation import keep_freed_memory
 
 _GRACE_S = 1.0
+_FOREIGN = Path(__file__).with_name("worlds")
 _MEMORY, _LEAST_BYTES = Path("/dev/shm"), 2 << 30
 """Files in memory, and the room that the tests want there."""
 
@@ -40,9 +42,45 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 if os.access(_MEMORY, os.W_OK) and shutil.disk_usage(_MEMORY).free > _LEAST_BYTES:
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_MEMORY))
 
+# A shell without job control has processes in the background ignore Ctrl-C, and their children too:
+# a test that ends a program by it would wait for ever.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+
 # The same examples on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.load_profile("repeatable")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Have every second worker go through the files from the last one to the first.
+
+    After a clean clone all modules must be compiled. Two workers in the same order would each
+    compile all of them; from both ends, each compiles half and reads the other half.
+    """
+    report = yield
+    number = os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw")
+    if int(number) % 2 and isinstance(collector, pytest.Directory):
+        report.result.reverse()
+    return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the tests into one order for all workers, whichever way each went through the files.
+
+    After a clean clone, two workers that both begin on the simulated bench would both compile its
+    kernels. So the second worker, which xdist starts at its share of the list, begins with the
+    tests on foreign plants.
+    """
+    items.sort(key=lambda item: item.path)
+    foreign = [item for item in items if item.path.is_relative_to(_FOREIGN)]
+    others = [item for item in items if not item.path.is_relative_to(_FOREIGN)]
+    start = len(items) // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+    items[:] = [*others[:start], *foreign, *others[start:]]
 
 
 def pytest_collection_finish() -> None:
@@ -57,15 +95,14 @@ def no_leaks() -> Iterator[None]:
     children = _children(process)
     ports = _listening(process)
     yield
-    for thread in set(threading.enumerate()) - threads:
+    # The second thread of the kernels stays for the next computation.
+    new = {t for t in set(threading.enumerate()) - threads if not t.name.startswith(KERNEL_THREAD)}
+    for thread in new:
         thread.join(_GRACE_S)
-    leaked = [
-        f"thread {thread.name}"
-        for thread in set(threading.enumerate()) - threads
-        if thread.is_alive() and not thread.name.startswith(KERNEL_THREAD)
-    ]
-    _, alive = psutil.wait_procs(_children(process) - children, _GRACE_S)
-    leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]
+    leaked = [f"thread {thread.name}" for thread in new if thread.is_alive()]
+    started = [c for c in _children(process) - children if not _is_resource_tracker(c)]
+    _, alive = psutil.wait_procs(started, _GRACE_S)
+    leaked += [f"process {child.pid}" for child in alive]
     leaked += [f"port {port}" for port in _listening(process) - ports]
     assert not leaked, f"left behind: {', '.join(leaked)}"
 
@@ -101,7 +138,11 @@ def _listening(process: psutil.Process) -> set[int]:
 
 def _is_resource_tracker(child: psutil.Process) -> bool:
     # multiprocessing keeps one of these for the life of the interpreter.
-    return any("resource_tracker" in word for word in child.cmdline())
+    try:
+        return any("resource_tracker" in word for word in child.cmdline())
+    except psutil.Error:
+        # It has ended.
+        return False
 
 
 @pytest.fixture(scope="session", autouse=True)

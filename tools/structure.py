@@ -138,7 +138,7 @@ def imports(module: Module, known: Mapping[str, Module]) -> set[str]:
     types included.
     """
     found = set()
-    for node in ast.walk(module.tree):
+    for node in _statements(module.tree):
         names: list[str] = []
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
@@ -151,6 +151,22 @@ def imports(module: Module, known: Mapping[str, Module]) -> set[str]:
             if name and name != module.name:
                 found.add(name)
     return found
+
+
+def _inner(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the statements inside a statement, with handlers and cases.
+
+    Expressions, most nodes of a tree, have no imports and no functions with a name.
+    """
+    for part in ("body", "handlers", "orelse", "finalbody", "cases"):
+        yield from getattr(node, part, ())
+
+
+def _statements(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield every statement inside a module or a statement."""
+    for child in _inner(node):
+        yield child
+        yield from _statements(child)
 
 
 def _absolute(module: Module, node: ast.ImportFrom) -> str:
@@ -244,10 +260,10 @@ def functions(module: Module) -> Iterator[tuple[str, ast.FunctionDef | ast.Async
     def inside(
         node: ast.AST, prefix: str
     ) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
-        for child in ast.iter_child_nodes(node):
+        for child in _inner(node):
             if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{prefix}{child.name}", child
-            name = getattr(child, "name", "") if not isinstance(child, ast.alias) else ""
+            name = getattr(child, "name", "")
             yield from inside(child, f"{prefix}{name}." if name else prefix)
 
     yield from inside(module.tree, "")

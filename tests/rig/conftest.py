@@ -224,8 +224,11 @@ class Runner:
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Render no figure, which takes half of an identification, in tests that look at none."""
+    """Render no figure and no certificate, which takes half of an identification and most of an
+    acceptance, in tests that look at none.
+    """
     monkeypatch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
+    monkeypatch.setattr("rig.results.acceptance.accept.certificate_pdf", lambda made: b"%PDF")
 
 
 @pytest.fixture

@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from click.shell_completion import BashComplete
 
-from rig.cli.entry import COMMANDS
+from rig.cli.entry import COMMANDS, cli
 
 CODE = "import sys; from rig.cli.entry import main; main()"
 PAGE = Path(__file__).parents[2] / "docs" / "completion.md"
@@ -26,10 +27,12 @@ def shell(**environment: str) -> str:
     return done.stdout
 
 
-def completed(*words: str) -> list[str]:
-    text = shell(
-        _RIG_COMPLETE="bash_complete", COMP_WORDS=" ".join(words), COMP_CWORD=str(len(words) - 1)
-    )
+def variables(*words: str) -> dict[str, str]:
+    return {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+
+
+def answered(text: str) -> list[str]:
+    """Return the words that are offered in an answer to bash."""
     return [line.partition(",")[2] for line in text.splitlines()]
 
 
@@ -41,12 +44,28 @@ def test_the_script_for_a_shell_is_what_the_page_asks_for(name: str) -> None:
         assert "_RIG_COMPLETE" in shell(_RIG_COMPLETE=f"{name}_source")
 
 
-def test_commands_and_options_are_completed() -> None:
-    assert completed("rig", "ru") == ["run", "runs"]
-    assert completed("rig", "new", "") == ["bench", "campaign", "sequence"]
-    assert "--torque-constant" in completed("rig", "new", "bench", "--to")
-    assert completed("rig", "new", "bench", "b.yaml", "--drive", "epos") == ["epos4-serial"]
-    assert completed("rig", "schema", "") == ["bench", "sequence", "campaign", "faults"]
+def test_the_program_answers_the_shell() -> None:
+    text = shell(_RIG_COMPLETE="bash_complete", **variables("rig", "ru"))
+    assert answered(text) == ["run", "runs"]
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("rig", "ru"), ["run", "runs"]),
+        (("rig", "new", ""), ["bench", "campaign", "sequence"]),
+        (("rig", "new", "bench", "--torque-c"), ["--torque-constant"]),
+        (("rig", "new", "bench", "b.yaml", "--drive", "epos"), ["epos4-serial"]),
+        (("rig", "schema", ""), ["bench", "sequence", "campaign", "faults"]),
+    ],
+)
+def test_commands_and_options_are_completed(
+    words: tuple[str, ...], found: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in variables(*words).items():
+        monkeypatch.setenv(name, value)
+    completion = BashComplete(cli, {}, "rig", "_RIG_COMPLETE")
+    assert answered(completion.complete()) == found
 
 
 def test_the_names_of_commands_are_completed_without_importing_them() -> None:

@@ -102,6 +102,7 @@ def test_every_verdict_is_printed_written_and_drawn(
     assert page.count("<img") == len(drawn)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arrange) -> None:
     found(PLAIN)
     record = diagnose_source(campaign, 3).record()
@@ -134,6 +135,7 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
     assert record["p_value"] == 0.0005
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_what_is_printed_has_values_rivals_errors_and_shifts(
     campaign: Path,
     tmp_path: Path,
@@ -155,6 +157,7 @@ def test_what_is_printed_has_values_rivals_errors_and_shifts(
     assert "warning: free: 3 % of the samples are <unused>" in lines
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -171,6 +174,7 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_sequence_that_splits_the_group_lies_beside_the_report(
     campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -186,6 +190,7 @@ def test_the_sequence_that_splits_the_group_lies_beside_the_report(
     assert "held-from-below" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_corrected_model_lies_beside_the_report(
     campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -207,6 +212,7 @@ def test_the_corrected_model_lies_beside_the_report(
     assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_text_is_escaped(campaign: Path, tmp_path: Path, found: Arrange) -> None:
     found(PLAIN)
     assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
@@ -215,6 +221,7 @@ def test_text_is_escaped(campaign: Path, tmp_path: Path, found: Arrange) -> None
     assert "<unused>" not in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_seed_and_bandwidth_reach_the_numerics(
     campaign: Path, tmp_path: Path, found: Arrange
 ) -> None:
@@ -256,6 +263,7 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
     assert "rig diagnose runs/demo" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_refined_values_take_the_place_of_the_search_s(
     campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,6 +296,7 @@ def test_refined_values_take_the_place_of_the_search_s(
     ]
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_static_friction_that_nothing_pins_is_not_exported(
     campaign: Path,
     tmp_path: Path,
@@ -317,6 +326,7 @@ def test_static_friction_that_nothing_pins_is_not_exported(
     assert any(w.startswith("mu_s is not determined") for w in record["warnings"])
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize(("most", "refined"), [(10, False), (10_000, True)])
 def test_many_samples_are_not_refined_and_said_so(
     campaign: Path,
@@ -345,6 +355,7 @@ def test_many_samples_are_not_refined_and_said_so(
     assert any("less precise than those of rig identify" in w for w in warnings) != refined
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("option", ["--refine", "--no-refine"])
 def test_former_options_are_accepted_with_a_note(
     campaign: Path,
@@ -358,6 +369,7 @@ def test_former_options_are_accepted_with_a_note(
     assert "note: --refine and --no-refine have no effect" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
     campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -76,6 +76,7 @@ def test_a_leak_is_found_from_a_campaign(
     assert "mm^2" in page
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_corrected_constants_are_a_campaigns_block(campaign: Path) -> None:
     out = campaign.parent / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0

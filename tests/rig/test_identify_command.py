@@ -91,6 +91,7 @@ def identified(tmp_path_factory: pytest.TempPathFactory) -> Identified:
         contextlib.redirect_stdout(io.StringIO()) as shown,
     ):
         patch.setitem(METHODS, "paper", SHORT)
+        patch.setattr("identification.plots.style.png", lambda made, dpi=110: b"\x89PNG")
         assert status(["identify", str(campaign), "--method", "paper", "--seed", "4"]) == 0
     return Identified(campaign, shown.getvalue(), folder / "bench-identified")
 

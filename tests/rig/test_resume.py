@@ -289,6 +289,7 @@ def judged() -> tuple[str, bool, list[str]]:
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -307,6 +308,7 @@ def test_a_resumed_run_is_judged_by_the_limits_that_it_was_given(
     assert judged() == expected
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_is_resumed_with_limits_of_its_own(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -322,6 +324,7 @@ def test_a_run_is_resumed_with_limits_of_its_own(
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -341,6 +344,7 @@ def test_a_run_whose_recording_could_not_be_started_keeps_its_limits(
     assert judged() == ("given.yaml", True, ["lost samples < 1"])
 
 
+@pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("resumed", [False, True])
 def test_a_file_of_limits_that_changes_during_the_run_changes_no_verdict(
     monkeypatch: pytest.MonkeyPatch, resumed: bool

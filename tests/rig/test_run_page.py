@@ -222,7 +222,7 @@ def test_a_run_waits_for_no_library_of_plots_tables_and_filters(
     )
     assert "'rig.results.run.page.chart'" in done.stdout
     assert "'can.io.mf4'" in done.stdout
-    for heavy in ("matplotlib", "jinja2", "asammdf", "pandas", "scipy.signal"):
+    for heavy in ("matplotlib", "jinja2", "asammdf", "pandas", "scipy.signal", "scipy.special"):
         assert f"'{heavy}'" not in done.stdout
 
 

@@ -58,6 +58,7 @@ def result(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_friction_would(
     campaign: Path, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -186,6 +186,7 @@ def test_a_campaign_has_none(tmp_path: Path) -> None:
     assert truth_of(tmp_path) is None
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_goes_into_the_run_folder_with_the_truth_beside(
     run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -168,6 +168,37 @@ def memories(p, y, h):
 
 
 @compiled
+def stage(p, y, voltage):
+    """Return the voltage of the supply, and that at the motor for an asked ``voltage``."""
+    supply = p[SUPPLY] - p[SAG] * voltage * y[CURRENT] / p[SUPPLY]
+    terminal = voltage * supply / p[SUPPLY]
+    if y[CURRENT] != 0.0:
+        terminal -= p[DEAD] if y[CURRENT] > 0.0 else -p[DEAD]
+    return supply, terminal
+
+
+@compiled
+def replay(p, y, inner, tick, voltage, out):
+    """Play one recording without a drive: the voltage that the power stage is asked for at each
+    tick is given.
+
+    Args:
+        p: Values of the physics.
+        y: State at the start; the state at the end.
+        inner: Steps between two ticks.
+        tick: Time between two ticks.
+        voltage: Voltage asked, shape (n,).
+        out: Current, angle of the motor's side and of the joint, shape (3, n).
+    """
+    trial, h = np.zeros(STATE), tick / inner
+    for k in range(len(voltage)):
+        out[0, k], out[1, k], out[2, k] = y[CURRENT], y[PHI], y[THETA]
+        terminal = stage(p, y, voltage[k])[1]
+        for j in range(inner):
+            step(p, y, terminal, k * tick + j * h, h, trial)
+
+
+@compiled
 def play(p, d, y, inner, sent, noise, mesh, out):
     """Play one recording.
 
@@ -226,10 +257,7 @@ def play(p, d, y, inner, sent, noise, mesh, out):
         if abs(need) > d[MOST_V]:
             total -= (goal - measured) * d[TICK]
         voltage = min(max(need, -d[MOST_V]), d[MOST_V])
-        supply = p[SUPPLY] - p[SAG] * voltage * y[CURRENT] / p[SUPPLY]
-        terminal = voltage * supply / p[SUPPLY]
-        if y[CURRENT] != 0.0:
-            terminal -= p[DEAD] if y[CURRENT] > 0.0 else -p[DEAD]
+        supply, terminal = stage(p, y, voltage)
         out[0, k], out[1, k], out[2, k], out[3, k] = y[CURRENT], voltage, terminal, supply
         out[4, k], out[5, k] = shaft * p[GEAR], y[THETA]
         for j in range(inner):

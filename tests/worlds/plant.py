@@ -51,18 +51,17 @@ class OdePlant:
         for k, planned in enumerate(world.recordings):
             session_s = session_s + planned.pause_s if world.log.clock else 0.0
             cooling = _of(world, "winding_heating", "time_s", 1.0)
-            y = np.zeros(at.STATE)
+            y = initial_state(world, k)
             y[at.TEMPERATURE] = warm * math.exp(-planned.pause_s / cooling) if session_s else 0.0
             n = round(len(planned.command) * COMMAND_S * rate)
             command, push = planned.sent(np.arange(n) / rate)
             settings, mesh, out = _drive(world), _mesh(world), np.zeros((6, n))
             settings[drive.BEGIN] = -planned.steady_N_m(world.gravity_m_s2)
-            y[at.CURRENT] = settings[drive.BEGIN] / world.motor.torque_per_A
             noise = np.random.default_rng([*world.seed, 5, k]).standard_normal((2, n))
             noise[0] *= world.sensing.current_noise_A
             noise[1] *= world.sensing.flicker * settings[drive.COUNT]
             inner = math.ceil(1.0 / (rate * INNER_S))
-            values = _values(world, k, session_s)
+            values = values_of(world, k, session_s)
             sent = np.vstack((command, push, world.host_sends(k, n)))
             play(values, settings, y, inner, sent, noise, mesh, out)
             warm = y[at.TEMPERATURE]
@@ -111,7 +110,17 @@ def _drive(world: World) -> np.ndarray:
     return d
 
 
-def _values(world: World, k: int, session_s: float) -> np.ndarray:
+def initial_state(world: World, k: int) -> np.ndarray:
+    """Return the state at rest at zero, with the current that holds the steady load of recording
+    ``k``.
+    """
+    y = np.zeros(at.STATE)
+    steady = world.recordings[k].steady_N_m(world.gravity_m_s2)
+    y[at.CURRENT] = -steady / world.motor.torque_per_A
+    return y
+
+
+def values_of(world: World, k: int, session_s: float) -> np.ndarray:
     """Return the values of recording ``k``, which begins at ``session_s`` of the session."""
     p = np.zeros(at.SIZE)
     c, motor, planned = world.constants, world.motor, world.recordings[k]

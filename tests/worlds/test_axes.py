@@ -1,4 +1,4 @@
-"""Both plants under torques that a host sends, and on a linear axis."""
+"""All plants under torques that a host sends, and on a linear axis."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rig.results.prove.mujoco_plant.plant import MujocoPlant
+from rig.results.prove.own_plant.plant import OwnPlant
 from rig.results.prove.worlds import draw as drawing
 from rig.results.prove.worlds.draw import draw_world
 from rig.results.prove.worlds.files import write_world
@@ -27,6 +28,7 @@ ODE = OdePlant()
 MISSING = find_spec("mujoco") is None
 PLANTS = [
     pytest.param(ODE, id="ode"),
+    pytest.param(OwnPlant(), id="own"),
     pytest.param(
         MujocoPlant(),
         id="mujoco",
@@ -34,7 +36,7 @@ PLANTS = [
     ),
 ]
 BoolArray = NDArray[np.bool_]
-Plants = OdePlant | MujocoPlant
+Plants = OdePlant | MujocoPlant | OwnPlant
 
 
 @cache

@@ -83,7 +83,16 @@ class SimulatedMachine:
         joint_count_rad: Joint angle of one count of the joint encoder, rad.
     """
 
-    def __init__(self, machine: constants.Machine, rng: np.random.Generator) -> None:
+    def __init__(
+        self, machine: constants.Machine, rng: np.random.Generator, any_size: bool = False
+    ) -> None:
+        """Build a machine at rest.
+
+        Args:
+            machine: Its constants.
+            rng: Generator of the noise of its current sensor.
+            any_size: Whether effects may have sizes outside the ranges of the catalogue.
+        """
         self.constants = machine
         self.loop_ns = round(1e9 / machine.loops.rate_Hz)
         self._rng = rng
@@ -91,7 +100,7 @@ class SimulatedMachine:
         self._noise_at = 0
         self._s = np.zeros(loops.STATE_SIZE)
         self._d = drive_vector(machine)
-        self._e = effect_vector(machine)
+        self._e = effect_vector(machine, any_size)
         self._x = np.zeros(extra.EXTRA_SIZE)
         self._x[extra.SUPPLY] = machine.supply_V
         self._histories = np.zeros((2, extra.HISTORY))
@@ -296,21 +305,8 @@ class SimulatedMachine:
         targets = target_counts * self.motor_count_rad
         x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
         noise = self._take_noise(per_cycle * len(targets))
-        record_cycles(
-            per_cycle,
-            self._s,
-            x,
-            histories,
-            d,
-            p,
-            e,
-            self._y,
-            self._g,
-            noise,
-            targets,
-            _NO_PATH,
-            out,
-        )
+        s, y, g = self._s, self._y, self._g
+        record_cycles(per_cycle, s, x, histories, d, p, e, y, g, noise, targets, _NO_PATH, out)
         return Latches(
             np.floor(out[:, ROTOR] / self.motor_count_rad),
             np.floor(out[:, JOINT_SEEN] / self.joint_count_rad),

@@ -14,6 +14,9 @@ from rig.common.errors import InputError
 
 if TYPE_CHECKING:
     from rig.results.prove.engines import Engine
+    from rig.results.prove.worlds.seal import Plant
+
+OWN, OWN_WORLDS, MUJOCO, WORLDS = "own", "own-worlds", "mujoco", "worlds"
 
 
 @click.command("prove")
@@ -22,11 +25,12 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--plant",
-    type=click.Choice(["own", "mujoco"]),
-    default="own",
+    type=click.Choice([OWN, OWN_WORLDS, MUJOCO]),
+    default=OWN,
     show_default=True,
-    help="Simulated machine: the project's own, or MuJoCo's in worlds that draw loops, encoders, "
-    "loggers and motions too (needs the extra `mujoco`).",
+    help="Simulated machine. `own`: the project's own, on one bench whose constants vary. "
+    "`own-worlds`: the same in worlds that draw loops, encoders, loggers, motions and loads too. "
+    "`mujoco`: MuJoCo's in worlds (needs the extra `mujoco`).",
 )
 @click.option(
     "--seal",
@@ -95,6 +99,7 @@ def command(
       rig prove --rigs 24 --jobs 2 --out proof
       rig prove --gas --rigs 100 --out gas-proof
       rig prove --seal sealed --rigs 24 --seed 7
+      rig prove --plant own-worlds --rigs 12 --jobs 2 --out worlds-proof
       rig prove --plant mujoco --rigs 12 --jobs 2 --out mujoco-proof
       rig prove --from sealed-by-others --json proof.json
       rig prove --rigs 400 --scheduler tls://10.0.0.5:8786 --out proof
@@ -146,9 +151,6 @@ def _show(
     write_page(document, out / PAGE_FILE)
     click.echo(text(document))
     click.echo(f"report: {out / PAGE_FILE}")
-
-
-OWN, WORLDS = "own", "worlds"
 
 
 def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: str) -> None:
@@ -204,15 +206,29 @@ def _seal(
         if plant == OWN:
             sealed = seal_own(home, rigs, seed, engine, bar)
         else:
-            from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
             from rig.results.prove.seal import random_salt, repeated_salt
             from rig.results.prove.worlds.seal import seal_worlds
 
-            require_mujoco()
             salt = partial(repeated_salt, seed) if repeated else random_salt
-            sealed = seal_worlds(home, MujocoPlant(), rigs, seed, engine, bar, salt)
+            sealed = seal_worlds(home, _plant(plant), rigs, seed, engine, bar, salt)
     for rig in sealed:
         click.echo(f"{rig.name} sealed, SHA-256 {rig.digest}")
+
+
+def _plant(name: str) -> Plant:
+    """Return the plant of worlds with this name.
+
+    Raises:
+        InputError: The plant needs a package that is not installed.
+    """
+    if name == OWN_WORLDS:
+        from rig.results.prove.own_plant.plant import OwnPlant
+
+        return OwnPlant()
+    from rig.results.prove.mujoco_plant.plant import MujocoPlant, require_mujoco
+
+    require_mujoco()
+    return MujocoPlant()
 
 
 def _judge(source: Path, out: Path, rigs: int, seed: int, engine: Engine) -> list[dict[str, Any]]:

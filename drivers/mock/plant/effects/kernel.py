@@ -42,6 +42,7 @@ from drivers.mock.plant.effects.state import (
     ROTOR_SPEED,
     RUN,
     SHAFT_DAMPING,
+    STEADY_LOAD,
     SUPPLY,
     TIME,
     TORQUE_CURRENT,
@@ -118,6 +119,7 @@ def integrate(
     at = CONSTANTS_AT
     two = e[at + TWO_MASSES] != 0.0
     outside = e[at + OUTSIDE_TORQUE] != 0.0
+    steady = e[at + STEADY_LOAD]
     gear, rotor_inertia, damping = e[at + GEAR], e[at + ROTOR_INERTIA], e[at + SHAFT_DAMPING]
     per_ampere, per_speed = d[TORQUE_PER_AMPERE], d[EMF_PER_SPEED]
     # All variables that change are local to the loop, so that the compiler may keep the effect
@@ -147,7 +149,7 @@ def integrate(
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
-        external = device_torque(theta, omega, e)
+        external = steady + device_torque(theta, omega, e)
         charge += current
         if two:
             rotor += 0.5 * h * turning

@@ -32,8 +32,13 @@ _EVERY = {**KNOWN, **GAS_KNOWN}
 _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
-def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield the problems of the requested effects, each as a path of names and a message."""
+def problems(effects: Effects, any_size: bool = False) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield the problems of the requested effects, each as a path of names and a message.
+
+    Args:
+        effects: Effects and the values of their parameters.
+        any_size: Whether values may be outside their ranges.
+    """
     for name, given in effects.items():
         parameters = _EVERY.get(name)
         if parameters is None:
@@ -46,21 +51,26 @@ def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
         for key, value in given.items():
             if key not in parameters:
                 yield (name, key), f"{name} has no such parameter; it has {', '.join(parameters)}"
-            elif not parameters[key].low <= value <= parameters[key].high:
+            elif not (any_size or parameters[key].low <= value <= parameters[key].high):
                 yield (
                     (name, key),
                     f"must be within {parameters[key].low:g} to {parameters[key].high:g}",
                 )
 
 
-def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
+def effect_vector(machine: constants.Machine, any_size: bool = False) -> NDArray[np.float64]:
     """Pack a machine's effects, except those of its gas generator; empty if there are none.
+
+    Args:
+        machine: The machine.
+        any_size: Whether values may be outside their ranges, which suit a machine of the valve's
+            size.
 
     Raises:
         ValueError: An effect or parameter is unknown or out of range, or the rotor's inertia leaves
             none for the joint.
     """
-    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects)]
+    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects, any_size)]
     if wrong or (text := too_light(machine)):
         raise ValueError("; ".join(wrong) or text)
     effects = {name: given for name, given in machine.effects.items() if name in KNOWN}

@@ -17,7 +17,7 @@ from __future__ import annotations
     TRAVEL,  # state of the friction with long presliding travel, -1 to 1
     ACCELERATION,  # rad/s^2, smoothed
     TRANSMITTED,  # N m, torque at the gear's output
-    EXTERNAL,  # N m, torque of weight and springs on the joint
+    EXTERNAL,  # N m, torque of weight, springs and steady load on the joint
     SUPPLY,  # V
     SLIPPED,  # rad, of the joint encoder
     SEEN,  # joint angle as its encoder measures it, rad
@@ -33,8 +33,9 @@ from __future__ import annotations
     NOMINAL_SUPPLY,  # V
     TWO_MASSES,  # 1: rotor and joint are two masses
     OUTSIDE_TORQUE,  # 1: an effect that is in no catalogue acts on the joint
+    STEADY_LOAD,  # N m, known torque on the joint, the same at every angle
     CONSTANTS_SIZE,
-) = range(7)
+) = range(8)
 
 HISTORY = 4096
 """Number of stored past loop periods; a power of two."""

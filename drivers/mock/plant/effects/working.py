@@ -7,7 +7,7 @@ import math
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.friction import DRAG, LAGGED, SIDE, VISCOUS_SIDE, bristle_level
 from drivers.mock.plant.effects.load import load_factor
-from drivers.mock.plant.effects.outside import outside_sides
+from drivers.mock.plant.effects.outside import ACCELERATION_DRAG, outside_sides
 from drivers.mock.plant.effects.state import (
     ACCELERATION,
     EXTERNAL,
@@ -23,6 +23,10 @@ from drivers.mock.plant.parts.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT
 
 _RENEWAL_RAD = 1e-3
 """Sliding distance after which the increase of static friction by time at rest is lost; an
+assumption.
+"""
+_SMOOTHED_S = 2.5e-3
+"""Time constant with which the drag of ``x_acceleration_drag`` follows the acceleration, s; an
 assumption.
 """
 
@@ -86,4 +90,6 @@ def remember(
             x[GROWN] = wanted + (x[GROWN] - wanted) * math.exp(-h / e[table.DWELL_TIME])
         else:
             x[GROWN] *= math.exp(-speed * h / _RENEWAL_RAD)
-    x[ACCELERATION] += 0.02 * ((omega - before) / h - x[ACCELERATION])
+    if e[ACCELERATION_DRAG] != 0.0:
+        share = 1.0 - math.exp(-h / _SMOOTHED_S)
+        x[ACCELERATION] += share * ((omega - before) / h - x[ACCELERATION])

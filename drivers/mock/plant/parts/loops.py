@@ -27,8 +27,9 @@ from drivers.mock.plant.parts.friction import friction, step_velocity
     SUM_LOOPS,  # loops since the last latch
     FRICTION_WORK,  # J, dissipated since the start
     OFFSET,  # A, added to the current command of the loops
+    FLICKER,  # rad at the joint, error of the drive's encoder in the next loop period
     STATE_SIZE,
-) = range(19)
+) = range(20)
 OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 # Drive and motor vector.
@@ -59,7 +60,7 @@ def current_command(s: Vector, d: Vector) -> float:
     """Compute position P and velocity PI once; return the limited current command with its offset,
     A.
     """
-    measured = s[THETA]
+    measured = s[THETA] + s[FLICKER]
     if d[COUNT] > 0.0:
         measured = math.floor(measured / d[COUNT]) * d[COUNT]
     s[VELOCITY_ESTIMATE] += d[VELOCITY_FILTER] * (

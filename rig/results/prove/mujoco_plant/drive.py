@@ -9,10 +9,9 @@ import math
 import numpy as np
 
 from identification.numerics.compiled import compiled
+from rig.results.prove.worlds.gains import gains
 from rig.results.prove.worlds.world import Array, World
 
-DAMPING = 0.8
-"""Damping ratio of a ``pd`` loop."""
 (
     PERIOD,
     CASCADE,
@@ -34,29 +33,15 @@ LAST, SPEED, SUM, CURRENT_SUM, HELD, STATES = range(6)
 
 
 def settings(world: World) -> Array:
-    """Return the settings of the loops, in the order of the names at the top of this module.
-
-    A ``pd`` loop overcomes the static friction with an error that falls with its gain, a third of
-    the smallest motion at 1 Hz.
-    """
-    drive, motor, constants = world.drive, world.motor, world.constants
+    """Return the settings of the loops, in the order of the names at the top of this module."""
+    drive, motor, gain = world.drive, world.motor, gains(world)
     out = np.zeros(SETTINGS)
-    omega = 2.0 * math.pi * drive.velocity_Hz
-    if drive.kind == "cascade":
-        out[POSITION] = 2.0 * math.pi * drive.position_Hz
-        out[VELOCITY] = constants.J * omega
-        out[INTEGRAL] = constants.J * omega**2 / 5.0
-    elif drive.kind in ("host", "torque"):
-        out[POSITION], out[VELOCITY] = world.host_law
-        out[HOST] = 1.0
-    else:
-        out[POSITION] = 3.0 * drive.position_Hz * world.holding_N_m / world.smallest_rad
-        out[VELOCITY] = 2.0 * DAMPING * math.sqrt(out[POSITION] * constants.J)
+    out[[POSITION, VELOCITY, INTEGRAL]] = gain.position, gain.velocity, gain.integral
+    out[[CURRENT, CURRENT_INTEGRAL]] = gain.current, gain.current_integral
     out[PERIOD], out[CASCADE] = 1.0 / drive.rate_Hz, float(drive.kind == "cascade")
+    out[HOST] = float(drive.kind in ("host", "torque"))
     out[FORWARD] = drive.feedforward
-    out[FILTER] = 1.0 - math.exp(-4.0 * omega / drive.rate_Hz)
-    wide = 2.0 * math.pi * drive.current_Hz
-    out[CURRENT], out[CURRENT_INTEGRAL] = motor.inductance_H * wide, motor.resistance_ohm * wide
+    out[FILTER] = 1.0 - math.exp(-gain.filter_rad_s / drive.rate_Hz)
     out[PER_A], out[LIMIT], out[SUPPLY] = motor.torque_per_A, motor.limit_A, motor.supply_V
     out[COUNT] = world.loop_count_rad
     return out

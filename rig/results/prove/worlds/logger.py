@@ -59,8 +59,10 @@ def _current(
     current = _late(world, signals.current, "current")
     log, sensing = world.log, world.sensing
     if log.current == "averaged":
-        # Between two ticks the current is a line, the voltage a constant.
-        sums = np.concatenate(([0.0], np.cumsum(0.5 * (current[1:] + current[:-1]))))
+        between = 0.5 * (current[1:] + current[:-1])
+        if signals.mean_current is not None:
+            between = _late(world, signals.mean_current, "current")[:-1]
+        sums = np.concatenate(([0.0], np.cumsum(between)))
         logged = (sums[rows] - sums[rows - step]) / step
         noise = sensing.current_noise_A / np.sqrt(step)
     else:

@@ -131,7 +131,8 @@ def strength_of(
         },
     }
     found = {}
-    for name in noise.keys() & logged[0].keys():
+    # In a fixed order: that of a set differs by process.
+    for name in (n for n in noise if n in logged[0]):
         parts = [
             (a[name] - b[name])[_both_move(a, b) if name in ("current", "voltage") else slice(None)]
             for a, b in zip(logged, reference, strict=True)

@@ -190,6 +190,33 @@ SIZES: Mapping[str, Draw] = {
         "period_s": log(0.5, 4.0)(r),
         "length_s": log(0.05, 0.4)(r),
     },
+    "x_quadrant_friction": lambda r, s: {"torque_Nm": either(0.06, 0.4)(r) * s.Mc},
+    "x_two_wells": lambda r, s: {
+        "torque_Nm": log(0.1, 0.6)(r) * s.Mc,
+        "center_rad": even(0.2, 0.7)(r) * s.travel,
+        "width_rad": log(0.05, 0.2)(r) * s.travel,
+    },
+    "x_travel_memory": lambda r, s: {
+        "torque_Nm": log(0.1, 0.5)(r) * s.Mc,
+        "travel_rad": log(0.2, 2.0)(r) * s.travel,
+    },
+    "x_root_drag": lambda r, s: {
+        "coefficient_Nms05_rad05": log(0.1, 0.6)(r) * s.Mc / math.sqrt(s.speed)
+    },
+    "x_speed_resonance": lambda r, s: {
+        "torque_Nm": log(0.1, 0.6)(r) * s.Mc,
+        "speed_rad_s": log(0.15, 0.6)(r) * s.speed,
+        "width_rad_s": log(0.04, 0.12)(r) * s.speed,
+    },
+    "x_one_way_patch": lambda r, s: {
+        "torque_Nm": log(0.1, 0.6)(r) * s.Mc,
+        "center_rad": even(-0.6, 0.6)(r) * s.travel,
+        "width_rad": log(0.08, 0.3)(r) * s.travel,
+    },
+    "x_wandering_torque": lambda r, s: {
+        "torque_Nm": log(0.1, 0.5)(r) * s.Mc,
+        "period_s": log(0.5, 6.0)(r),
+    },
     "x_acceleration_drag": lambda r, s: {"coefficient_Nms2_rad": either(0.08, 0.4)(r) * s.J},
 }
 """Effect to the function that draws its parameters; names that begin with x_ are not in the

@@ -349,6 +349,8 @@ class Signals:
         angle: True angle of the joint, rad.
         command: Joint angle sent, rad; zero where a torque is sent.
         start_s: Time of the first sample since the session began.
+        mean_current: Mean current from each sample to the next, A; None where the current is a line
+            between two samples.
     """
 
     current: Array
@@ -359,3 +361,4 @@ class Signals:
     angle: Array
     command: Array
     start_s: float
+    mean_current: Array | None = None

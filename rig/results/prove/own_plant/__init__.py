@@ -1,0 +1,1 @@
+"""The project's own simulated plant as the machine of worlds."""
