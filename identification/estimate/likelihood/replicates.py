@@ -94,8 +94,7 @@ def likelihood_bias(
     there, found = joint, None
     replicates: tuple[Replicate, ...] = ()
     for turn in range(1, settings.turns + 1):
-        noises = iter(seeds)
-        pairs: list[_Pair] = []
+        noises, pairs = iter(seeds), list[_Pair]()
         for pair in islice(_pairs(there, loop, share, noises, settings.farthest), settings.pairs):
             pairs.append(pair)
             progress(f"simulated replicates, round {turn}", len(pairs) / settings.pairs)
