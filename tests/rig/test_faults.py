@@ -77,7 +77,7 @@ def test_yaml_and_csv_say_the_same() -> None:
         ),
         ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
         ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),
-        ("phase: hold, target: drive, fault: restart, value: 1", "has no value"),
+        ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
         (
             "phase: hold, target: encoder, fault: bit, value: 1.5",
             "needs a whole number (bit), found 1.5",

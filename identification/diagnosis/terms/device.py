@@ -54,6 +54,8 @@ current.
 """
 SWINGS_HZ = tuple(float(f) for f in np.arange(0.3, 3.01, 0.04))
 SWING_DECAY_S = 8.0
+ROUNDING = 1e-6
+"""Size of a swing over that of the greatest, below which it is a rounding error."""
 
 
 @recent
@@ -124,8 +126,10 @@ def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
     sizes = [
         polar(float(sine), float(cosine))[0] for sine, cosine in zip(c[::2], c[1::2], strict=True)
     ]
+    # Recordings without load have columns of zeros and coefficients of rounding errors.
+    least = ROUNDING * max(sizes)
     return {
-        "fraction": float(np.median([size for size in sizes if size > 0.0] or [0.0])),
+        "fraction": float(np.median([size for size in sizes if size > least] or [0.0])),
         "frequency_Hz": shape[0],
         "decay_s": shape[1],
     }

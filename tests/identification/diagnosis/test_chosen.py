@@ -52,5 +52,5 @@ def test_a_campaign_that_moves_is_used_as_it_is() -> None:
 
 def test_an_unloaded_stage_at_rest_is_refused() -> None:
     """Without its friction, that of the load is not known either."""
-    with pytest.raises(RecordingError, match="samples in motion"):
+    with pytest.raises(RecordingError, match="samples are in motion"):
         diagnose(resting("unloaded"), bandwidth_Hz=25.0)

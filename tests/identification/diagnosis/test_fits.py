@@ -344,7 +344,11 @@ def test_a_swing_may_begin_otherwise_in_each_recording() -> None:
     found = fit(context.views, "N m", joint.nominal, (start,), joint).effects[0]
     read, sizes = found.parameters(context), np.hypot(*np.reshape(found.coefficients, (-1, 2)).T)
     assert np.all(sizes[:2] < 1e-9)
-    assert sizes[2:] == pytest.approx(read["fraction"], rel=0.2)
+    # The hidden torque is a share of 0.05 of the moment, the effect a share of the friction.
+    friction = [np.abs(joint.nominal.coefficient(v))[~v.still] for v in context.views if v.loaded]
+    expected = [fraction * 0.05 / float(np.mean(each)) for each in friction]
+    assert sizes[2:] == pytest.approx(expected, rel=0.15)
+    assert read["fraction"] == np.median(sizes[2:])
     assert read["frequency_Hz"] == pytest.approx(frequency_Hz, rel=0.02)
     assert read["decay_s"] == pytest.approx(decay_s, rel=0.2)
 
