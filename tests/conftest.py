@@ -96,10 +96,10 @@ def no_leaks() -> Iterator[None]:
     ports = _listening(process)
     yield
     # The second thread of the kernels stays for the next computation.
-    new = {t for t in set(threading.enumerate()) - threads if not t.name.startswith(KERNEL_THREAD)}
-    for thread in new:
+    for thread in _new_threads(threads):
         thread.join(_GRACE_S)
-    leaked = [f"thread {thread.name}" for thread in new if thread.is_alive()]
+    # A thread that ended may have started another one.
+    leaked = [f"thread {thread.name}" for thread in _new_threads(threads)]
     started = [c for c in _children(process) - children if not _is_resource_tracker(c)]
     _, alive = psutil.wait_procs(started, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive]
@@ -119,6 +119,12 @@ def recordings() -> Path:
             pytest.fail(message)
         pytest.skip(message)
     return folder
+
+
+def _new_threads(before: set[threading.Thread]) -> set[threading.Thread]:
+    """Return the threads that were not there before, without the second thread of the kernels."""
+    new = set(threading.enumerate()) - before
+    return {thread for thread in new if not thread.name.startswith(KERNEL_THREAD)}
 
 
 def _children(process: psutil.Process) -> set[psutil.Process]:

@@ -156,13 +156,14 @@ class EposSerialNode(ObjectAccess):
             for layout in outputs
         }
         self._word = None
-        self._layouts = {layout.number: layout.objects for layout in inputs}
+        self._layouts = {}  # nothing can be sampled until all values were read
         self._values = {
             address: self._input(address)
             for layout in inputs
             for address in layout.objects
             if address != _HOST_TIME
         }
+        self._layouts = {layout.number: layout.objects for layout in inputs}
         self._every = inputs[0].objects if inputs else ()
         self._mean = inputs[0].mean if inputs else None
         self._turns = endless(_turns(inputs[1:]))

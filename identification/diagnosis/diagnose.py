@@ -51,6 +51,7 @@ from identification.diagnosis.verdict.judgement import (
     effects_of,
     named_or_ambiguous,
     verdict_of,
+    without_unlogged,
 )
 from identification.diagnosis.verdict.statement import statement, warnings_of
 from identification.diagnosis.verdict.unexplained import unexplained
@@ -191,7 +192,8 @@ def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
     if last.verdict is Verdict.OUTSIDE_CATALOGUE:
         last = _outcome(task, terms, thorough=True)
         last = last if explains_nearly_all(last.found) else outcomes[0]
-    return last if last.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else outcomes[0]
+    taken = last if last.verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else outcomes[0]
+    return taken._replace(judged=without_unlogged(taken.judged, taken.found))
 
 
 def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Outcome:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from drivers.clock import NS
-from drivers.errors import DeviceError, LinkError
+from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.common.errors import StorageError
 
@@ -15,11 +15,6 @@ BRAKING_TIMEOUT_S = 1.0
 STATE_INTERVAL_S = 0.005
 """Time between two reads of the state while the drive brakes: the power stays on for up to this
 long after the shaft stands, whatever the control cycle is.
-"""
-LOST_ANSWERS = 1
-"""Reads of the state in a row that may get no answer while a drive brakes that has confirmed the
-quick stop; the power goes off at the next one. Each takes the time-out of the link, for which the
-drive brakes unwatched.
 """
 DISABLE_ATTEMPTS = 2
 
@@ -88,11 +83,10 @@ class _Steps:
         self.problems: list[str] = []
         self.unforeseen: list[BaseException] = []
 
-    def attempt(self, step: Callable[[], object]) -> bool:
-        """Run one step, and store its error, if any; return whether there was none."""
+    def attempt(self, step: Callable[[], object]) -> None:
+        """Run one step, and store its error, if any."""
         try:
             step()
-            return True
         except KeyboardInterrupt:
             self.problems.append("interrupted again while stopping")
         except (DeviceError, StorageError) as error:
@@ -100,7 +94,6 @@ class _Steps:
         except BaseException as error:  # noqa: BLE001 a defect must not keep the power on; the caller raises it
             self.problems.append(f"unforeseen {words_of(error)}")
             self.unforeseen.append(error)
-        return False
 
     def state(self, servo: Servo) -> ServoState | None:
         """Read the drive's state; return None if the read fails."""
@@ -139,8 +132,8 @@ def make_safe(
     """
     steps = _Steps()
     if brake:
-        lost = LOST_ANSWERS if steps.attempt(servo.quick_stop) else 0
-        steps.attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry, lost))
+        steps.attempt(servo.quick_stop)
+        steps.attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry))
     state = None if brake else steps.state(servo)
     for _ in range(DISABLE_ATTEMPTS):
         if state is not ServoState.SWITCH_ON_DISABLED:
@@ -166,31 +159,17 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 
 
 def _wait_for_standstill(
-    servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool], most: int
+    servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
 ) -> None:
     """Keep the bus alive until the drive has stopped, the time is over, or the operator asks for a
     stop again.
-
-    Up to ``most`` lost answers in a row do not end the wait, since power off at speed lets a load
-    run on.
-
-    Raises:
-        LinkError: More answers than that were lost.
     """
     between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
-    lost = 0
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
-        if cycle % between == 0:
-            try:
-                if servo.state() is not ServoState.QUICK_STOP_ACTIVE:
-                    return
-                lost = 0
-            except LinkError:
-                lost += 1
-                if lost > most:
-                    raise
+        if cycle % between == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
+            return
         watch()
 
 

@@ -203,28 +203,6 @@ def test_braking_ends_after_its_time_out() -> None:
     assert servo.order == ["quick_stop", *["state", "watch"] * 100, "disable", "state"]
 
 
-@pytest.mark.parametrize(
-    ("lost", "braked"), [({3}, True), ({3, 6, 9}, True), ({3, 4}, False), ({1, 2}, False)]
-)
-def test_one_lost_answer_does_not_end_the_braking_but_two_in_a_row_do(
-    lost: set[int], braked: bool
-) -> None:
-    servo, reads = Servo({}), iter(range(1, 1000))
-    real = servo.state
-
-    def state() -> ServoState:
-        shown = real()
-        if servo.power is BRAKING and next(reads) in lost:
-            raise LinkError("no SDO response")
-        return shown
-
-    servo.state = state  # type: ignore[method-assign]
-    found = safe(servo)
-    assert found.verified
-    assert (servo.order.count("watch") == 100) is braked
-    assert found.problems == (() if braked else ("no SDO response",))
-
-
 @pytest.mark.parametrize("cycle_ms", [1, 2, 4, 10])
 def test_the_power_goes_off_within_5_ms_of_the_standstill(cycle_ms: int) -> None:
     servo = Servo({})

@@ -55,7 +55,7 @@ def choose(dataset: Dataset, bandwidth_Hz: float | None) -> Chosen:
     kept = tuple(
         replace(r, role="unused") if r.stage == "loaded" else r for r in dataset.recordings
     )
-    names = ", ".join(r.name for r in fitted if r.stage == "loaded")
+    names = ", ".join(r.name for r in dataset.recordings if r.stage == "loaded")
     warning = (
         f"{names}: {moving['loaded']} samples in motion and resolved at {bandwidth:.3g} Hz; at "
         f"least {LEAST_MOTION} are needed, so no loaded recording is used, and nothing is said "

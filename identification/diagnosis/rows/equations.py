@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from identification.diagnosis.rows.marks import RISE_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.row_noise import noise, without_tones
-from identification.diagnosis.rows.scales import torque_scale
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
 from identification.model.units import unit_on
@@ -35,6 +34,8 @@ WITHIN_STEP = 0.3
 """
 SURE_N_M = 0.1
 """Approximate torque noise of one sample on the practical bench."""
+SAME_STEP = 0.01
+"""Relative difference up to which two steps of an encoder are equal."""
 Places = NDArray[np.int64]
 GREATEST_RATIO = 1e100
 """Greatest ratio of an error to a noise, whose square can still be computed with; recordings at
@@ -128,11 +129,10 @@ def _stack(
     name: str, views: Sequence[View], places: Sequence[Places], per_view: Callable[[View], Array]
 ) -> Array:
     parts = []
-    sure = SURE_N_M * torque_scale(views) if name == "breakaway" else 0.0
     for view, at in zip(views, places, strict=True):
         series = np.atleast_2d(per_view(view))
         if name == "breakaway":
-            parts.append((series[:, view.breakaways] * _sharpness(view, sure))[:, at].T)
+            parts.append((series[:, view.breakaways] * _sharpness(view))[:, at].T)
         else:
             parts.append(view.low_pass.chosen(series, at))
     return np.concatenate(parts)
@@ -243,8 +243,11 @@ def _count(views: Sequence[View], channel: str) -> float:
     known = max(quantum(values) for values in series)
     if known > 0.0:
         return known
-    steps = np.concatenate([np.abs(np.diff(values)) for values in series])
-    return float(np.min(steps[steps > 0.0], initial=math.inf)) if np.any(steps > 0.0) else 0.0
+    steps = np.sort(np.concatenate([np.abs(np.diff(values)) for values in series]))
+    steps = steps[steps > 0.0]
+    # The steps of an encoder repeat, those of a continuous angle do not.
+    repeats = len(steps) > 1 and steps[1] < (1.0 + SAME_STEP) * steps[0]
+    return float(steps[0]) if repeats else 0.0
 
 
 def _torque(
@@ -309,13 +312,13 @@ def _rise(view: View) -> Array:
     )
 
 
-def _sharpness(view: View, sure_N_m: float) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less accurately one sample,
-    whose noise is ``sure_N_m``, gives the torque of the breakaway.
+def _sharpness(view: View) -> Array:
+    """Return weights of breakaways: the faster the torque rises, the less accurately one sample
+    gives the torque of the breakaway.
     """
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
-    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / sure_N_m) ** 2))
+    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_N_M) ** 2))
 
 
 def _transmission(views: Sequence[View]) -> Equation | None:

@@ -1,5 +1,5 @@
 """Scales of a bench over those of the practical bench, for which trial values and plausible ranges
-are stated.
+are stated. Torque and travel of a bench that can be diagnosed are not zero.
 """
 
 from __future__ import annotations

@@ -30,9 +30,8 @@ class Contender:
     """An effect fitted jointly, and the preference of the data for the selected effect over this
     effect.
 
-    ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica
-    57 (1989) 307). ``beyond`` names a parameter outside its plausible range; the text is empty if
-    all parameters are plausible.
+    ``preference`` is that of :func:`preference`. ``beyond`` names a parameter outside its plausible
+    range; the text is empty if all parameters are plausible.
     """
 
     name: str
@@ -58,13 +57,13 @@ def preference(chosen: Joint, rival: Joint) -> float:
     with Schwarz's correction for the number of parameters; 0 if these two disagree on the better
     fit.
     """
-    plain, corrected = lead(chosen, rival), _corrected_lead(chosen, rival)
+    plain, corrected = advantage(chosen, rival), _corrected_advantage(chosen, rival)
     if plain * corrected <= 0.0:
         return 0.0
     return min(plain, corrected, key=abs)
 
 
-def lead(chosen: Joint, rival: Joint) -> float:
+def advantage(chosen: Joint, rival: Joint) -> float:
     """Return by how much a fit is better than another one, in standard errors of the difference by
     blocks, whatever their numbers of parameters (Vuong, Econometrica 57 (1989) 307).
     """
@@ -72,8 +71,8 @@ def lead(chosen: Joint, rival: Joint) -> float:
     return loss / spread if spread > 0.0 else 0.0
 
 
-def _corrected_lead(chosen: Joint, rival: Joint) -> float:
-    """Return :func:`lead` with Schwarz's correction: log n for each parameter more."""
+def _corrected_advantage(chosen: Joint, rival: Joint) -> float:
+    """Return :func:`advantage` with Schwarz's correction: log n for each parameter more."""
     loss, spread = _loss(chosen, rival)
     more = _effect_parameters(rival) - _effect_parameters(chosen)
     loss += more * math.log(len(chosen.residual))
@@ -160,15 +159,28 @@ def _greatest(channels: Sequence[Array | None], usual: float) -> float:
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     """Return the fit with the fewest parameters among those that are less than `simpler` standard
-    errors worse than the best, with Schwarz's correction for the number of parameters; ``joints``
-    are sorted, best first.
+    errors worse than the best. The best fit and the differences have Schwarz's correction for the
+    number of parameters.
     """
+    best = min(joints, key=_criterion)
     near = [
         k
-        for k in range(len(joints))
-        if k == 0 or _corrected_lead(joints[0], joints[k]) < RULES.simpler
+        for k, joint in enumerate(joints)
+        if joint is best or _corrected_advantage(best, joint) < RULES.simpler
     ]
-    return min(near, key=lambda k: (sizes[k], k))
+    return min(near, key=lambda k: (sizes[k], _criterion(joints[k])))
+
+
+def _criterion(joint: Joint) -> float:
+    """Return the whitened squares with Schwarz's penalty for the parameters of the effects."""
+    return joint.cost + _effect_parameters(joint) * math.log(len(joint.residual))
+
+
+def preferred(name: str, preference: float) -> str:
+    """Return by how much an effect is preferred to another one, in words."""
+    if preference > 0.0:
+        return f"preferred to {name} by {preference:.1f} standard errors"
+    return f"{name} fits as well or better, but not by more than its parameters explain by chance"
 
 
 def parameter_count(effect: Added) -> int:

@@ -23,7 +23,7 @@ from identification.diagnosis.rows.marks import QUICK_SAMPLES
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.selection.comparison import Contender, Round, preference
+from identification.diagnosis.selection.comparison import Contender, Round, advantage
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import (
     ROTOR_SHARE,
@@ -203,7 +203,7 @@ def _preference(
     if _weight_exceeds_friction(views, joint.nominal):
         # Under such a weight the two differ in the angles too: combine both tests by Stouffer's
         # sum.
-        prefers_other = (prefers_other - preference(joint, beside)) / (
+        prefers_other = (prefers_other - advantage(joint, beside)) / (
             1.0 if seen is None else math.sqrt(2.0)
         )
     return prefers_other

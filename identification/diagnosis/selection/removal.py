@@ -19,11 +19,12 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import (
     Contender,
     Round,
+    advantage,
     contains,
     implausible,
-    lead,
     parameter_count,
     preference,
+    preferred,
     simplest,
 )
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
@@ -91,7 +92,9 @@ def _explained_share(
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
     needed = needed_share(others, _regressor_error(without, term))
     left = _beyond_noise(without, parts)
-    if left <= 1.0 and (others < _least_gain(without, term) or lead(joint, without) < SIGNIFICANT):
+    if left <= 1.0 and (
+        others < _least_gain(without, term) or advantage(joint, without) < SIGNIFICANT
+    ):
         needed = math.inf
     return gain / left, needed
 
@@ -174,10 +177,7 @@ def with_best_rivals(
             simplest([j for _, j in sound], [parameter_count(e) for e, _ in sound])
         ]
         if chosen is not own:
-            note = (
-                f"with the other effects, preferred to {taken.name} by "
-                f"{preference(best, joint):.1f} standard errors"
-            )
+            note = f"with the other effects, {preferred(taken.name, preference(best, joint))}"
             steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
         rivals = tuple(
             Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))

@@ -34,6 +34,7 @@ from identification.diagnosis.selection.comparison import (
     one_of_each,
     parameter_count,
     preference,
+    preferred,
     simplest,
 )
 from identification.diagnosis.selection.crossing import gap_or_loop
@@ -389,4 +390,4 @@ def _missing(
 def _why(rivals: Sequence[Contender]) -> str:
     if not rivals:
         return "no other effect fits nearly as well"
-    return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)
+    return "; ".join(preferred(r.name, r.preference) for r in rivals)

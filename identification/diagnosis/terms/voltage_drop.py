@@ -25,6 +25,8 @@ ROUNDED_SHARES = (0.03, 1.0)
 smaller one looks like a dead time.
 """
 DEAD_SHARES, BRUSH_SHARES = (0.005, 0.02), (0.05, 0.1, 0.2)
+LEAST_CROSSINGS = 12
+"""Least number of passages of the current through zero from which its change there is known."""
 GREATEST_QUANTILE = 0.99
 """Quantile of the currents that counts as the greatest, so that spikes are ignored."""
 
@@ -105,14 +107,23 @@ def drop(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def change_at_zero(views: Sequence[View]) -> float:
-    """Return the change of the current from one sample to the next where its sign changes, A, the
-    median over all recordings; 0 if it never does.
+    """Return the change of the current from one sample to the next where it passes from one sign to
+    the other, A: the greatest change in a passage, the median over the passages of all recordings;
+    0 with fewer than :data:`LEAST_CROSSINGS` passages.
 
-    A step over a smaller current is smeared over the sample.
+    A step over a smaller current is smeared over the sample. A passage leads from beyond the
+    current of a dead-time step to beyond it with the other sign, so that noise around zero, as at
+    rest, is none.
     """
-    changes = [np.zeros(0)]
-    for current in (v.recording.channels["current"] for v in views if v.current is not None):
-        crossed = current[1:] * current[:-1] < 0.0
-        changes.append(np.abs(np.diff(current))[crossed])
-    every = np.concatenate(changes)
-    return float(np.median(every)) if len(every) else 0.0
+    currents = [v.current for v in views if v.current is not None]
+    if not currents:
+        return 0.0
+    greatest_A = float(np.nanquantile(np.abs(np.concatenate(currents)), GREATEST_QUANTILE))
+    changes: list[float] = []
+    for current in currents:
+        places = np.flatnonzero(np.abs(current) > STEP_SHARES[1] * greatest_A)
+        beyond = current[places]
+        passed = beyond[1:] * beyond[:-1] < 0.0
+        steps = np.abs(np.diff(current))
+        changes += [float(np.max(steps[places[k] : places[k + 1]])) for k in np.flatnonzero(passed)]
+    return float(np.median(changes)) if len(changes) >= LEAST_CROSSINGS else 0.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -30,6 +30,10 @@ FAINT_RATIO = 1.0 + (RULES.excess - 1.0) / (1.0 - RULES.faint_confidence)
 unidentified effect may cause the part that counts as noise
 (`excess`).
 """
+
+
+VISIBLE = 3.0
+"""Mismatch over the noise that a diagnosis must find (the limit of the proofs)."""
 
 
 class Judged(NamedTuple):
@@ -68,13 +72,10 @@ def verdict_of(found: Search, rng: np.random.Generator, searched: Search | None 
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     # A breakaway gives one value per rest, whose noise is that of an instant within a sample; the
     # breakaway equation judges no model.
-    judges = [e for e in excess_of(found) if e.equation != "breakaway"]
     least = RULES.tested_from if found.final.effects else RULES.excess
-    if not _any_beyond_noise(found.baseline, judges, least):
+    if not _any_beyond_noise(found.baseline, least):
         return Judged(Verdict.NOTHING_MISSING, None, drawn)
     reason = reason_outside(found, searched or found)
-    if reason is not None and not _any_beyond_noise(found.baseline, judges, least, True):
-        return Judged(Verdict.NOTHING_MISSING, None, drawn, Reason(Kind.BETWEEN_SAMPLES, found))
     if reason is not None:
         return Judged(Verdict.OUTSIDE_CATALOGUE, where, drawn, reason)
     return Judged(named_or_ambiguous(found), where, drawn)
@@ -86,24 +87,36 @@ def named_or_ambiguous(found: Search) -> Verdict:
     return Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED
 
 
-def _any_beyond_noise(
-    joint: Joint, judges: Sequence[Excess], least: float, between: bool = False
-) -> bool:
-    """Whether the nominal model leaves more than noise in any equation.
+def without_unlogged(judged: Judged, found: Search) -> Judged:
+    """Return the verdict, which is *nothing missing* for a mismatch outside the catalogue that
+    voltages between the samples may cause.
+
+    Used after all searches, so that none is left out.
+    """
+    if judged.verdict is not Verdict.OUTSIDE_CATALOGUE:
+        return judged
+    if _any_beyond_noise(found.baseline, RULES.excess, True):
+        return judged
+    return Judged(Verdict.NOTHING_MISSING, None, judged.maps, Reason(Kind.BETWEEN_SAMPLES, found))
+
+
+def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool:
+    """Whether the nominal model leaves more than noise in any equation but the breakaway's.
 
     Args:
         joint: Fit of the nominal model.
-        judges: Excess of each of its equations.
         least: Ratio of the mean-square mismatch to that of the noise, from which it is beyond the
             noise.
-        between: Whether what voltages between the samples may cause counts as noise.
+        between: Whether what voltages between the samples may cause counts as noise. A mismatch of
+            :data:`VISIBLE` times the noise never does.
     """
-    equations = [e for e in joint.equations if e.name in {judge.equation for judge in judges}]
-    for equation in equations:
+    for equation in joint.equations:
+        if equation.name == "breakaway":
+            continue
         rows = over_own_noise(joint, equation)
         if between:
-            hidden = (between_samples(equation) / equation.sigma) ** 2
-            rows = rows / np.sqrt(1.0 + hidden / equation.allowed())
+            hidden = (between_samples(equation) / equation.sigma) ** 2 / equation.allowed()
+            rows = rows / np.sqrt(1.0 + np.minimum(hidden, VISIBLE**2 / RULES.excess - 1.0))
         if float(np.mean(rows**2)) > least or greatest(rows, equation) > RULES.excess_of_one:
             return True
     return False

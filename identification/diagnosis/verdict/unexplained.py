@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.rows.equations import between_samples
 from identification.diagnosis.rules import RULES
+from identification.diagnosis.selection.held_out import DROPPED
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import (
     equations_of_effects,
@@ -18,6 +20,13 @@ from identification.diagnosis.verdict.excess import (
 )
 from identification.diagnosis.verdict.judgement import effects_of, little_unseen
 from identification.diagnosis.verdict.outside import Kind, Reason
+
+_ENDS: Mapping[str, str] = {
+    "stop": "the best candidate of the catalogue",
+    "remove": "the last effect that was removed again",
+    DROPPED: "",
+}
+"""Steps by which a search ends without an effect, and how their effects are called."""
 
 
 def unexplained(
@@ -78,18 +87,21 @@ def _between_samples(found: Search) -> tuple[str, ...]:
     rms = voltage.sigma * math.sqrt(float(np.mean(rows**2)))
     return (
         f"the voltage equation has a mismatch of {rms:.3g} V rms (noise floor {voltage.sigma:.3g} "
-        f"V), which does not count: voltages between the samples, which are not logged, may cause "
-        f"up to {between_samples(voltage):.3g} V; log the mean voltage of each sample, and declare "
+        f"V), which does not count: the logged voltage changes from sample to sample, so that "
+        f"voltages between the samples, which are not logged, may cause about "
+        f"{between_samples(voltage):.3g} V rms; log the mean voltage of each sample, and declare "
         "`average: true`",
     )
 
 
 def _last_candidate(found: Search) -> tuple[str, ...]:
-    """Return the text on the candidate at which a search without effects ended, if there is one."""
-    last = next((s for s in reversed(found.steps) if s.action == "stop"), None)
+    """Return the text on why a search ended without an effect."""
+    last = next((s for s in reversed(found.steps) if s.action in _ENDS), None)
     if last is None:
+        return ("no effect of the catalogue resembles the mismatch",)
+    if last.action == DROPPED:  # :func:`dropped_effects` states it
         return ()
-    return (f"the best candidate of the catalogue, {title(last.name)}, {last.note}",)
+    return (f"{_ENDS[last.action]}, {title(last.name)}, {last.note}",)
 
 
 def unexplained_equations(found: Search, verdict: Verdict) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.fit.joint import Added, Joint
-from identification.diagnosis.selection.comparison import lead, preference, simplest
+from identification.diagnosis.selection.comparison import advantage, preference, simplest
 from identification.diagnosis.terms import TERMS
 
 from .benches import honest, nominal_fit
@@ -37,7 +37,7 @@ def log_rows() -> float:
 
 def test_fits_with_equally_many_parameters_are_compared_by_what_they_leave() -> None:
     better, worse = left(STOP, 1.0), left(STOP, 30.0)
-    assert preference(better, worse) == lead(better, worse) > 1.0
+    assert preference(better, worse) == advantage(better, worse) > 1.0
     assert preference(worse, better) == -preference(better, worse)
 
 
@@ -45,9 +45,9 @@ def test_fits_with_equally_many_parameters_are_compared_by_what_they_leave() -> 
 def test_a_parameter_more_must_explain_more_than_chance(gain: float, sure: bool) -> None:
     """In units of log n, Schwarz's price of a parameter."""
     richer, simple = left(STOP, 0.0), left(DEAD_TIME, gain * log_rows())
-    assert lead(richer, simple) > 0.0
+    assert advantage(richer, simple) > 0.0
     if sure:
-        assert 0.0 < preference(richer, simple) < lead(richer, simple)
+        assert 0.0 < preference(richer, simple) < advantage(richer, simple)
     else:
         assert preference(richer, simple) == 0.0
     assert simplest([richer, simple], [3, 2]) == (0 if sure else 1)
@@ -56,4 +56,15 @@ def test_a_parameter_more_must_explain_more_than_chance(gain: float, sure: bool)
 def test_a_simpler_fit_is_not_surer_than_what_it_leaves() -> None:
     """The price of the other fit's parameter is no evidence against it."""
     simple, richer = left(DEAD_TIME, 0.0), left(STOP, 5.0)
-    assert preference(simple, richer) == lead(simple, richer)
+    assert preference(simple, richer) == advantage(simple, richer)
+
+
+def test_the_best_of_three_fits_is_the_one_with_the_best_corrected_criterion() -> None:
+    """The worst of three is not taken because it has the fewest parameters and the best fit, to
+    which it is compared, has the most.
+    """
+    two = Added(TERM["cogging"], (7.0,), (1.0, 1.0))
+    most = replace(left(STOP, 0.0), effects=(STOP, DEAD_TIME))
+    middle = left(two, 1.9 * log_rows())
+    fewest = left(Added(TERM["asymmetric_coulomb"], (), (1.0,)), 8.0 * log_rows())
+    assert simplest([most, middle, fewest], [5, 3, 1]) == 1

@@ -58,13 +58,24 @@ def test_a_brush_drop_within_one_sample_may_be_a_dead_time(samples: float, alike
     assert [r.name for r in taken.rivals] == ["inverter_dead_time"] * alike
 
 
-@pytest.mark.parametrize(("crosses", "expected_A"), [(True, 6.0), (False, 0.0)])
+@pytest.mark.parametrize(
+    ("swing_A", "offset_A", "expected_A"), [(3.0, 0.0, 6.0), (3.0, 4.0, 0.0), (0.0, 5.0, 0.0)]
+)
 def test_the_change_of_a_current_at_zero_is_that_of_one_sample(
-    crosses: bool, expected_A: float
+    swing_A: float, offset_A: float, expected_A: float
 ) -> None:
     (view, *_) = nominal_fit(honest()).equations[0].views
-    swings = np.where(np.arange(len(view.time)) % 20 < 10, -3.0, 3.0)
-    current = swings if crosses else 4.0 + swings
-    channels = {**view.recording.channels, "current": current}
-    swung = replace(view, recording=replace(view.recording, channels=channels), current=current)
+    square = np.where(np.arange(len(view.time)) % 20 < 10, -swing_A, swing_A)
+    swung = replace(view, current=offset_A + square)
     assert change_at_zero([swung]) == expected_A
+
+
+def test_noise_of_a_current_around_zero_is_no_passage() -> None:
+    (view, *_) = nominal_fit(honest()).equations[0].views
+    phase = 2.0 * np.pi * np.arange(len(view.time)) / 400.0
+    moving = 10.0 * np.sin(phase)
+    noise = 0.02 * np.random.default_rng(0).standard_normal(len(moving))
+    resting = np.where(np.arange(len(moving)) % 400 < 100, 0.0, moving) + noise
+    expected = 10.0 * 2.0 * np.pi / 400.0
+    assert change_at_zero([replace(view, current=moving)]) == pytest.approx(expected, rel=0.02)
+    assert change_at_zero([replace(view, current=resting)]) > 0.1 * expected

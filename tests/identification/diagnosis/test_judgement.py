@@ -208,24 +208,50 @@ def test_every_reason_is_told(kind: Kind, names: tuple[str, ...], expected: str)
     assert expected in text
 
 
-@pytest.mark.parametrize(("share", "counts"), [(0.5, True), (2.0, False)])
+@pytest.mark.parametrize(
+    ("times_noise", "between", "counts"), [(2.5, 0.5, True), (2.5, 2.0, False), (3.5, 9.0, True)]
+)
 def test_a_voltage_mismatch_that_unlogged_voltages_may_cause_does_not_count(
-    monkeypatch: pytest.MonkeyPatch, share: float, counts: bool
+    monkeypatch: pytest.MonkeyPatch, times_noise: float, between: float, counts: bool
 ) -> None:
-    """Voltages between the samples may cause half of the mismatch, or twice the mismatch."""
+    """Voltages between the samples may cause so many times the mismatch; but never three times the
+    noise.
+    """
     joint = replace(found(1.0).final, effects=())
     (voltage,) = (e for e in joint.equations if e.name == "voltage")
     part = joint.stack.part("voltage")
-    residual = joint.residual.copy()
-    residual[part] = 3.0 * np.sign(np.sin(np.arange(part.stop - part.start)))
+    # In the other equations no more than noise is left.
+    residual = np.sign(np.sin(np.arange(len(joint.residual))))
+    residual[part] *= times_noise * np.sqrt(voltage.allowed())
     alone = replace(joint, residual=residual)
     search = replace(found(1.0), baseline=alone, final=alone, rounds=())
-    bound_V = share * 3.0 * voltage.sigma
+    bound_V = between * times_noise * voltage.sigma
     for module in (judgement, unexplained_module):
         monkeypatch.setattr(
             module, "between_samples", lambda e: bound_V if e.name == "voltage" else 0.0
         )
     judged = verdict_of(search, np.random.default_rng(0))
-    assert judged.verdict is (Verdict.OUTSIDE_CATALOGUE if counts else Verdict.NOTHING_MISSING)
-    said = [t for t in texts_of(judged) if f"may cause up to {bound_V:.3g} V" in t]
+    assert judged.verdict is Verdict.OUTSIDE_CATALOGUE
+    settled = judgement.without_unlogged(judged, search)
+    assert settled.verdict is (Verdict.OUTSIDE_CATALOGUE if counts else Verdict.NOTHING_MISSING)
+    said = [t for t in texts_of(settled) if f"may cause about {bound_V:.3g} V rms" in t]
     assert bool(said) is not counts
+
+
+@pytest.mark.parametrize(
+    ("action", "expected"),
+    [
+        ("stop", "the best candidate of the catalogue, deadband, fits"),
+        ("remove", "the last effect that was removed again, deadband, fits"),
+        ("drop", None),
+        (None, "no effect of the catalogue resembles the mismatch"),
+    ],
+)
+def test_a_search_without_effects_says_how_it_ended(
+    action: str | None, expected: str | None
+) -> None:
+    steps = () if action is None else (Step(action, "deadband", None, 0.0, "fits"),)
+    search = replace(found(1.0), rounds=(), steps=steps)
+    reason = Reason(Kind.NO_EFFECT, search)
+    texts = texts_of(Judged(Verdict.OUTSIDE_CATALOGUE, None, (), reason))
+    assert texts == (() if expected is None else (expected,))

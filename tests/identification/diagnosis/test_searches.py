@@ -37,7 +37,9 @@ class Scripted:
         verdict, dropped = (self.final, "") if thorough else self.script.pop(0)
         steps = [Step(DROPPED, name, 1.0, 0.0, "") for name in dropped]
         found = SimpleNamespace(steps=steps, tag=(names, thorough))
-        return SimpleNamespace(found=found, verdict=verdict)
+        made = SimpleNamespace(found=found, verdict=verdict, judged=verdict)
+        made._replace = lambda judged: SimpleNamespace(found=found, verdict=judged)
+        return made
 
 
 @pytest.fixture
@@ -48,6 +50,7 @@ def run(monkeypatch: pytest.MonkeyPatch) -> Any:
         scripted = Scripted(script, final)
         monkeypatch.setattr(diagnose, "_outcome", scripted)
         monkeypatch.setattr(diagnose, "explains_nearly_all", lambda _found: nearly_all)
+        monkeypatch.setattr(diagnose, "without_unlogged", lambda judged, _found: judged)
         task: Any = None
         counted: Any = diagnose._searches(task, EVERY)
         return counted.found.tag, scripted.asked
