@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import count
 
 import pytest
 
@@ -9,13 +10,14 @@ from drivers.canopen.cia402 import CONTROLWORD
 from drivers.clock import SimulatedClock
 from drivers.epos.frames import ERROR, FrameDecoder, Opcode, encode
 from drivers.epos.link import EposSerialLink
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.errors import ConfigurationError, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import State
 from drivers.mock.wires.serial_line import SimulatedLine
+from drivers.objects import ObjectAddress
 
 from .serial_host import SerialHost, make_serial_host
 from .test_servo import LIMITS, assert_within
@@ -361,3 +363,23 @@ def test_nothing_else_is_said_where_nobody_is_heard(host: SerialHost) -> None:
     assert heard
     frames = [frame for data in heard for frame in FrameDecoder().feed(data)]
     assert [frame.opcode for frame in frames].count(Opcode.WRITE_OBJECT) <= 1
+
+
+def test_a_drive_whose_preparation_failed_midway_cannot_be_sampled(
+    host: SerialHost, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run samples the drive while it brakes, whatever ended the preparation."""
+    node, asked = host.servo._channel, count()
+    real = node._input  # type: ignore[attr-defined]
+
+    def lost(address: ObjectAddress) -> object:
+        if next(asked) > 0:
+            raise LinkError("no answer")
+        return real(address)
+
+    monkeypatch.setattr(node, "_input", lost)
+    with pytest.raises(LinkError):
+        host.servo.prepare(host.cycle_s)
+    monkeypatch.undo()
+    with pytest.raises(StateError, match="prepare"):
+        host.servo.sample()
