@@ -159,8 +159,8 @@ def _greatest(channels: Sequence[Array | None], usual: float) -> float:
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
     """Return the fit with the fewest parameters among those that are less than `simpler` standard
-    errors worse than the best. The best fit and the differences have Schwarz's correction for the
-    number of parameters.
+    errors worse than the best; of equally many parameters the first. The best fit and the
+    differences have Schwarz's correction for the number of parameters.
     """
     best = min(joints, key=_criterion)
     near = [
@@ -168,7 +168,7 @@ def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
         for k, joint in enumerate(joints)
         if joint is best or _corrected_advantage(best, joint) < RULES.simpler
     ]
-    return min(near, key=lambda k: (sizes[k], _criterion(joints[k])))
+    return min(near, key=lambda k: (sizes[k], k))
 
 
 def _criterion(joint: Joint) -> float:
