@@ -44,7 +44,7 @@ class Cia404Transmitter(PressureTransmitter):
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h); The result is NaN if the transmitter refuses the read or
+        """Read the process value (9130h). The result is NaN if the transmitter refuses the read or
         marks the pressure as invalid.
         """
         try:

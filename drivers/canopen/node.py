@@ -107,7 +107,7 @@ class CanopenNode:
 
         Raises:
             ConfigurationError: The EDS has no such object, or the device answers with another
-            length.
+                length.
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """

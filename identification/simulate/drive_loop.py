@@ -32,7 +32,7 @@ _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the drive loop; The result is None if the recordings lack the signals of the loop, or
+    """Return the drive loop. The result is None if the recordings lack the signals of the loop, or
     if the loop does not fit the recordings.
 
     Args:

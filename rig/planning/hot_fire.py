@@ -129,7 +129,7 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
 
 
 def gas_limits(bench: Bench) -> GasLimits | None:
-    """Return the limits on the gas generator; The result is None on a bench without a pressure
+    """Return the limits on the gas generator. The result is None on a bench without a pressure
     transmitter.
     """
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa

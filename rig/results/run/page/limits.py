@@ -39,8 +39,7 @@ class Attachments:
         bench: The bench, with the limits in force, or None if its file is missing or cannot be
             read.
         plan: The plan, with the first passes of each stage, or None if a file is missing or cannot
-            be
-        read.
+            be read.
         problem: Message why one of them is None.
     """
 
