@@ -224,7 +224,9 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
-        """Return the resolution of those limits, or None if it is not known. Nothing is sent."""
+        """Return the resolution of the limits that the drive holds, or None if it is not known.
+        Nothing is sent.
+        """
         return None
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:

@@ -46,7 +46,7 @@ class _Finder(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module while the library cannot be imported."""
+        """Run the module of python-can while asammdf cannot be imported."""
         sys.modules[_LIBRARY] = None  # type: ignore[assignment]
         try:
             super().exec_module(module)

@@ -158,7 +158,7 @@ class Amt21Encoder(Encoder):
         return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield answers that do not agree at rest.
+        """Yield an error if the answers of the encoder at rest do not agree.
 
         Raises:
             LinkError: No encoder answers.

@@ -165,8 +165,8 @@ class Search:
         return Draws(self.frames, self.bounds, stribeck, self._total / self._room, self.rng)
 
     def changed(self, count: int) -> list[Part]:
-        """Return small changes of excitations that have a share; none if a kind of stage has no
-        excitation.
+        """Return small changes of the excitations that have a share of the time; none if a kind of
+        stage has no excitation.
         """
         if not self.complete:
             return []

@@ -295,8 +295,8 @@ class Filter:
 
 
 def _shared(lineup: Lineup, work: Callable[[Lineup], None], most: int) -> None:
-    """Do the work on all segments; a half of it in the second thread, if that is free and there are
-    more than ``most`` segments, so that it saves time.
+    """Do the work on all segments; if the second thread is free and there are more than ``most``
+    segments, that thread does half of the work.
     """
     if len(lineup.order) > most and idle():
         one, other = lineup.halves

@@ -93,7 +93,7 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
 
 @inlined
 def whole(active: int) -> int:
-    """Return the number of lanes to compute for so many ``active`` ones."""
+    """Return the number of lanes to compute for this number of ``active`` lanes."""
     return (active + AT_ONCE - 1) // AT_ONCE * AT_ONCE
 
 

@@ -1,6 +1,6 @@
 """Low-pass filter without phase: a fourth-order Butterworth filter, forwards and backwards.
 
-scipy.signal gives the same; its import takes a fifth of the time of all imports.
+scipy.signal has an equal filter, but its import takes a fifth of the time of all imports.
 """
 
 from __future__ import annotations

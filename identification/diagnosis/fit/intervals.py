@@ -76,8 +76,8 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
-    """Return a size of effect ``k`` whose interval contains zero, by name, or None if there is
-    none.
+    """Return name and estimate of a size of effect ``k`` whose interval contains zero, or None if
+    there is none.
 
     Sizes are the parameters that are proportional to the effect's coefficients, or to their
     reciprocal, such as a stiffness.

@@ -253,8 +253,8 @@ def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal
 
 
 def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return the coefficients of the effects' load torque that turns with the joint
-    (:class:`Nominal`).
+    """Return the coefficients of the load torque that the effects add and that turns with the
+    joint, as :class:`Nominal` states them.
     """
     found = {e.term.name: e.coefficients for e in effects}
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))

@@ -265,7 +265,7 @@ def _bounded_least_squares(
 
 def _values(nominal: Nominal) -> Array:
     """Return the values that a step changes: the rise for a static level, and 0 for a Stribeck
-    speed, whose logarithm has no zero.
+    speed, because a step changes the logarithm of this speed.
     """
     return np.array(
         [

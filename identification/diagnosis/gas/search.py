@@ -151,8 +151,8 @@ def _stop(
     stack: Stack,
     p_value: float,
 ) -> Step | None:
-    """Return the step that ends the search before one more effect, or None if the effect is
-    selected.
+    """Return the step that ends the search without a further effect, or None if the best further
+    effect is selected.
 
     Args:
         baseline: Fit of the nominal model alone.

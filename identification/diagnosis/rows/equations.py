@@ -211,8 +211,8 @@ def between_samples(equation: Equation) -> float:
 
     A loop faster than the log changes its voltage between two samples. Where log and loop are
     locked, the same part of each change is sampled again and again, so that the error depends on
-    the motion and no filter averages it. It is not white noise (:func:`held_voltage`), but the
-    deviation of an instant within a sample times the voltage's change.
+    the motion and no filter averages it. This error is not white noise (:func:`held_voltage`), but
+    the deviation of an instant within a sample times the voltage's change.
     """
     if equation.name != "voltage":
         return 0.0

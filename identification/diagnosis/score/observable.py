@@ -115,7 +115,7 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain one effect's regressor at the majority of its trial
+    """Return the effects that explain the regressor of one effect at most of the effect's trial
     parameters.
     """
     found = {}

@@ -115,7 +115,7 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
 
 def _over_two(score: Array, variance: Array) -> Array:
     """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
-    trial parameters are waves, with two coefficients.
+    candidates are waves, which have two coefficients.
     """
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T

@@ -71,8 +71,9 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 
 def _exponents(context: Context) -> list[Shape]:
-    """Return trial exponents, each with the ratio of the trial to the nominal Stribeck speed at
-    which the two falls of friction agree at one share.
+    """Return trial exponents, each with a ratio of the trial to the nominal Stribeck speed. With
+    this ratio the trial and the nominal friction have fallen by the same share of the rise at one
+    speed.
     """
     usual = context.nominal.alpha
     return [

@@ -169,8 +169,8 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
     ends, an end with a several times larger Stribeck speed is preferred, because the likelihood is
     flat where the Stribeck speed is below the resolution of the samples.
 
-    A search ends early when as many steps as it may take, each as good as its last one, would not
-    reach the least cost so far.
+    A search ends early if all steps that it may still take, each with the decrease of its last
+    step, would not reach the least cost of the searches before it.
 
     Args:
         starts: Starts of the joint fit, each from an end of the loaded fit.

@@ -92,7 +92,7 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any], salt: str) -> S
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
 
-    The noise floors of its reference simulation are written next to the truth.
+    The noise floors of the trial's reference simulation are written next to its truth.
 
     Raises:
         OSError: It cannot be written.

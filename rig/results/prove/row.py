@@ -143,7 +143,9 @@ def _parameters(
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the relative errors of the nominal parameters, before and after the correction."""
+    """Return the relative errors of the nominal parameters in the nominal and in the corrected
+    model.
+    """
     rows = {}
     for name, shift in diagnosis["parameter_shift"].items():
         if name in true and shift["before"] is not None and shift["after"] is not None:

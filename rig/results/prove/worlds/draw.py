@@ -133,7 +133,7 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
 
 
 def without_effects(world: World) -> World:
-    """Return the same world without injected effects."""
+    """Return a copy of a world without its injected effects."""
     return replace(world, effects={})
 
 

@@ -277,8 +277,9 @@ class World:
     def host_law(self) -> tuple[float, float]:
         """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
 
-        A position loop overcomes the static friction with an error that falls with its gain, a
-        third of the smallest motion at 1 Hz, as far as the rate of the host permits.
+        A position loop needs an angle error to overcome the static friction. With a loop of 1 Hz
+        this error is a third of the amplitude of the smallest motion; it is inversely proportional
+        to the gain, which the rate of the host limits.
         """
         drive, J = self.drive, self.constants.J
         if drive.kind == "torque":

@@ -151,7 +151,7 @@ class Deriver:
     def _pauses(
         self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]
     ) -> Flags:
-        """Return a mask of samples preceded by an event of these kinds."""
+        """Return a mask of the samples directly after an event of one of the ``kinds``."""
         flags = np.zeros(len(time), dtype=np.bool_)
         at = np.array(
             [e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time]

@@ -65,8 +65,8 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the run warned of a drive without watchdog, which its EDS file may have
-    shown.
+    """Return whether the run warned of a drive without watchdog; the EDS file, which is not
+    attached, may be the source of this warning.
     """
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
