@@ -17,7 +17,7 @@ _MODULE, _LIBRARY = "can.io.mf4", "asammdf"
 
 
 def install() -> None:
-    """Hide asammdf from python-can's module for MDF files, which python-can allows to be absent."""
+    """Hide asammdf from python-can's module for MDF files; python-can works without asammdf."""
     sys.meta_path.insert(0, _Finder())
 
 

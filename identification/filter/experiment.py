@@ -114,7 +114,9 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
+        """Number of the segment of every residual, over all recordings, with the ties last, shape
+        (r,).
+        """
         inside = np.repeat(np.arange(self.breakaways), self.lengths)
         return np.concatenate([inside, np.arange(self.breakaways)])
 

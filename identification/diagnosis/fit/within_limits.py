@@ -1,5 +1,5 @@
-"""Refines a fit within the limits of its nominal parameters, and computes the residual of these
-parameters.
+"""Refines a fit within the limits of its nominal parameters, and computes the residual at the
+refined values.
 
 The search compares effects by fits without limits. A machine has no negative friction and no
 negative inertia. The fit within these limits is reported, and scored on recordings that are set

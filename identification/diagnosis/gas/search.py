@@ -61,7 +61,7 @@ class Rivalry:
 
     @property
     def open(self) -> bool:
-        """Whether these recordings do not reject the rival."""
+        """Whether the recordings do not reject the rival."""
         return self.preference < REJECTED or self.apart < REJECTED
 
 

@@ -43,7 +43,7 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
 def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
     """Return rows less the strongest sine of each recording.
 
-    A torque at one frequency would count as noise in differences from row to row.
+    In differences from row to row, a torque at one frequency would count as noise.
     """
     out = series.copy()
     for index in np.unique(owner):

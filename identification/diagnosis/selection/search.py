@@ -137,8 +137,8 @@ def search(
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each effect.
 
-    Each effect is judged at the end together with the others: two effects may explain everything
-    together though one alone explains little.
+    Each effect is judged at the end together with the others: two effects may explain the whole
+    mismatch together although one alone explains little.
 
     Args:
         views: Recordings.
@@ -249,8 +249,8 @@ def _final_effects(
     progress: Progress,
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Try to remove each effect, then to replace it by its rivals; return the final fit and
-    rounds.
+    """Try to remove each effect, then to replace each remaining effect by its rivals; return the
+    final fit and the selection rounds.
     """
     (baseline, before), views, unit = fits, case.views, case.unit
     joint, rounds = with_needed_effects(views, unit, baseline, before, rounds, steps)

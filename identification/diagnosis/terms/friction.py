@@ -151,7 +151,7 @@ def _initial_friction(view: View, nominal: Nominal) -> float:
     A resting joint is held by its presliding stiffness, with up to its static friction in either
     direction; no recording shows this initial friction. The friction at the start is therefore
     taken from the measured torque. The contribution of the initial friction decays with the first
-    slip, so that this one value cannot account for any other mismatch.
+    slip, so that the initial friction cannot account for any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]

@@ -123,8 +123,8 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
 
 
 def main_equation(found: Search) -> Equation:
-    """Return the equation in which the final model reduces the mismatch most; the torque equation
-    if there is no reduction.
+    """Return the equation in which the corrected model reduces the mismatch most; the torque
+    equation if there is no reduction.
     """
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
@@ -256,8 +256,8 @@ def little_unseen(found: Search) -> bool:
 
 
 def _needing(final: Joint, k: int, rows: slice) -> float:
-    """Return the mean-square mismatch, over that of the noise, that the final model leaves in some
-    rows without the contribution of effect ``k``.
+    """Return the mean-square mismatch, over that of the noise, that the corrected model leaves in
+    some rows without the contribution of effect ``k``.
     """
     effect, stack = final.effects[k], final.stack
     columns = stack.whitened(stack.columns(effect.term, effect.shape))

@@ -118,8 +118,8 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment with the same direction that has most samples in common with
-    these bounds, or None if no segment has half of the samples in common.
+    """Return the curve of the segment in the given direction that has most samples in common with
+    the segment of these bounds, or None if no segment has half of the samples in common.
     """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:

@@ -277,9 +277,9 @@ class World:
     def host_law(self) -> tuple[float, float]:
         """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
 
-        A position loop needs an angle error to overcome the static friction. With a loop of 1 Hz
-        this error is a third of the amplitude of the smallest motion; it is inversely proportional
-        to the gain, which the rate of the host limits.
+        A position loop needs an angle error to overcome the static friction. This angle error is
+        inversely proportional to the gain, and is a third of the amplitude of the smallest motion
+        with a loop of 1 Hz. The rate of the host limits the gain.
         """
         drive, J = self.drive, self.constants.J
         if drive.kind == "torque":
