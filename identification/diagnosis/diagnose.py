@@ -176,8 +176,8 @@ class _Outcome(NamedTuple):
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
     """Search, validate and judge. While the verdict is outside the catalogue, search again without
-    the dropped effects, because these effects may have hidden others. At last, fit the effects that
-    had no score; such an effect must explain nearly all of the mismatch.
+    the dropped effects, because these effects may have hidden others. If no search succeeds, fit
+    the effects that had no score; such an effect must explain nearly all of the mismatch.
 
     The first outcome counts if no further search ends with another verdict.
     """
@@ -211,7 +211,7 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
 
 
 def _begin(progress: Progress | None) -> Progress:
-    """Release the cached signals of the last diagnosis; return the function that reports progress."""
+    """Release the cached signals of the last diagnosis; return the progress function."""
     forget()
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
@@ -320,7 +320,7 @@ def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tup
 
 
 def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
-    """Return each identifiable nominal parameter in the nominal model and in the corrected model."""
+    """Return each identifiable nominal parameter of the nominal and of the corrected model."""
 
     def value(joint: Joint, name: str) -> float | None:
         return float(joint.nominal.values[name]) if identifiable(joint, name) else None

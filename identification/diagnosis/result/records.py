@@ -196,7 +196,7 @@ class Diagnosis:
         fits: Errors of every equation that the recordings allow.
         parameters: Nominal parameters of the corrected model, name to value.
         parameter_shift: Nominal parameters before and after.
-        p_value: p-value of the test whether anything is missing.
+        p_value: p-value of the test whether physics is missing.
         location: Location of the greatest mismatch, identified or not.
         curve: The empirical curve of an outside_catalogue verdict.
         maps: Maps of the mismatch for the report.

@@ -1,4 +1,4 @@
-"""Tests whether anything is missing from a fit: by the size of the mismatch and by sign flips of
+"""Tests whether physics is missing from a fit: by the size of the mismatch and by sign flips of
 whole blocks.
 """
 

@@ -175,7 +175,8 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
 
 
 def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
-    """Return the sum of squares that each group explains.
+    """Return the sum of squares that each group (one effect at one set of trial parameters)
+    explains.
 
     The sum is 0 if the group is collinear with the selected groups, or a coefficient has an
     unphysical sign.

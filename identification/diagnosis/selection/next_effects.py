@@ -59,7 +59,7 @@ def finalist_groups(
         joint: Fit with the effects so far.
         terms: Terms of the candidates, by name.
         ranked: The best candidate of each effect, best first.
-        missing: Function from an equation's name to whether anything is missing in it.
+        missing: Function from an equation's name to whether physics is missing in it.
     """
     if not joint.effects:
         yield _finalists(ranked)

@@ -58,8 +58,8 @@ class Search:
         baseline: Fit of the nominal model alone.
         final: Fit with every kept effect.
         rounds: Selection step of each kept effect.
-        p_value: p-value of the test whether anything is missing.
-        p_after: p-value of the test whether anything more is missing.
+        p_value: p-value of the test whether physics is missing.
+        p_after: p-value of the test whether further physics is missing.
         loudest: Generic family or effect with the least p-value at the end.
         steps: Steps of the search.
         unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
@@ -111,7 +111,7 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Test:
-    """Result of a test whether anything is missing.
+    """Result of a test whether physics is missing.
 
     Attributes:
         trials: Effects of the catalogue at trial parameters.
@@ -183,7 +183,7 @@ def search(
 def _missing_test(
     joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator
 ) -> _Test:
-    """Test whether anything is missing, by size and by sign flips.
+    """Test whether physics is missing, by size and by sign flips.
 
     Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
     full amplitude from row to row are tested in any case, because they count as noise.

@@ -156,7 +156,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
 
 @recent
 def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Array:
-    """Return the lead of :func:`lead`; the nominal model is None if no weight turns with the joint."""
+    """Return :func:`lead`; ``nominal`` may be None if no weight turns with the joint."""
     motor = view.drive_angle
     through = _through(view, nominal, motor, gap, rotor)
     middle = through(len(motor), 0.0)

@@ -16,7 +16,7 @@ from identification.diagnosis.verdict.hysteretic import is_hysteretic
 
 @dataclass(frozen=True)
 class Excess:
-    """Power of an equation's whitened mismatch per row, by the nominal and by the corrected model."""
+    """Power of an equation's whitened mismatch per row, by nominal and corrected model."""
 
     equation: str
     before: float

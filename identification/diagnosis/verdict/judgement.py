@@ -274,7 +274,7 @@ def confidence_of(
     Args:
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
-        incomplete: Whether more is missing than the effects explain.
+        incomplete: Whether more physics is missing than the effects explain.
         before: Mean-square mismatch of that equation over that of the noise, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.

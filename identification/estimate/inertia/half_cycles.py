@@ -101,7 +101,7 @@ def replicated_segments(
 
 
 def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
-    """Return the segments of a replicate by recording: row of the table, and curve."""
+    """Return the segments of a replicate by recording: row in the table of segments, and curve."""
     point, slopes = replicate.point, replicate.sensitivities
     curves = np.column_stack([slopes.parameters, slopes.own])
     out, row = [], 0
