@@ -310,7 +310,8 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Stage a joint torque that the drive adds to the torque of its controller, from the next
         exchange until the value is changed.
 
-        The drive must be prepared for the offset, which is zero while the drive is not operating.
+        The drive must be prepared for the offset. While the drive is not operating, the offset is
+        zero.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or has no such input.

@@ -144,7 +144,7 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 
 
 def hot_fire_words(stage: str, simulated: bool) -> str:
-    """Return the message before a hot firing, whose prompt asks for an empty lever."""
+    """Return the message before a hot firing; the prompt of the firing asks for an empty lever."""
     lights = (
         "is lit by this program"
         if simulated

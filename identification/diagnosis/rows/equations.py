@@ -226,7 +226,7 @@ def between_samples(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the least possible noise of an equation's rows, which is the rounding error."""
+    """Return the least possible noise of an equation's rows, that is, their rounding error."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least

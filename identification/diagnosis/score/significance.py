@@ -49,9 +49,10 @@ def sign_flip_p_value(
     """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
     blocks.
 
-    The same flips are used for all candidates, which accounts for their number and correlation. A
-    candidate that explains less than ``least`` of the noise is irrelevant even if significant: it
-    is omitted from the observed statistics, but not from the statistics under flips.
+    All candidates are flipped together, which accounts for the number and the correlation of the
+    candidates. A candidate that explains less than ``least`` of the noise is irrelevant even if
+    significant: it is omitted from the observed statistics, but not from the statistics under
+    flips.
     """
     if not candidates:
         return 1.0

@@ -145,8 +145,8 @@ def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Sha
 
 @recent
 def _initial_friction(view: View, nominal: Nominal) -> float:
-    """Return the friction at the start of a recording, N m, which balances the drive's torque at
-    rest.
+    """Return the friction that balances the drive's torque at rest at the start of a recording, N
+    m.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
     direction; no recording shows this initial friction. The friction at the start is therefore

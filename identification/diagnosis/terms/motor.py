@@ -116,8 +116,8 @@ def _waves(context: Context) -> Sequence[Shape]:
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the trial parameters of :func:`_waves` without one cycle per turn of the joint, which
-    is a weight imbalance.
+    """Return the trial parameters of :func:`_waves` except one cycle per turn of the joint, because
+    a wave of one cycle per turn is an imbalance of weight.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]

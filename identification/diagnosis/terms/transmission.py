@@ -289,8 +289,8 @@ def on_the_joint(terms: Iterable[Term]) -> list[Term]:
     """Return the effects for torques computed from the joint encoder. A delay of this encoder also
     delays the friction in the torque.
 
-    If the friction were not delayed, the torque would lead the delayed angles, which would look
-    like a lag of the current.
+    If the friction were not delayed, the torque would lead the delayed angles, as with a lag of the
+    current.
     """
     return [
         replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)

@@ -162,8 +162,8 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
-    A rival that replaced an effect is last in the fit, but has the place of the replaced effect in
-    this list.
+    A rival that replaced an effect is the last effect of the fit, but has the place of the replaced
+    effect in the returned list.
 
     Args:
         found: The search.

@@ -108,8 +108,8 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return the injected effects in the time of a recording, which begins after the machine has
-    settled under power.
+    """Return the injected effects with times counted from the start of a recording; a recording
+    begins after the machine has settled under power.
 
     The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
     """

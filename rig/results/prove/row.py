@@ -158,7 +158,7 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the errors on unused recordings, and the reduction of this error as a share of the
-    largest possible reduction, which is from the error before the diagnosis to the noise floor.
+    largest possible reduction, that from the error before the diagnosis to the noise floor.
 
     On unused recordings the error of a model does not fall below the noise floor, except by chance.
     """
