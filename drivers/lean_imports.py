@@ -35,7 +35,9 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module with another loader, or None for every other module."""
+        """Return the spec of python-can's module for MDF files with another loader, or None for
+        every other module.
+        """
         if fullname != _MODULE or _LIBRARY in sys.modules:
             return None
         spec = PathFinder.find_spec(fullname, path, target)

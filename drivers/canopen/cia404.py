@@ -113,8 +113,8 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return the unit of an integer process value in Pa, or None if the unit is not a unit of
-    pressure.
+    """Return how many Pa one count of an integer process value is, or None if its unit is no unit
+    of pressure.
 
     Args:
         code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.

@@ -108,7 +108,7 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def latches(self) -> bool:
-        """The values of an exchange are read one after another."""
+        """False: the values of an exchange are read one after another."""
         return False
 
     @property

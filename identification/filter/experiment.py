@@ -188,8 +188,8 @@ class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
     A filter keeps the results of the last run over whole segments and of the last derivatives,
-    because searches begin and end where the last run was. Results are read-only copies. A filter is
-    not thread-safe.
+    because a search begins and ends at the point of the last run. Results are read-only copies. A
+    filter is not thread-safe.
 
     Args:
         experiment: The recordings.

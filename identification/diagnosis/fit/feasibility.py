@@ -64,6 +64,6 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
 
 def is_infeasible(predicted: float, attained: float) -> bool:
     """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch, and the
-    noise, by `infeasible`.
+    noise, by the factor `infeasible`.
     """
     return attained > RULES.infeasible * max(predicted, 1.0)

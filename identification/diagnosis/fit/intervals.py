@@ -107,8 +107,8 @@ def _approximation_error(name: str, value: float) -> float:
 
 
 def identifiable(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
-    (half its rise; for a Stribeck speed, 0.5 in the logarithm).
+    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value (for
+    a static level, half its rise; for a Stribeck speed, 0.5 in the logarithm).
     """
     nominal = joint.nominal
     torque = next(e for e in joint.equations if e.name == "torque")

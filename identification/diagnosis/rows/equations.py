@@ -378,7 +378,7 @@ def _change(view: View) -> Array:
 
     A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
     channel is declared as averaged, a log states neither when a cycle begins nor how long it is;
-    the time is therefore a parameter of the voltage equation.
+    the delay of the voltage is therefore a parameter of the voltage equation.
     """
     assert view.voltage is not None
     if "voltage" in view.recording.averaged:

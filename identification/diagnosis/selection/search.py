@@ -345,8 +345,8 @@ def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
 
 
 def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
-    """Return the fit with a candidate that starts from these nonlinear parameters, and the selected
-    effects.
+    """Return the fit with the selected effects and a candidate, whose fit starts from the given
+    nonlinear parameters.
     """
     baseline, joint = fits
     added = Added(

@@ -124,7 +124,7 @@ def _cycles(context: Context) -> Sequence[Shape]:
 
 
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
-    """Return the torque of the current in excess of the current that would be needed without
+    """Return the torque of that part of the current which exceeds the current needed without
     saturation.
 
     The torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2), which cannot exceed

@@ -296,8 +296,8 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the samples resolve the load Stribeck speed: whether it is above a share of
-    the speed that the joint gains within one period by the fall of load friction.
+    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed is
+    above a share of the speed that the joint gains within one period by the fall of load friction.
     """
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))

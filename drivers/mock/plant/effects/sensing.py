@@ -39,8 +39,8 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Sample the joint encoder, and return the charge (A s) of this period as the logged mean
-    current contains it.
+    """Sample the joint encoder, and return the charge (A s) that the logged mean current of this
+    period states.
     """
     x[LOOP] += 1.0
     at = int(x[LOOP]) & (HISTORY - 1)

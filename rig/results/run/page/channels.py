@@ -200,8 +200,8 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return the values less the value at the latest start, and the value at the latest start;
-    ``before`` is the value at the last start before the block.
+    """Return the values less their value at the latest start, and that value for the last sample;
+    ``starts`` marks the starts, and ``before`` is the value at the last start before the block.
     """
     if math.isnan(before):
         before = float(values[0])
