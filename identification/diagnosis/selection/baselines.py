@@ -264,7 +264,9 @@ def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array
 
 
 def _stays(group: Group, gram: Array, coefficients: Array, threshold: float) -> bool:
-    """Whether a group contributes at least the threshold, with physical signs."""
+    """Whether the contribution of a group is at least the threshold of the sparse regression, with
+    coefficients of physical sign.
+    """
     own = coefficients[group.columns]
     power = float(own @ gram[group.columns, group.columns] @ own)
     return power >= threshold**2 and all(own[k] > 0.0 for k in group.positive)
