@@ -94,7 +94,8 @@ class Homes:
     """Homing of a drive; the methods of this class are those of a drive that cannot home."""
 
     def homing_offer(self) -> HomingOffer:
-        """Return whether the drive can home, from its description and from reads. Writes nothing.
+        """Return whether the drive can home, from its description and from objects that it reads.
+        Writes nothing.
 
         Raises:
             LinkError: The drive cannot be reached.

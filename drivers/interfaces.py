@@ -224,7 +224,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
-        """Return the resolution of those limits, or None if it is not known. Nothing is sent."""
+        """Return the resolution of the held limits, or None if not known. Nothing is sent."""
         return None
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
@@ -308,7 +308,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Stage a joint torque that the drive adds to the torque of its controller, from the next
         exchange until the value is changed.
 
-        The drive must be prepared for the offset, which is zero while the drive is not operating.
+        The drive must be prepared for the offset; while it is not operating, the offset is zero.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or has no such input.

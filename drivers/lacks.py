@@ -1,5 +1,5 @@
-"""Lists limits that a drive does not enforce and values that it does not report; only this program
-checks these limits, if anything does.
+"""Defines the record of the limits that a drive does not enforce and of the values that it does not
+report; only this program checks these limits, if anything does.
 """
 
 from __future__ import annotations

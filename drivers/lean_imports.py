@@ -17,7 +17,7 @@ _MODULE, _LIBRARY = "can.io.mf4", "asammdf"
 
 
 def install() -> None:
-    """Hide asammdf from python-can's module for MDF files, which python-can allows to be absent."""
+    """Hide asammdf from python-can's module for MDF files; python-can works without asammdf."""
     sys.meta_path.insert(0, _Finder())
 
 
@@ -35,7 +35,9 @@ class _Finder(MetaPathFinder):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the module with another loader, or None for every other module."""
+        """Return the spec of python-can's module for MDF files with another loader, or None for
+        every other module.
+        """
         if fullname != _MODULE or _LIBRARY in sys.modules:
             return None
         spec = PathFinder.find_spec(fullname, path, target)
@@ -46,7 +48,7 @@ class _Finder(MetaPathFinder):
 
 class _Loader(SourceFileLoader):
     def exec_module(self, module: ModuleType) -> None:
-        """Run the module while the library cannot be imported."""
+        """Run the module of python-can while asammdf cannot be imported."""
         sys.modules[_LIBRARY] = None  # type: ignore[assignment]
         try:
             super().exec_module(module)

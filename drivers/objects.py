@@ -178,7 +178,7 @@ class ProcessChannel(ObjectAccess, Protocol):
 
         Raises:
             ConfigurationError: The device lacks an object, or another device on the link has
-            another cycle.
+                another cycle.
             ObjectAccessError: The device refuses the mapping.
             LinkError: No answer.
         """

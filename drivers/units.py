@@ -104,12 +104,12 @@ class ServoScales:
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
                 raise ConfigurationError(
-                    f"{name} is {value}, must be positive: correct the bench file"
+                    f"{name} is {value}; it must be positive: correct the bench file"
                 )
         for name in ("sign", "current_sign"):
             if getattr(self, name) not in (1, -1):
                 raise ConfigurationError(
-                    f"{name} is {getattr(self, name)}, must be 1 or -1: correct the bench file"
+                    f"{name} is {getattr(self, name)}; it must be 1 or -1: correct the bench file"
                 )
 
     @cached_property
@@ -269,12 +269,12 @@ class EncoderScales:
         """
         if self.counts_per_turn <= 0:
             raise ConfigurationError(
-                f"counts_per_turn is {self.counts_per_turn}, must be positive: correct the bench "
-                "file"
+                f"counts_per_turn is {self.counts_per_turn}; it must be positive: correct the "
+                "bench file"
             )
         if self.sign not in (1, -1):
             raise ConfigurationError(
-                f"sign is {self.sign}, must be 1 or -1: correct the bench file"
+                f"sign is {self.sign}; it must be 1 or -1: correct the bench file"
             )
 
     @cached_property

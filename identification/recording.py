@@ -138,7 +138,7 @@ class Controller:
 
     Attributes:
         output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque``
-        (N m at the joint).
+            (N m at the joint).
         position_gain: kp, output per rad.
         velocity_gain: kv, output per rad/s.
         limit: Greatest magnitude of the output, or None if it is not limited.

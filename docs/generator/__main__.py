@@ -48,8 +48,8 @@ Units are SI after `scale` and `offset`. On a linear bench read m for rad, N for
 m^2."""
 _TRUTH = """\
 The truth of one sealed rig: `sealed/NAME.yaml` or `sealed/NAME.json` beside `NAME/campaign.yaml`.
-`rig prove --seal` writes such folders, and `rig prove --from` judges folders from any simulator.
-The [guide](../guides/worlds.md) shows their use.
+`rig prove --seal` writes folders of sealed rigs, and `rig prove --from` judges folders from any
+simulator. The [guide](../guides/worlds.md) shows their use.
 
 A file with `truth: 1` alone states that the rig has no effect."""
 _FAULTS = """\

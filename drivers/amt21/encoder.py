@@ -79,8 +79,8 @@ class PlausibilityGate:
     def start(self, value: int, period_s: float, near: int = 0) -> None:
         """Start from a trusted position: of all turns, the turn nearest to ``near`` is taken.
 
-        The joint is assumed at rest until the next position, which may differ by the motion of one
-        period.
+        The joint is assumed at rest until the next position; that position may differ by the motion
+        of one period.
         """
         self.position = nearest(value, COUNTS_PER_TURN, near)
         self._seen_ns = None
@@ -158,7 +158,7 @@ class Amt21Encoder(Encoder):
         return self._angle(nearest(value, COUNTS_PER_TURN, self._scales.middle))
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield answers that do not agree at rest.
+        """Yield an error if the answers of the encoder at rest do not agree.
 
         Raises:
             LinkError: No encoder answers.

@@ -52,8 +52,8 @@ class Homing(Motion):
         self.started = False
 
     def reset(self) -> None:
-        """Clear the start of the homing as well, because switching the drive on must never start a
-        homing.
+        """Clear the state of the motion, with the start of the homing, because switching the drive
+        on must never start a homing.
         """
         super().reset()
         self.started = False

@@ -157,7 +157,7 @@ class Cia402Servo(HomingServo):
         self._motion.take_limits(limits)
 
     def readings(self) -> ServoReadings:
-        """Read each value by SDO; A value that the drive does not have is NaN."""
+        """Read each value by SDO. A value that the drive does not have is NaN."""
         return read_once(self._channel, self._scales, self._sent)
 
     def fault(self) -> DriveFault:

@@ -44,7 +44,7 @@ class Cia404Transmitter(PressureTransmitter):
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h); The result is NaN if the transmitter refuses the read or
+        """Read the process value (9130h). The result is NaN if the transmitter refuses the read or
         marks the pressure as invalid.
         """
         try:
@@ -113,8 +113,8 @@ class Cia404Transmitter(PressureTransmitter):
 
 
 def unit_of(code: int, digits: int) -> float | None:
-    """Return the unit of an integer process value in Pa, or None if the unit is not a unit of
-    pressure.
+    """Return how many Pa one count of an integer process value is, or None if its unit is no unit
+    of pressure.
 
     Args:
         code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.

@@ -204,7 +204,7 @@ class _Reader:
         except ValueError:
             raise ValueError(
                 f"{self._eds}:{section.place(key)}: {key} of section [{section.name}] is "
-                f"{text!r}, must be a number such as 0x0007"
+                f"{text!r}; it must be a number such as 0x0007"
             ) from None
 
     def _limit(self, section: Section, key: str, variable: ODVariable) -> int | None:

@@ -1,8 +1,8 @@
 """Divides the text of an EDS or DCF file (CiA 306) into sections with names, values and lines.
 
 Makers' files differ from CiA 306 in ways that change no object: local encodings, a byte order mark,
-text before the first section, repeated sections and keys. This module reads files as the Windows
-functions for such files do, which most tools use: upper and lower case of names are equal, and of
+text before the first section, repeated sections and keys. This module reads files as most tools do,
+that is, as the Windows functions for such files: upper and lower case of names are equal, and of
 two values with one name the first counts.
 """
 

@@ -263,8 +263,8 @@ class _HostLoop(Motion):
         return self._units(speed, torque)
 
     def _speed(self, seen: Observed, torque_N_m: float) -> float:
-        """Return the joint speed from the change of the position, which does not depend on the unit
-        of the drive's speed. If the resolution of this speed would cause too much torque, the
+        """Return the joint speed from the change of the position; this speed does not depend on the
+        unit of the drive's speed. If the resolution of this speed would cause too much torque, the
         drive's own speed is returned.
         """
         then, before = self._passed[0] if self._passed else (0, 0.0)

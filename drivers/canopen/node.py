@@ -89,7 +89,7 @@ class CanopenNode:
 
     @property
     def latches(self) -> bool:
-        """The values of an exchange are sampled at the SYNC."""
+        """True: the values of an exchange are all sampled at the SYNC."""
         return True
 
     @property
@@ -107,7 +107,7 @@ class CanopenNode:
 
         Raises:
             ConfigurationError: The EDS has no such object, or the device answers with another
-            length.
+                length.
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """

@@ -124,8 +124,8 @@ def settings(scales: ServoScales, factor: float) -> tuple[tuple[str, str | float
 
 
 def nearest_factor(scales: ServoScales, factor: float, spread: float) -> float:
-    """Return the factor of the named unit nearest to a rough factor if their ratio is within
-    ``spread``, else the nearest power of ten; the present unit is excluded.
+    """Return the factor of the named unit nearest to a rough factor if the ratio of the two factors
+    is within ``spread``, else the nearest power of ten; the present unit is excluded.
     """
     if factor <= 0.0:
         return factor

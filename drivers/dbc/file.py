@@ -224,7 +224,7 @@ def _layout(message: Message, fault: str) -> Layout:
 
 
 def _period_s(cycle_time_ms: object) -> float | None:
-    """Return a cycle time; The result is None if the attribute is not a number, which ``cantools``
+    """Return a cycle time. The result is None if the attribute is not a number, which ``cantools``
     does not check.
     """
     if not isinstance(cycle_time_ms, int | float) or not cycle_time_ms > 0:

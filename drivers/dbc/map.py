@@ -3,7 +3,7 @@
 The bench file contains the map.
 
 Signals are named ``Message.Signal`` as in the DBC. The units are those of the DBC, with its factor
-and offset applied; ``scale`` and ``sign`` convert them to SI. After this conversion position,
+and offset applied; ``scale`` and ``sign`` convert the values to SI. After this conversion position,
 velocity, torque and target refer to the motor.
 """
 

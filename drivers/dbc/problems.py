@@ -44,7 +44,7 @@ class Names:
         self.problems.append((place, text))
 
     def layout(self, place: Place, message: str) -> Layout | None:
-        """Return a message; If the message is unknown or cannot be used, a problem is reported and
+        """Return a message. If the message is unknown or cannot be used, a problem is reported and
         the result is None.
         """
         layout = self.layouts.get(message)
@@ -70,7 +70,7 @@ class Names:
         return None if layout is None or found is None else (layout, found)
 
     def part(self, place: Place, layout: Layout, name: str) -> Signal | None:
-        """Return a signal of a message; If the message has no signal of this name, a problem is
+        """Return a signal of a message. If the message has no signal of this name, a problem is
         reported and the result is None.
         """
         signal = layout.signals.get(name)

@@ -101,7 +101,7 @@ class DbcServo(Servo):
         return state
 
     def _told(self) -> ServoState:
-        """Return the state after the next fault code, which may arrive later than the state."""
+        """Return the state after the next fault code; a code may arrive later than the state."""
         self._feedback.fault_code(again=True)
         return self.state()
 

@@ -72,7 +72,7 @@ class BoundQuantity:
 
     @cached_property
     def read(self) -> Callable[[bytes], float]:
-        """Function that returns the quantity of a frame, SI."""
+        """Function that returns the value of the quantity in a frame, in SI units."""
         return self.signal.reader(self.gain, self.bias)
 
     def bits(self, value: float) -> int:

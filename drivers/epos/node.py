@@ -108,7 +108,7 @@ class EposSerialNode(ObjectAccess):
 
     @property
     def latches(self) -> bool:
-        """The values of an exchange are read one after another."""
+        """False: the values of an exchange are read one after another."""
         return False
 
     @property
@@ -140,7 +140,7 @@ class EposSerialNode(ObjectAccess):
 
         Raises:
             ConfigurationError: Another device has a different cycle time, or an object is not in
-            the EDS or no integer.
+                the EDS or no integer.
             ObjectAccessError: The device refuses one.
             LinkError: No answer.
         """

@@ -68,9 +68,7 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def break_stuffing(self, from_host: bool | None, count: int) -> None:
-        """Insert a byte 90h that is not doubled after opcode and length, which violates the byte
-        stuffing.
-        """
+        """Insert a single byte 90h after opcode and length; the byte stuffing requires two."""
         self._add(
             from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:]
         )

@@ -31,8 +31,8 @@ def advanced(series: Array, time: Array, time_s: float) -> Array:
 
 
 def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
-    """Return Dahl friction, which reverses over a small travel: dF = k (1 - F sgn(dtheta) / level)
-    dtheta, N m, shape (n,).
+    """Return Dahl friction, a friction that reverses over a small travel: dF = k (1 - F sgn(dtheta)
+    / level) dtheta, N m, shape (n,).
 
     ``start`` is the friction at the first sample.
     """

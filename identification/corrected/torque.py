@@ -178,7 +178,7 @@ def end_stop(
 
 
 def load_exponent(s: Any, m: Any, exponent: float) -> Array:
-    """Load friction proportional to F_P^p, with the nominal value at 3000 N."""
+    """Load friction proportional to F_P^p, equal to the nominal load friction at 3000 N."""
     force = np.maximum(s["moment"] / m["L1"], 1e-9)
     return np.asarray(load_torque(s, m) * ((force / 3000.0) ** (exponent - 1.0) - 1.0))
 

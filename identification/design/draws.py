@@ -100,7 +100,9 @@ class Draws:
         return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
 
     def _away(self, number: int, speed: float, seconds: float) -> Excitation:
-        """Return ramps at a speed, of the wanted length as far as angle and time allow."""
+        """Return ramps at this speed with the wanted duration, as far as the range of the angle and
+        the time of the stage allow.
+        """
         slot = self.slot - self.frames[number].pause
         longest = min(
             _RAMP_TIMES[1], self._reach / speed, 0.25 * slot

@@ -71,8 +71,8 @@ class Excitation:
 
 @dataclass(frozen=True)
 class Frame:
-    """A present stage: whether it is loaded, its excitation, its total time, s, and a function that
-    renders an excitation as joint angles.
+    """A stage of the given sequence: whether the stage is loaded, its excitation, its total time,
+    s, and a function that renders an excitation as joint angles.
 
     ``pause`` is the time of the stage without its excitation, s.
     """

@@ -178,10 +178,9 @@ def likelihood_slope(point: Point) -> float:
 
     Where noise decides whether the joint stops or moves on, the errors of the linearised filter
     have a nonzero mean. Values other than the simulated values are then far likelier, and the
-    information of such a stage is wrong. Steepness is the squared slope of the log likelihood in
-    the parameters, in the metric of their information, over their number: chi-squared, about 1
-    under noise alone. The inertia is excluded from the steepness, because it is not estimated by
-    likelihood.
+    information of such a stage is wrong. With the slope g of the log likelihood and the information
+    I of p parameters, the steepness is g' I^-1 g / p, which is about 1 if noise alone causes the
+    slope. The inertia is excluded from the steepness, because it is not estimated by likelihood.
     """
     x, count = point.origin(), len(point.free)
     errors, deviations = point.predictions(x)
@@ -196,9 +195,7 @@ def likelihood_slope(point: Point) -> float:
 
 
 def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
-    """Return the squared norm of the scores of the unknowns at ``places``, in the metric of their
-    information.
-    """
+    """Return g' I^-1 g for the scores g and the information I of the unknowns at ``places``."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
 

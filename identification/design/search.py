@@ -165,8 +165,8 @@ class Search:
         return Draws(self.frames, self.bounds, stribeck, self._total / self._room, self.rng)
 
     def changed(self, count: int) -> list[Part]:
-        """Return small changes of excitations that have a share; none if a kind of stage has no
-        excitation.
+        """Return small changes of the excitations that have a share of the time; none if a kind of
+        stage has no excitation.
         """
         if not self.complete:
             return []
@@ -270,7 +270,7 @@ class Search:
         removal worsens the merit least.
 
         Selections range from the greatest to the least possible number of stages. Each excitation
-        gets at least its least time.
+        gets at least the shortest time that it may have.
         """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
@@ -300,7 +300,9 @@ class Search:
         return self.merit(intervals_of(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
-        """Return the least share of the time of each candidate, its pause included, shape (n,)."""
+        """Return the smallest share of the time that each candidate may have, with the pause of its
+        stage, shape (n,).
+        """
         shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
         least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
         return np.asarray(least / max(self._total, float(np.sum(least))))

@@ -27,7 +27,7 @@ _FLOOR = 1e-12
 def best_shares(
     rates: Sequence[Information], target: str, loaded: bool, least: Array | None = None
 ) -> Array:
-    """Return each excitation's share of the time, shape (n,); they sum to 1.
+    """Return each excitation's share of the time, shape (n,); the shares sum to 1.
 
     Args:
         rates: Information of each excitation per second.

@@ -61,7 +61,7 @@ class PlannedModel:
     sensors, and the greatest torque, N m.
 
     ``loop`` is the drive loop known from recordings, or None if it is assumed from the inertia.
-    ``stiffness`` multiplies its velocity gain.
+    ``stiffness`` multiplies the velocity gain of this loop.
     """
 
     values: Mapping[str, float]

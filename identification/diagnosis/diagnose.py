@@ -175,9 +175,9 @@ class _Outcome(NamedTuple):
 
 
 def _searches(task: _Task, terms: Sequence[Term]) -> _Outcome:
-    """Search, validate and judge. While the verdict is outside the catalogue, search again: without
-    dropped effects, because they may have hidden other effects, and then with fits of effects that
-    had no score, which must explain nearly all of the mismatch.
+    """Search, validate and judge. While the verdict is outside the catalogue, search again without
+    the dropped effects, because these effects may have hidden others. If no search succeeds, fit
+    the effects that had no score; such an effect must explain nearly all of the mismatch.
 
     The first outcome counts if no further search ends with another verdict.
     """
@@ -211,7 +211,7 @@ def _outcome(task: _Task, terms: Sequence[Term], thorough: bool = False) -> _Out
 
 
 def _begin(progress: Progress | None) -> Progress:
-    """Release the series of the last diagnosis; return the function that reports progress."""
+    """Release the cached signals of the last diagnosis; return the progress function."""
     forget()
     report: Progress = progress or (lambda _stage, _share: None)
     report("nominal model", 0.0)
@@ -225,8 +225,8 @@ def _with_estimate(
     estimated: tuple[Mapping[str, float | None], tuple[str, ...]],
     shift: Mapping[str, Shift],
 ) -> tuple[Search, dict[str, Shift], tuple[str, ...]]:
-    """Return a search that found nothing with the nominal model at estimated values, these values
-    before and after the correction, and the estimator's warnings.
+    """Return a search without identified effects, with the nominal model at estimated values; the
+    nominal parameters before and after this replacement; and the estimator's warnings.
     """
     values, warnings = estimated
     given = {n: v for n, v in values.items() if v is not None}
@@ -280,7 +280,8 @@ def _search_sides(
     task: _Task, terms: Sequence[Term], thorough: bool
 ) -> tuple[tuple[View, ...], Search, bool]:
     """Search for effects on the motor's side and, with a flexible transmission, again on the
-    valve's side. Where the valve hardly moves, the search on the motor's side goes on instead.
+    valve's side. If the valve hardly moves, the search on the valve's side is replaced by a longer
+    search on the motor's side.
 
     Returns:
         Views of the last search, its result, and whether the transmission is flexible.
@@ -319,7 +320,7 @@ def _validation_views(dataset: Dataset, bandwidth: float, flexible: bool) -> tup
 
 
 def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
-    """Return each nominal parameter before and after the correction, if it is identifiable."""
+    """Return each identifiable nominal parameter of the nominal and of the corrected model."""
 
     def value(joint: Joint, name: str) -> float | None:
         return float(joint.nominal.values[name]) if identifiable(joint, name) else None
@@ -333,7 +334,7 @@ def _shifts(found: Search, final: Joint, units: Mapping[str, str]) -> dict[str, 
 def _fits(
     baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float, drawn: Maps
 ) -> tuple[Fit, tuple[Fit, ...]]:
-    """Return the errors of the equation that is drawn first, and of all equations."""
+    """Return the errors of the equation that the report shows first, and of all equations."""
     held_before, held_after = (
         validation_rms(baseline, aside, unit),
         validation_rms(final, aside, unit),

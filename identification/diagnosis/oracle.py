@@ -50,7 +50,7 @@ class HeldOut:
 def oracle(
     dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float
 ) -> HeldOut | None:
-    """Fit the effects of these names and score them on the recordings set aside.
+    """Fit the effects with the given names, and score the fit on the recordings set aside.
 
     Args:
         dataset: Dataset of the diagnosis.

@@ -9,9 +9,10 @@ from identification.numerics.compiled import compiled
 
 
 def bounded(slopes: Array, ties: Array, scale: Array, bound: Array) -> tuple[Array, Array]:
-    """Return slopes of innovations, shape (r - m, d), and of ties, shape (m, d), over the scale of
-    their row, limited to a bound for each column, zero where undefined: the columns of the
-    parameters, shape (r, d - 1), and that of the breakaway time, shape (r,).
+    """Return the slopes of innovations, shape (r - m, d), and of ties, shape (m, d), divided by the
+    scale of their row and limited to a bound for each column; undefined slopes become zero. The
+    result has the columns of the parameters, shape (r, d - 1), and the column of the breakaway
+    time, shape (r,).
     """
     parameters, own = np.empty((len(scale), len(bound) - 1)), np.empty(len(scale))
     cut = len(slopes)

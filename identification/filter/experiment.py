@@ -114,7 +114,9 @@ class Experiment:
 
     @cached_property
     def owners(self) -> NDArray[np.int64]:
-        """Number of the segment of every residual, over all recordings, ties last, shape (r,)."""
+        """Number of the segment of every residual, over all recordings, with the ties last, shape
+        (r,).
+        """
         inside = np.repeat(np.arange(self.breakaways), self.lengths)
         return np.concatenate([inside, np.arange(self.breakaways)])
 
@@ -186,8 +188,8 @@ class Filter:
     """Runs the Kalman filter over all recordings of an experiment; the filter owns its buffers.
 
     A filter keeps the results of the last run over whole segments and of the last derivatives,
-    because searches begin and end where the last run was. Results are read-only copies. A filter is
-    not thread-safe.
+    because a search begins and ends at the point of the last run. Results are read-only copies. A
+    filter is not thread-safe.
 
     Args:
         experiment: The recordings.
@@ -295,8 +297,8 @@ class Filter:
 
 
 def _shared(lineup: Lineup, work: Callable[[Lineup], None], most: int) -> None:
-    """Do the work on all segments; a half of it in the second thread, if that is free and there are
-    more than ``most`` segments, so that it saves time.
+    """Do the work on all segments; if the second thread is free and there are more than ``most``
+    segments, that thread does half of the work.
     """
     if len(lineup.order) > most and idle():
         one, other = lineup.halves

@@ -150,10 +150,10 @@ def compare(t: Array, wide: int) -> None:
 def _corrected(t: Array, wide: int) -> None:
     """Correct lanes by their readings (M19); the speed keeps its sign.
 
-    The share of the period since the breakaway makes the result a smooth function of the breakaway
-    time. It is zero at rest, where a reading improves the angle alone (M20): an error of a variance
-    that is a part of the reading's noise is the same in all readings at rest, and further readings
-    reduce only the remaining variance.
+    The share of the period that lies after the breakaway weights the reading, so that the result is
+    a smooth function of the breakaway time. This share is zero at rest, where a reading improves
+    the angle alone (M20): a part of the error of a reading is the same in all readings at rest, and
+    further readings reduce only the variance of the other part.
     """
     for lane in range(wide):
         error, variance, side = t[L_ERROR + lane], t[L_VARIANCE + lane], t[L_SIDE + lane]

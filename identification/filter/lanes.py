@@ -83,7 +83,7 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
 
     At rest friction balances every backward torque, so that noise moves the joint forward only. The
     speed of the joint is a random walk that is reflected at zero, under the drift ``rise`` t /
-    ``inertia`` (``rise`` in N m/s), which passes zero when the torque reaches the static limit.
+    ``inertia`` (``rise`` in N m/s). The time t is zero when the torque reaches the static limit.
     Walk and drift are of equal size after the time (noise^2 period / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
@@ -93,7 +93,7 @@ def slip_variance(noise: float, period: float, rise: float, inertia: float) -> f
 
 @inlined
 def whole(active: int) -> int:
-    """Return the number of lanes to compute for so many ``active`` ones."""
+    """Return the number of lanes to compute for this number of ``active`` lanes."""
     return (active + AT_ONCE - 1) // AT_ONCE * AT_ONCE
 
 

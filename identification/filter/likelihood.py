@@ -116,7 +116,7 @@ class Point:
         return float(self.vector[ALPHA])
 
     def freeing(self, free: Sequence[int]) -> Point:
-        """Return the same point with other free parameters."""
+        """Return a copy of the point with other free parameters."""
         return replace(self, free=tuple(free))
 
     def at(self, vector: Array) -> Point:

@@ -198,8 +198,8 @@ def step(d: Array, seed: Array, g: Array, t: Array, wide: int) -> None:
 
 @compiled
 def step_hidden(d: Array, g: Array, t: Array, wide: int) -> None:
-    """Step the tangents of the correlated torque noise in one direction, after :func:`step`;
-    arguments as there.
+    """Step the tangents of the correlated torque noise in one direction, after :func:`step`; the
+    arguments are those of :func:`step`.
     """
     for k in range(wide):
         p13, p23, p33 = t[L_P13 + k], t[L_P23 + k], t[L_P33 + k]

@@ -2,14 +2,12 @@
 
 A host that sends a torque with every cycle can close a position loop around the joint: K (commanded
 - measured angle) + D (commanded - measured speed). For a bare inertia J and a delay tau from
-measurement to effect, the open loop is L(s) = (K + D s) exp(-tau s) / (J s^2). With
-
-    K = J omega^2 sin(delta),    D = J omega cos(delta)
-
-its gain is exactly one at omega, and its phase margin is 90 deg - delta - omega tau. The crossover
-omega is chosen where the delay costs 45 deg, and delta is 10 deg; the phase margin is then 35 deg
-and the gain margin 5.6 dB. The drive's own loops and viscous friction increase the phase margin;
-the lag of a current loop reduces the phase margin (by 6 deg at 0.26 ms and 1 kHz).
+  measurement to effect, the open loop is L(s) = (K + D s) exp(-tau s) / (J s^2). With K = J omega^2
+  sin(delta), D = J omega cos(delta) the gain of the open loop is exactly one at omega, and the
+  phase margin is 90 deg - delta - omega tau. The crossover omega is chosen where the delay costs 45
+  deg, and delta is 10 deg; the phase margin is then 35 deg and the gain margin 5.6 dB. The drive's
+  own loops and viscous friction increase the phase margin; the lag of a current loop reduces the
+  phase margin (by 6 deg at 0.26 ms and 1 kHz).
 """
 
 from __future__ import annotations

@@ -98,8 +98,8 @@ def static_friction(moment: float, p: Array) -> float:
 
 @inlined
 def law(p: Array, alpha: float) -> Law:
-    """Return the parameters of the friction law as numbers, which a compiled loop keeps at hand; a
-    constant ``alpha`` makes the powers of the loop multiplications.
+    """Return the parameters of the friction law as numbers, which a compiled loop keeps at hand; if
+    ``alpha`` is a constant, the compiler replaces the powers in the loop by multiplications.
     """
     return p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[8], p[9], p[10], p[11], alpha
 

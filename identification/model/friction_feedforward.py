@@ -61,16 +61,17 @@ def feedforward(
     """Return the feed-forward torque of a commanded motion at the joint by eq. 15: friction,
     working load and inertia.
 
-    Where friction falls faster than damping compensates, a share of friction's rise toward rest and
-    :func:`pulses` replace the static friction. The whole static friction as feed-forward torque
-    would accelerate a joint that has broken away.
+    At speeds where friction falls with speed more steeply than the damping of
+    :mod:`~identification.model.feedback` can stabilise, the static friction is replaced by a share
+    of the rise from Coulomb to static friction, plus :func:`pulses`. The whole static friction as
+    feed-forward torque would accelerate a joint that has broken away.
 
     Args:
         angle: Commanded joint angles, rad, one per period, shape (n,); each is reached at the end
             of its period.
         period: s.
         parameters: ``Mc``, ``Ms``, ``omega_sf``, ``sigma_2``, ``J`` and, under load, the four of
-        eq. 12; SI.
+            eq. 12; SI.
         alpha: Stribeck exponent.
         moment: Contact moment F_P L1, N m.
 

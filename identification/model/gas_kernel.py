@@ -59,8 +59,8 @@ _LONGEST = 0.25
 def rates(
     y: float, w: float, z: float, t: float, area: float, c: Array, e: Array
 ) -> tuple[float, float, float]:
-    """Return the derivatives of ln p, w and ln s at ``t`` s of burning with an effective throat of
-    ``area`` m^2.
+    """Return the time derivatives of ln p, w and ln s at ``t`` s of burning with an effective
+    throat of ``area`` m^2.
     """
     root = math.exp(0.5 * z) if z != 0.0 else 1.0
     s = root * root

@@ -39,7 +39,7 @@ NOMINAL = "stribeck"
 
 
 def rises(rung: str) -> bool:
-    """Return whether the friction of a rung rises toward rest, with a Stribeck speed."""
+    """Return whether a rung has static friction above Coulomb friction and a Stribeck speed."""
     return "Ms" in LADDER[rung]
 
 

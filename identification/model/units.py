@@ -60,7 +60,7 @@ def parameter_unit(motion: str, name: str, unit: str, amperes: bool = False) -> 
 
 
 def parameter_title(motion: str, name: str) -> str:
-    """Return the displayed name of an effect's parameter, which ends with the unit of the bench.
+    """Return the displayed name of an effect's parameter; the name ends with the unit of the bench.
 
     Result files keep the name for a rotary bench.
     """

@@ -80,7 +80,7 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
     Args:
         angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric,
-        within +-pi/2.
+            within +-pi/2.
         geometry: Dimensions.
     """
     angle = np.abs(angle)

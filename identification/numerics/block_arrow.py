@@ -144,8 +144,8 @@ class BlockArrow:
         return out
 
     def _products(self, weight: Array | None, other: BlockArrow) -> Array:
-        """Return the weighted sum over each block of the products of its rows, own unknown last,
-        shape (m, p + 1, p + 1).
+        """Return the weighted sum over each block of the products of the elements of its rows, with
+        the block's own unknown last, shape (m, p + 1, p + 1).
         """
         weight = np.ones(len(self.own)) if weight is None else weight
         size, width = self.parameters.shape[1] + 1, other.parameters.shape[1] + 1
@@ -177,7 +177,8 @@ def _add_products(
     owners: NDArray[np.int64],
     out: Array,
 ) -> None:
-    """Add the products of each row's elements, own unknown last, to those of its block.
+    """Add the products of the elements of each row, with the block's own unknown last, to the sums
+    of the row's block.
 
     Args:
         left: Shape (r, p).

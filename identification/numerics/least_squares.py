@@ -18,10 +18,10 @@ LEAST_LENGTH = 1e-140
 def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     """Return the least-squares coefficients of columns, shape (n, k), for a target, shape (n,).
 
-    Well-conditioned columns use the normal equations with one step of iterative refinement, which
-    are as exact as a singular value decomposition and take a tenth of its time. Other columns use
-    the singular value decomposition, without the singular values below ``rcond`` times the
-    greatest.
+    For well-conditioned columns the normal equations are solved with one step of iterative
+    refinement; this is as exact as a singular value decomposition and takes a tenth of its time.
+    Other columns use the singular value decomposition, without the singular values below ``rcond``
+    times the greatest.
     """
     inner = columns.T @ columns
     length = np.sqrt(np.diag(inner))

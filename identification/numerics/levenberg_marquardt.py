@@ -184,8 +184,8 @@ def _descend(
     settled: Callable[[float, float], bool],
     most_steps: int,
 ) -> tuple[Minimum, float]:
-    """Take damped steps until ``settled`` returns true; return the end and the gain of the last
-    step.
+    """Take damped steps until ``settled`` returns true; return the end point and the decrease of
+    the cost in the last step.
 
     Args:
         evaluate: Function of x that returns its cost and the data that ``linearise`` needs at x.

@@ -1,6 +1,6 @@
 """Low-pass filter without phase: a fourth-order Butterworth filter, forwards and backwards.
 
-scipy.signal gives the same; its import takes a fifth of the time of all imports.
+scipy.signal has an equal filter, but its import takes a fifth of the time of all imports.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def forwards_and_backwards(filters: Array, values: Array, padding: int) -> Array
     """Return values filtered forwards and backwards, shape (n,).
 
     The values are continued at both ends by their reflection in the end point, and each pass starts
-    in the steady state of its first value (Gustafsson, IEEE Trans. Signal Process. 44 (1996) 988,
-    describes the alternatives).
+    in the steady state of its first value (alternatives: Gustafsson, IEEE Transactions on Signal
+    Processing 44 (1996) 988).
 
     Args:
         filters: Second-order sections of unit gain at rest, shape (k, 6).

@@ -25,7 +25,8 @@ THREAD = "second thread of the kernels"
 def _second(_process: int) -> tuple[ThreadPoolExecutor, Lock]:
     """Return the second thread of a process, and the lock of the caller that uses the thread.
 
-    The process is an argument because a forked process has no thread but its first.
+    The process is an argument, so that a forked process, which inherits no thread but its first,
+    gets a new second thread.
     """
     return ThreadPoolExecutor(1, thread_name_prefix=THREAD), Lock()
 

@@ -42,8 +42,8 @@ _DRAWN = {
 
 
 def errors(fits: Sequence[Fit]) -> Figure:
-    """Draw the error of each equation over its noise floor, before and after the correction, on the
-    fitted recordings and on the recordings set aside.
+    """Draw the error of each equation over its noise floor, of the nominal and of the corrected
+    model, on the fitted recordings and on the recordings set aside.
 
     Args:
         fits: Errors of each equation, at least one with a noise floor.
@@ -87,7 +87,7 @@ def errors(fits: Sequence[Fit]) -> Figure:
 
 def maps(shown: Sequence[Map]) -> Figure:
     """Draw the mismatch against each coordinate, the coordinate with the largest share first: the
-    mean with its simultaneous band before the correction, and the mean after the correction.
+    mean with its simultaneous band by the nominal model, and the mean by the corrected model.
 
     Args:
         shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
@@ -111,8 +111,8 @@ def maps(shown: Sequence[Map]) -> Figure:
 
 
 def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
-    """Draw the mismatch of one recording in time, before and after the correction, with the noise
-    floor as a band.
+    """Draw the mismatch of one recording in time, by the nominal and by the corrected model, with
+    the noise floor as a band.
 
     Args:
         one: The recording.

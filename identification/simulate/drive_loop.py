@@ -1,10 +1,10 @@
 """Estimates the drive's loop from recordings (M33).
 
-A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e
-from its target. The logged command reaches the loop some cycles late: the whole number of cycles is
-searched, and the command and its derivatives are regressors for the remaining fraction of a cycle.
-Encoder steps and the loop's own delay would lower Kv, so the regression uses means over a few
-samples, with the joint's angle at the delay that fits best.
+At the distance e of the joint from its target, a position P and velocity PI loop commands the
+torque Kv (e' + (Kp + Ki) e + Kp Ki int e). The logged command reaches the loop some cycles late:
+the whole number of cycles is searched, and the command and its derivatives are regressors for the
+remaining fraction of a cycle. Encoder steps and the loop's own delay would lower Kv, so the
+regression uses means over a few samples, with the joint's angle at the delay that fits best.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the drive loop; The result is None if the recordings lack the signals of the loop, or
+    """Return the drive loop. The result is None if the recordings lack the signals of the loop, or
     if the loop does not fit the recordings.
 
     Args:

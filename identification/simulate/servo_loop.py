@@ -1,7 +1,7 @@
 """Simulates the nominal model, a joint with set-valued friction, in the position loop of a drive.
 
-The simulation is used for planned experiments, and the replicates by which the bias of an estimate
-is measured (M33 to M36). This simulation shares no code with the simulated bench.
+The simulation is used for planned experiments, and for the simulated replicates by which the bias
+of an estimate is measured (M33 to M36). This simulation shares no code with the simulated bench.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def conclude(
     """Check the mass labels, inform the operator, write the run page, and return the exit status.
 
     The outcome has been shown and recorded before, so that no failure in this function can hide the
-    outcome. Messages are shown before the page is drawn, which may be slow or fail.
+    outcome. Messages are shown before the page is drawn, because the drawing may be slow or fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.

@@ -293,8 +293,8 @@ def _require_still(home: HomeRequest, begun: Sample, sample: Sample) -> None:
     if home.in_place and not abs(moved) <= MOVED_DEG:
         raise WrongError(
             f"the joint moved by {moved:.3g} deg in a homing without motion (method "
-            f"{home.method}), must be at most {MOVED_DEG:g} deg; check the drive's gains, and "
-            "this method in the drive's manual"
+            f"{home.method}); it may move by at most {MOVED_DEG:g} deg: check the drive's gains, "
+            "and this method in the drive's manual"
         )
 
 
@@ -318,8 +318,9 @@ def _judge(setup: Setup, home: HomeRequest, home_rad: float, drive: float, joint
                 (change,),
             )
         raise WrongError(
-            f"{found}, must be {math.degrees(home_rad):.4g} deg within {math.degrees(near):.2g} "
-            f"deg: look in the manual of the drive for the meaning of 607Ch. {UNSET}"
+            f"{found}; it must show {math.degrees(home_rad):.4g} deg within "
+            f"{math.degrees(near):.2g} deg: look in the manual of the drive for the "
+            f"meaning of 607Ch. {UNSET}"
         )
     limit = max(near, math.radians(setup.bench.limits.encoder_disagreement_deg))
     if not abs(joint - drive) <= limit:

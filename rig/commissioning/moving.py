@@ -55,8 +55,8 @@ def hold(setup: Setup, step: StepRecord) -> None:
     for moved, when in ((held, "held under power"), (fallen, "without power")):
         if abs(moved) > DRIFT_DEG:
             raise WrongError(
-                f"the joint moved by {moved:.3g} deg {when}, must be at most {DRIFT_DEG:g} deg: "
-                f"check gains, brake and balance"
+                f"the joint moved by {moved:.3g} deg {when}; it may move by at most "
+                f"{DRIFT_DEG:g} deg: check gains, brake and balance"
             )
     step.words = "the joint stands still, with power and without"
 

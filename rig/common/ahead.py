@@ -12,7 +12,7 @@ from threading import Thread
 def imported_ahead(module: str) -> Iterator[None]:
     """Import a module in a thread during the block; compiled kernels leave the interpreter free.
 
-    An error is left to the import that follows.
+    An error of this import is not raised; the later import statement raises it again.
     """
 
     def load() -> None:

@@ -5,9 +5,9 @@ file open ends, however that happens; a suspended process keeps the lock, and so
 inherits the descriptor. The content of the file names the holder. The content is used only for
 messages, so that damaged content does no harm.
 
-The lock files of benches remain; such a file is empty while no program holds the lock. The file in
-a run folder is removed by its holder; a process that locks this file then checks that the name
-still refers to the locked file.
+The lock files of benches remain; such a file is empty while no program holds the lock. The lock
+file of a run folder is removed by its holder; a process that locks this file then checks that the
+name still refers to the locked file.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def hold_bench(
     Args:
         name: Name of the bench.
         resources: Its parts; see :func:`rig.wiring.resources.resources`. If empty, nothing is
-        locked.
+            locked.
         command: The locking command, such as ``rig run``.
         folder: Folder of the lock files; :data:`LOCK_FOLDER` by default.
 

@@ -50,7 +50,9 @@ def _installed() -> Mapping[str, str]:
 
 
 def git_commit(root: Path) -> str | None:
-    """Return the commit checked out at ``root``, or None outside a plain git work tree."""
+    """Return the commit that is checked out at ``root``, or None if ``root`` is no plain git work
+    tree.
+    """
     head = _text(root / ".git" / "HEAD")
     if head is None or not head.startswith("ref: "):
         return head

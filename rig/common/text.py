@@ -1,6 +1,6 @@
 """Converts text from the command line and from file names to valid Unicode for files.
 
-Python represents bytes that its locale cannot decode by lone surrogates, e.g. the umlaut of
+Python represents bytes that its locale cannot decode by lone surrogates, for example the umlaut of
 "Jürgen" in a C locale. UTF-8 cannot encode these surrogates, and strict JSON readers refuse them.
 """
 

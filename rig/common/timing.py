@@ -61,7 +61,7 @@ class Timing:
     Attributes:
         lateness: Lateness of cycle starts; by the real clock for a simulated bench in real time.
         answer: Time from a cycle's start until its sample was received: the sample's age at its
-        check.
+            check.
         missed_syncs: Cycles skipped because an earlier one was more than a period late.
         lost_servo: Cycles in which the drive's answer was missing or bad.
         lost_encoder: Cycles in which the joint encoder's answer was missing or bad.

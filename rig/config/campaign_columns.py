@@ -46,7 +46,7 @@ class ReadSection(Schema):
         return (self.dbc,) if isinstance(self.dbc, str) else self.dbc or ()
 
     def beside(self, folder: Path) -> ReadSection:
-        """Return these options with the names of files relative to a folder."""
+        """Return a copy of the options in which the names of files are relative to a folder."""
         named = tuple(str(folder / stored_path(name)) for name in self.dbc_files)
         bench = self.bench
         if bench is not None and Path(bench).suffix:

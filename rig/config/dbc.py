@@ -175,7 +175,7 @@ class DbcServoSection(Schema):
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
     """Return the path of the drive's DBC file; ``path`` is that of the bench file.
 
-    The simulated drive has its own DBC file.
+    A simulated drive has a packaged DBC file.
     """
     if section.file is not None:
         return path.parent / section.file

@@ -294,7 +294,7 @@ def _refused(status: int, words: str) -> Response:
 
 
 def _json(content: Mapping[str, Any], status: int = 200) -> Response:
-    """Return an answer in ASCII, which can also encode text that is not valid Unicode."""
+    """Return an answer as JSON in ASCII; its escapes also encode text that is not valid Unicode."""
     return Response(json.dumps(content), status, media_type="application/json")
 
 

@@ -1,4 +1,4 @@
-"""Channels that the page shows, with their units of display."""
+"""Channels that the page of the console shows, with their units of display."""
 
 from __future__ import annotations
 

@@ -110,7 +110,9 @@ class _Level:
         self._high = np.full((channels, _ROOM), np.nan)
 
     def add(self, numbers: np.ndarray[tuple[int, ...], np.dtype[np.int64]], values: Array) -> None:
-        """Merge samples into the intervals of these numbers, which do not decrease."""
+        """Merge samples into intervals; the numbers of the intervals, one per sample, must not
+        decrease.
+        """
         starts = np.flatnonzero(np.diff(numbers, prepend=numbers[0] - 1))
         held = numbers[starts]
         low = np.fmin.reduceat(values, starts, axis=1)

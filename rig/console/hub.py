@@ -110,8 +110,8 @@ class Hub:
         return kept
 
     def follow_up(self, page: Page, folder: Path) -> None:
-        """Let a page show the run that was started or continued from it in a folder, once the run
-        is found.
+        """Let a page show the run that it has started or continued in ``folder``, as soon as this
+        run is found.
         """
         page.run, page.started, page.before = None, folder, self._found
 

@@ -46,10 +46,10 @@ class Choice:
 
     @classmethod
     def of(cls, given: Mapping[str, Any]) -> Choice:
-        """Read a choice from a query or a message.
+        """Return the choice of recorded runs that a query or a message of a page states.
 
         Raises:
-            ValueError: It is none.
+            ValueError: The values are no choice.
         """
         bench, last = given.get("bench", ""), given.get("last", SHOWN)
         last = int(last) if isinstance(last, str) and len(last) < 10 else last

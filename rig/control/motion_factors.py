@@ -1,8 +1,8 @@
 """Ratios between the reports of a drive and of a joint encoder in a motion: of speed, travel, work
 and torque constant.
 
-Pure functions of the samples. Where possible, work along the path is compared, because noise
-averages out in the work and the part of the inertia cancels.
+Pure functions of the samples. Where possible, the work along the path is compared, because noise
+averages out in the work, and the work of the inertia cancels.
 """
 
 from __future__ import annotations

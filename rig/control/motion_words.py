@@ -98,8 +98,8 @@ def wrong_speed(
     few counts show the factor, and ``other`` is a second possible factor.
     """
     words = (
-        f"the speed that the drive reports is {factor:.4g} times the change of its position, must "
-        f"be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
+        f"the speed that the drive reports is {factor:.4g} times the change of its position; it "
+        f"must be {SPEED_BAND[0]:g} to {SPEED_BAND[1]:g} times: {servo.speed_remedy(factor)}"
     )
     if other is not None:
         words += f"; or it is {other:.4g} times: {servo.speed_remedy(other)}"
@@ -165,7 +165,7 @@ def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradictio
     change = Change("machine", "torque_constant_N_m_A", float(f"{constant:.4g}"))
     words = (
         f"by {source} the motor gives {constant:.4g} N m/A, the bench file says {stated:.4g}: "
-        f"{factor:.3g} times that, must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g} times: set "
+        f"the ratio is {factor:.3g}; it must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g}: set "
         f"{change}, or correct the rated values"
     )
     return Contradiction(CONSTANT, factor, words, (change,))

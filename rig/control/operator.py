@@ -135,8 +135,8 @@ class AutomaticOperator:
             self._control.tell(words)
 
     def result(self, words: str, good: bool) -> None:
-        """Show how a run ended: on stdout if the ending is good, otherwise on stderr; also to
-        programs that watch the run.
+        """Show how a run ended: on stdout if the ending is good, otherwise on stderr. Programs that
+        watch the run get the message too.
         """
         if self._control is not None:
             self._control.ended(words, good)

@@ -297,7 +297,7 @@ def fault_injector(
     sequence: Document[Sequence],
     patience_s: float | None = None,
 ) -> FaultInjector:
-    """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
+    """Read a schedule for a run on a simulated bench; the run waits ``patience_s`` for answers.
 
     Raises:
         InputError: The schedule is not valid, or the bench is real.

@@ -112,7 +112,9 @@ class Scene:
         ACTIONS[row.target, row.fault](self, row)
 
     def line(self, device: str) -> LineFaults:
-        """Return the fault injector of a serial line, which exists once the host has its driver."""
+        """Return the fault injector of a serial line; the injector exists as soon as the host has
+        the driver of the line.
+        """
         if device not in self._lines:
             assert isinstance(self.bench, SimulatedBench)
             self._lines[device] = LineFaults(self.bench.lines[device], self.clock)

@@ -129,7 +129,7 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
 
 
 def gas_limits(bench: Bench) -> GasLimits | None:
-    """Return the limits on the gas generator; The result is None on a bench without a pressure
+    """Return the limits on the gas generator. The result is None on a bench without a pressure
     transmitter.
     """
     generator, limit_MPa = nominal_generator(bench), bench.limits.pressure_MPa
@@ -144,7 +144,7 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 
 
 def hot_fire_words(stage: str, simulated: bool) -> str:
-    """Return the message before a hot firing, whose prompt asks for an empty lever."""
+    """Return the message before a hot firing; the prompt of the firing asks for an empty lever."""
     lights = (
         "is lit by this program"
         if simulated

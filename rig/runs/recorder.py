@@ -1,5 +1,5 @@
-"""Writes samples, events and raw frames of a run into an MCAP recording, from which a killed writer
-loses only the last data.
+"""Writes samples, events and raw frames of a run into an MCAP recording; if the writer is killed,
+only the last data are lost.
 """
 
 from __future__ import annotations

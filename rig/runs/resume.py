@@ -55,7 +55,7 @@ def prepare(folder: Path) -> Resumption:
 
     Raises:
         InputError: There is nothing left to do, or the bench or sequence file is gone or was
-        changed since.
+            changed since.
         OSError: The folder cannot be written.
     """
     recovery = mend(folder)

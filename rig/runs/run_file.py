@@ -93,8 +93,8 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete a record of an older version, which lacks hot firings, further recordings or stage
-    ends.
+    """Complete a record of an older version; such a record lacks hot firings, further recordings or
+    stage ends.
     """
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}

@@ -81,7 +81,7 @@ def unknown_format(path: Path) -> str:
 
 def _is_hdf5(path: Path) -> bool:
     """Return whether a MATLAB file is of version 7.3. A file that cannot be opened counts as
-    another version, whose reader reports the error.
+    another version; the reader of the other versions then reports the error.
     """
     try:
         return is_hdf5(path)

@@ -77,8 +77,8 @@ def _grid(time: Array) -> tuple[Array, Rows] | None:
 
 
 def _with_neighbours(index: Rows, time: Array) -> Rows:
-    """Return the rows whose two neighbours on either side are one period apart and have different
-    stamps.
+    """Return the rows that have two neighbours on either side, each one period from the next, with
+    different stamps.
     """
     consecutive = (np.diff(index) == 1) & (np.diff(time) > 0.0)
     runs = consecutive[:-3] & consecutive[1:-2] & consecutive[2:-1] & consecutive[3:]

@@ -1,15 +1,13 @@
 """The stop and pause buttons of a run: the signals that a terminal, a shell or another program
 sends.
 
-| signal | sent by | what it does |
-|---|---|---|
-| SIGINT | Ctrl-C | ends the run: brake, power off, read back |
-| SIGTERM | `kill`, shutdown of the computer | the same |
-| SIGHUP | a terminal that is closed, an ssh that drops | the same; ignored under `nohup` |
-| SIGTSTP | Ctrl-Z | the same: a program that is suspended can't watch a drive |
-| SIGQUIT | Ctrl-backslash | the same, without waiting for the end of the ramp |
-| SIGTTOU | writing from the background | ignored, as it would suspend the program |
-| SIGUSR1 | `kill -USR1` | pauses at the end of the stage, and takes that back |
+| signal | sent by | what it does | |---|---|---| | SIGINT | Ctrl-C | ends the run: brake, power
+off, read back | | SIGTERM | `kill`, shutdown of the computer | the same | | SIGHUP | a terminal
+that is closed, an ssh that drops | the same; ignored under `nohup` | | SIGTSTP | Ctrl-Z | the same:
+a program that is suspended can't watch a drive | | SIGQUIT | Ctrl-backslash | the same, without
+waiting for the end of the ramp | | SIGTTOU | writing from the background | ignored, as it would
+suspend the program | | SIGUSR1 | `kill -USR1` | pauses at the end of the stage; a second one
+cancels the pause |
 
 A second signal while the drive brakes takes the power off at once. Further ones change nothing. The
 stop button is a stop function in software, not an emergency stop.

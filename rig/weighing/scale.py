@@ -26,8 +26,8 @@ class Scale:
         self._seen: dict[str, LoadedLevel] = {}
 
     def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
-        """Check the weight of a stage by the friction of its first pass; only right and unchecked
-        levels are stored.
+        """Check the weight of a stage by the friction of its first pass; only the levels of weights
+        that are right or unchecked are stored.
         """
         if level is None:
             text = (

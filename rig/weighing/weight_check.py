@@ -187,8 +187,8 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
     """Return the mass at which the straight lines through other stages' levels give the measured
     work, and its standard error.
 
-    None if there are no such lines. The standard error follows from the scatter over speeds, which
-    includes the inertia's exchange of work between speeds and the slope of friction.
+    None if there are no such lines. The standard error follows from the scatter over speeds; this
+    scatter includes the inertia's exchange of work between speeds, and the slope of friction.
 
     Each speed bin has its own line, fitted by least squares to the stages with that bin. The weight
     of a bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the

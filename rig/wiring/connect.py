@@ -194,7 +194,7 @@ def _wire(
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
-    """Return link and drive on a serial line; also the simulated bench of a simulated drive, or the
+    """Return link and drive on a serial line, with the simulated bench of a simulated drive or the
     guard of a real drive.
     """
     bench = document.value

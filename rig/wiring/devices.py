@@ -43,12 +43,12 @@ class Devices:
         encoder: The joint encoder.
         hang: Function that puts a mass in kg on a simulated lever, or None if a person does.
         pacer: Real clock that slows simulated time to real time; None to run on the link's clock
-        alone.
+            alone.
         observer: Called with stage name and phase at the start of every phase.
         pressure: The transmitter on the gas generator's chamber, or None if there is none.
         ignite: Function that ignites a simulated gas generator, or None if a person does.
         guard: Process that stops a drive without a watchdog when this program dies, or None if
-        there is none.
+            there is none.
         lock: Lock that keeps other programs off the bench, or None for a simulated bench.
         nominal: Constants of the bench file that motions are held against, or None for none.
     """

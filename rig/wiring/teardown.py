@@ -124,7 +124,7 @@ def make_safe(
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
         hurry: Whether the operator has asked again: then the power goes off without waiting for the
-        end of the ramp.
+            end of the ramp.
         watched: Whether the drive de-energises itself once it is no longer commanded.
 
     Returns:

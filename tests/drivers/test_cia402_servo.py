@@ -45,7 +45,7 @@ class Drive:
 
     Attributes:
         log: What was written, insisted on, staged, mapped, watched and exchanged, with the time of
-        each exchange.
+            each exchange.
         follows: Whether controlwords change its state.
         loses: Exchange, counted from 1, to what goes wrong in it.
     """

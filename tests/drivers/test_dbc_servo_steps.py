@@ -61,7 +61,7 @@ class Bench:
 
     Attributes:
         log: What was ordered, commanded, sent, aimed at, awaited, pumped and exchanged, with the
-        time of each exchange.
+            time of each exchange.
         follows: Whether orders change the drive's state.
         loses: Exchange, counted from 1, to what happens in it.
         silent: Messages that do not come.

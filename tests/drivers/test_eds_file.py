@@ -234,9 +234,9 @@ def test_what_makers_write_beside_the_objects_does_no_harm(tmp_path: Path, text:
     ("line", "instead", "words"),
     [
         ("DataType=0x0006", "", r"section \[6040\] has no DataType"),
-        ("DataType=0x0006", "DataType=", "DataType of section .* is '', must be a number"),
-        ("DataType=0x0006", "DataType=word", "DataType of section .* is 'word', must be a"),
-        ("PDOMapping=1", "PDOMapping=yes", "PDOMapping of section .* is 'yes', must be a number"),
+        ("DataType=0x0006", "DataType=", "DataType of section .* is ''; it must be a number"),
+        ("DataType=0x0006", "DataType=word", "DataType of section .* is 'word'; it must be a"),
+        ("PDOMapping=1", "PDOMapping=yes", "PDOMapping of section .* is 'yes'; it must be a"),
     ],
 )
 def test_a_fault_is_told_with_file_and_line_where_its_object_is_needed(

@@ -59,7 +59,7 @@ class Account:
         heard_ns: When bytes came in from the host program.
         angles: Joint angle in deg, 20 times a second: when, and what.
         pauses: Where the bench itself had to wait for this computer: until when, and for how long,
-        ns.
+            ns.
         speed: Of the joint now, rad/s.
     """
 

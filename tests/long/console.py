@@ -115,7 +115,7 @@ class Console:
 
     Attributes:
         answers: What the operator types at the next prompts for a mass, in order; the last again
-        and again.
+            and again.
         hold: While true, no prompt is answered.
         reading: While false, nothing is read from the terminal.
         notices: What the witness told, in order.

@@ -73,7 +73,7 @@ class Result:
         speed: Of the joint half a second after the kill, rad/s.
         gap_s: How much older the recording's end is than the last cycle.
         pause_s: The longest pause between two cycles after that end: the machine was busy
-        elsewhere.
+            elsewhere.
         phase: Where the recording ended.
         resumed: How ``rig resume`` went; None where it was not tried, empty where it was as it
             should be.

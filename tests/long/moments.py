@@ -64,7 +64,7 @@ class Moment:
         phase: In what phase of the run.
         powered: Whether the drive was under power.
         off_s: When it no longer was, s; for a stalled terminal the longest it was under power
-        without being spoken to.
+            without being spoken to.
         problems: What is not as it must be.
     """
 

@@ -51,7 +51,7 @@ class Verdict:
         total: How many there are.
         slow: How many were ended by their time limit, which counts as noticed.
         living: Those with which all tests pass: first line, words, and whether any test reaches
-        them.
+            them.
         trouble: Why nothing can be said; empty where it can.
         seconds: How long it took.
     """

@@ -49,7 +49,7 @@ class Mutant:
 
     Attributes:
         function: The outermost function it is in: qualified name and first line; None outside of
-        functions.
+            functions.
         first: First line of its statement.
         last: Last line of its statement, without that of statements inside.
         words: Where and what, unique in its module.

@@ -85,7 +85,7 @@ class Must:
         words: What the terminal must show.
         told: Whether there is a terminal and a program left to tell.
         stays_on: Whether nothing can reach the drive, so that it stays on and the operator must
-        switch it off.
+            switch it off.
         record: States of run.json that are true.
     """
 

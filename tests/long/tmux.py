@@ -41,7 +41,7 @@ class Tmux:
 
     Args:
         folder: In which the shell is started; its file of settings and its witness's notices go
-        there.
+            there.
         env: Additions to the environment.
         columns: Of the terminal.
         lines: Of the terminal.

@@ -196,7 +196,8 @@ def test_a_joint_that_moves_where_it_must_not_ends_it(
     monkeypatch.setattr(Homing, "_closed", lambda *_: False)
     ended, record = commissioned("--home", "37")
     assert ended == 1
-    assert "in a homing without motion (method 37), must be at most 0.2 deg" in record["message"]
+    said = "in a homing without motion (method 37); it may move by at most 0.2 deg"
+    assert said in record["message"]
     assert ends_off(record)
 
 
@@ -286,7 +287,7 @@ def test_an_offer_is_said_and_not_taken_by_itself(
     [
         (("--home-angle", "3"), "--home-angle: belongs to a homing"),
         (("--home-time", "3"), "--home-time: belongs to a homing"),
-        (("--home", "17", "--home-angle", "50"), "is 50 deg, must be from -30 to 30 deg"),
+        (("--home", "17", "--home-angle", "50"), "is 50 deg; it must be from -30 to 30 deg"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

@@ -60,7 +60,7 @@ class Process:
 
     Attributes:
         did: Words on its output, on the screen, in the lock, and attempts to stop the drive, in
-        that order.
+            that order.
         waits: For input, s; answered by ``silences``, after which there always is some.
     """
 

@@ -47,8 +47,7 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
     of static over Coulomb friction.
 
     All other parameters in which the torque is linear are free. The friction of real machines at
-    the slowest speeds may require impossible rises, of which the identified effects are not the
-    cause.
+    the slowest speeds may require impossible rises, whatever effects are identified.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
@@ -65,6 +64,6 @@ def with_rises_held(stack: Stack, effects: Sequence[Added]) -> float:
 
 def is_infeasible(predicted: float, attained: float) -> bool:
     """Whether a fit is infeasible: its attained mismatch exceeds the predicted mismatch, and the
-    noise, by `infeasible`.
+    noise, by the factor `infeasible`.
     """
     return attained > RULES.infeasible * max(predicted, 1.0)

@@ -76,8 +76,8 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
 
 
 def undetermined_size(joint: Joint, k: int) -> tuple[str, Estimate] | None:
-    """Return a size of effect ``k`` whose interval contains zero, by name, or None if there is
-    none.
+    """Return name and estimate of a size of effect ``k`` whose interval contains zero, or None if
+    there is none.
 
     Sizes are the parameters that are proportional to the effect's coefficients, or to their
     reciprocal, such as a stiffness.
@@ -107,8 +107,8 @@ def _approximation_error(name: str, value: float) -> float:
 
 
 def identifiable(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value
-    (half its rise; for a Stribeck speed, 0.5 in the logarithm).
+    """Whether a nominal parameter is identifiable: its 90 % half width is below half its value (for
+    a static level, half its rise; for a Stribeck speed, 0.5 in the logarithm).
     """
     nominal = joint.nominal
     torque = next(e for e in joint.equations if e.name == "torque")

@@ -171,8 +171,8 @@ def _closing_steps(views: Sequence[View], unit: str, best: Joint, solved: Soluti
     mismatch.
 
     In such a step, static friction may change by half of its value if hardly any row is slow enough
-    to determine it. If no share of the step lowers the mismatch enough, the step without static
-    friction is tried, since the other nominal parameters are better determined.
+    to determine it. If no fraction of the step lowers the mismatch enough, a step of all nominal
+    parameters but static friction is tried, since these parameters are better determined.
     """
     for _ in range(CLOSING_STEPS):
         predicted, attained = predicted_and_attained(best.stack, best.effects, best.residual)
@@ -253,8 +253,8 @@ def nominal_after_effects(nominal: Nominal, effects: Sequence[Added]) -> Nominal
 
 
 def undeclared_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return the coefficients of the effects' load torque that turns with the joint
-    (:class:`Nominal`).
+    """Return the coefficients of the load torque that the effects add and that turns with the
+    joint, as :class:`Nominal` states them.
     """
     found = {e.term.name: e.coefficients for e in effects}
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))

@@ -326,7 +326,7 @@ class Stack:
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
-    """Return these equations and all equations that ``ties`` connect to them, even indirectly."""
+    """Return these equations and all that the groups ``ties`` connect to them, even indirectly."""
     found, left = set(names), [set(t) for t in ties]
     while joined := [t for t in left if t & found]:
         found = found.union(*joined)

@@ -1,5 +1,5 @@
-"""Refines a fit within the limits of its nominal parameters, and computes the residual of these
-parameters.
+"""Refines a fit within the limits of its nominal parameters, and computes the residual at the
+refined values.
 
 The search compares effects by fits without limits. A machine has no negative friction and no
 negative inertia. The fit within these limits is reported, and scored on recordings that are set
@@ -265,7 +265,7 @@ def _bounded_least_squares(
 
 def _values(nominal: Nominal) -> Array:
     """Return the values that a step changes: the rise for a static level, and 0 for a Stribeck
-    speed, whose logarithm has no zero.
+    speed, because a step changes the logarithm of this speed.
     """
     return np.array(
         [

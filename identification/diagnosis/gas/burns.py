@@ -52,7 +52,7 @@ class Burn:
 
     @property
     def first_pressure(self) -> float:
-        """Mean of the first rows, Pa, the start value of a fit."""
+        """Mean of the first rows, Pa; it is the start value of a fit."""
         return float(np.mean(self.pressure[:_FIRST_ROWS]))
 
     @property

@@ -121,7 +121,7 @@ def _require_fitted(dataset: Dataset) -> None:
 
 
 def _shifts(baseline: Fitted, scored: Fitted) -> dict[str, Shift]:
-    """Return each constant before and after the correction."""
+    """Return each constant in the nominal model and in the corrected model."""
     after = _constants(scored)
     return {
         name: Shift(before, after[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
@@ -269,7 +269,9 @@ def _rms(fitted: Fitted, sigma: float) -> float:
 
 
 def _validated(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
-    """Return a model on recordings set aside; only the start of each recording is fitted."""
+    """Return the prediction of a model for recordings set aside; only the start of each of these
+    recordings is fitted.
+    """
     starts = nominal_model(aside).starts
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 

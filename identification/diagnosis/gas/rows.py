@@ -1,9 +1,9 @@
 """Builds the pressure equation of the gas diagnosis: the pressure mismatch and the regressors of
 every gas effect, with the nominal tangent projected out.
 
-The result has the types that the torque diagnosis uses (``Stack``, ``Candidate``), so that its
-significance tests apply unchanged. There is one row for each sample (mismatch over noise), and one
-for each parameter with a prior (its deviation over its tolerance).
+The result has the types that the torque diagnosis uses (``Stack``, ``Candidate``), so that the
+significance tests of the torque diagnosis apply unchanged. There is one row for each sample
+(mismatch over noise), and one for each parameter with a prior (its deviation over its tolerance).
 """
 
 from __future__ import annotations
@@ -149,8 +149,8 @@ def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[flo
 
 
 def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Candidate]:
-    """Yield generic families: a level for each bin of every coordinate, and of time within each
-    recording.
+    """Yield generic families of regressors: a constant for each bin of every coordinate, and of the
+    time within each recording.
     """
     for name, values in coordinates(burns, fitted):
         grid = edges(values)

@@ -61,7 +61,7 @@ class Rivalry:
 
     @property
     def open(self) -> bool:
-        """Whether these recordings do not reject the rival."""
+        """Whether the recordings do not reject the rival."""
         return self.preference < REJECTED or self.apart < REJECTED
 
 
@@ -84,8 +84,8 @@ class GasSearch:
         final: Fit with every kept effect.
         stack: Stack of the baseline.
         taken: One entry for each kept effect.
-        p_value: p-value of the test whether anything is missing.
-        p_after: p-value of the test whether anything more is missing.
+        p_value: p-value of the test whether physics is missing.
+        p_after: p-value of the test whether further physics is missing.
         steps: Steps of the search.
     """
 
@@ -151,8 +151,8 @@ def _stop(
     stack: Stack,
     p_value: float,
 ) -> Step | None:
-    """Return the step that ends the search before one more effect, or None if the effect is
-    selected.
+    """Return the step that ends the search without a further effect, or None if the best further
+    effect is selected.
 
     Args:
         baseline: Fit of the nominal model alone.
@@ -160,7 +160,7 @@ def _stop(
         tried: Fits with each of the other effects in addition.
         winner: Best of these fits with a plausible size.
         stack: Stack of the baseline.
-        p_value: p-value of the test whether anything more is missing.
+        p_value: p-value of the test whether further physics is missing.
     """
     if winner is None:
         words = "no effect of the catalogue fits with a plausible size"
@@ -191,7 +191,7 @@ def _stop(
 
 @dataclass(frozen=True)
 class _Test:
-    """Result of a test whether anything is missing: p-value, step, and rows with all fitted
+    """Result of a test whether physics is missing: p-value, step, and rows with all fitted
     parameters projected out.
     """
 
@@ -201,7 +201,7 @@ class _Test:
 
 
 def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Generator) -> _Test:
-    """Test whether anything is missing: by shape (sign flips of blocks), by size, and by the
+    """Test whether physics is missing: by shape (sign flips of blocks), by size, and by the
     deviations of valve and sensors; the least p-value counts.
     """
     named = {e.term.name for e in here.model.effects}

@@ -87,8 +87,8 @@ class Effect:
 
 @dataclass(frozen=True)
 class Fit:
-    """Rms errors of one equation before and after correction, at one bandwidth; ``validate_*`` are
-    None without validation recordings.
+    """Rms errors of one equation by the nominal and by the corrected model, at one bandwidth;
+    ``validate_*`` are None without validation recordings.
     """
 
     equation: str
@@ -103,8 +103,8 @@ class Fit:
 
 @dataclass(frozen=True)
 class Shift:
-    """A nominal parameter before and after the correction; a value is None if it is not
-    identifiable.
+    """A nominal parameter in the nominal model and in the corrected model; a value is None if it is
+    not identifiable.
     """
 
     before: float | None
@@ -125,7 +125,7 @@ class Map:
         mean: Mean mismatch in each bin before correction, shape (b,).
         low: Lower band around ``mean``, shape (b,).
         high: Upper band, shape (b,).
-        after: Mean mismatch in each bin after correction, shape (b,).
+        after: Mean mismatch in each bin by the corrected model, shape (b,).
         share: Share of the mismatch's power that the curve explains.
         against_motion: Whether the mismatch was multiplied by the direction of motion, like
             friction.
@@ -196,7 +196,7 @@ class Diagnosis:
         fits: Errors of every equation that the recordings allow.
         parameters: Nominal parameters of the corrected model, name to value.
         parameter_shift: Nominal parameters before and after.
-        p_value: p-value of the test whether anything is missing.
+        p_value: p-value of the test whether physics is missing.
         location: Location of the greatest mismatch, identified or not.
         curve: The empirical curve of an outside_catalogue verdict.
         maps: Maps of the mismatch for the report.

@@ -1,4 +1,6 @@
-"""Finds the start of each recording in running time, from declared starts or time stamps."""
+"""Finds the running time (the time since the machine was started cold) at which each recording
+begins, from declared starts or time stamps.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,7 @@ def one_clock(recordings: Sequence[Recording]) -> bool:
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
-    """Return the start of each recording, s of running time.
+    """Return the running time at which each recording begins, s.
 
     If starts or time stamps follow one another, running time counts from the zero of their clock,
     when the machine was cold, provided that this zero precedes the first recording by no more than

@@ -211,8 +211,8 @@ def between_samples(equation: Equation) -> float:
 
     A loop faster than the log changes its voltage between two samples. Where log and loop are
     locked, the same part of each change is sampled again and again, so that the error depends on
-    the motion and no filter averages it. It is not white noise (:func:`held_voltage`), but the
-    deviation of an instant within a sample times the voltage's change.
+    the motion and no filter averages it. This error is not white noise (:func:`held_voltage`), but
+    the deviation of an instant within a sample times the voltage's change.
     """
     if equation.name != "voltage":
         return 0.0
@@ -226,7 +226,7 @@ def between_samples(equation: Equation) -> float:
 
 
 def least_noise(equation: Equation) -> float:
-    """Return the least possible noise of an equation's rows, which is the rounding error."""
+    """Return the least possible noise of an equation's rows, that is, their rounding error."""
     least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
     if equation.name != "transmission":
         return least
@@ -378,7 +378,7 @@ def _change(view: View) -> Array:
 
     A drive holds its voltage for one cycle, which may be before or after the time stamp. Unless the
     channel is declared as averaged, a log states neither when a cycle begins nor how long it is;
-    the time is therefore a parameter of the voltage equation.
+    the delay of the voltage is therefore a parameter of the voltage equation.
     """
     assert view.voltage is not None
     if "voltage" in view.recording.averaged:

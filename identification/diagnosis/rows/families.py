@@ -1,5 +1,5 @@
-"""Makes generic families of regressors, which detect and locate a mismatch that is in no effect of
-the catalogue.
+"""Makes generic families of regressors, to detect and locate a mismatch that no effect of the
+catalogue explains.
 """
 
 from __future__ import annotations

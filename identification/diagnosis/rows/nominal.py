@@ -94,7 +94,7 @@ class Nominal:
         )
 
     def get(self, name: str) -> float:
-        """Return a value; 0 if the bench has no such parameter."""
+        """Return the value of a nominal parameter; 0 if the bench has no such parameter."""
         return float(self.values.get(name, 0.0))
 
     def level(self, view: View) -> Array:

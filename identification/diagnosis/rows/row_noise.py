@@ -43,7 +43,7 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
 def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
     """Return rows less the strongest sine of each recording.
 
-    A torque at one frequency would count as noise in differences from row to row.
+    In differences from row to row, a torque at one frequency would count as noise.
     """
     out = series.copy()
     for index in np.unique(owner):
@@ -54,7 +54,9 @@ def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
 
 
 def _tone(rows: Array, time: Array) -> Array:
-    """Return the sine that explains most of the rows at these times; some rows may be missing."""
+    """Return the sine that explains the greatest part of the rows, given with their times; rows may
+    be missing between them.
+    """
     step = float(np.min(np.diff(time)))
     place = np.round(time / step).astype(np.int64)
     even = np.zeros(int(place[-1]) + 1)

@@ -373,8 +373,8 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
 
 
 def _encoder_lag(recording: Recording) -> Array | None:
-    """Return the drive side less the joint side at the samples, rad; None without both
-    encoders.
+    """Return the angle of the drive side less that of the joint side at the samples, rad; None
+    without both encoders.
     """
     channels = recording.channels
     if "motor_angle" not in channels or "angle" not in channels:

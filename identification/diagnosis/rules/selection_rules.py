@@ -14,9 +14,8 @@ class SelectionRules:
     """Rules of a diagnosis.
 
     Attributes:
-        level: Significance level of the tests whether anything is missing, or anything more. Basis:
-            alarms at most 1 %; sign flips within blocks of time give the level by construction
-            (D4, D5).
+        level: Significance level of the tests whether (further) physics is missing. Basis: alarms
+            at most 1 %; sign flips within blocks of time give the level by construction (D4, D5).
         tested_from: Ratio of an equation's mean-square mismatch to that of the noise, from which it
             is tested. Basis: some hundred independent rows give the noise's mean square to about a
             tenth (decisions 36, 43).
@@ -84,9 +83,9 @@ class SelectionRules:
         adequate_after_removal: The same share where some effects were dropped as they do not reduce
             the error on unused recordings. Basis: chosen; more than half must be explained.
         nearly_complete: Share of the mismatch's power beyond the noise, below which the remainder
-            is tested for hysteresis, and on recordings set aside more is missing. Basis: simulated
-            trials: right effects explained at least 95.9 %, springs in place of hysteresis 76 to 89
-            %.
+            is tested for hysteresis, and on recordings set aside further physics counts as missing.
+            Basis: simulated trials: right effects explained at least 95.9 %, springs in place of
+            hysteresis 76 to 89 %.
         cancelled: Power of the sum of two contributions over the sum of their powers, below which
             the two cancel each other. Basis: independent contributions have 1 on average; below
             it, equal ones are more than twice their sum.

@@ -103,7 +103,9 @@ def _trials(stack: Stack, context: Context, term: Term) -> Iterator[_Trial]:
 
 
 def _explained(trials: Sequence[_Trial]) -> Array:
-    """Return the share of each trial's span that each other trial's span contains, shape (t, t)."""
+    """Return, for each pair of trial parameters, the share of the span of the first regressors that
+    the span of the second regressors contains, shape (t, t).
+    """
     if not trials:
         return np.zeros((0, 0))
     every = np.concatenate([t.span for t in trials], axis=1)
@@ -115,7 +117,7 @@ def _explained(trials: Sequence[_Trial]) -> Array:
 
 
 def _alike(trials: Sequence[_Trial], explained: Array, own: Sequence[int]) -> dict[str, float]:
-    """Return the effects that explain one effect's regressor at the majority of its trial
+    """Return the effects that explain the regressor of one effect at most of the effect's trial
     parameters.
     """
     found = {}

@@ -1,4 +1,4 @@
-"""Tests whether anything is missing from a fit: by the size of the mismatch and by sign flips of
+"""Tests whether physics is missing from a fit: by the size of the mismatch and by sign flips of
 whole blocks.
 """
 
@@ -49,9 +49,10 @@ def sign_flip_p_value(
     """Return the p-value of the most significant of all relevant candidates, by sign flips of whole
     blocks.
 
-    The same flips are used for all candidates, which accounts for their number and correlation. A
-    candidate that explains less than ``least`` of the noise is irrelevant even if significant: it
-    is omitted from the observed statistics, but not from the statistics under flips.
+    All candidates are flipped together, which accounts for the number and the correlation of the
+    candidates. A candidate that explains less than ``least`` of the noise is irrelevant even if
+    significant: it is omitted from the observed statistics, but not from the statistics under
+    flips.
     """
     if not candidates:
         return 1.0
@@ -115,7 +116,7 @@ def flipped_statistics(candidate: Candidate, flips: Array) -> Array:
 
 def _over_two(score: Array, variance: Array) -> Array:
     """Return the statistic of two-coefficient scores, shape (d, 2), with variances (d, 2, 2); most
-    trial parameters are waves, with two coefficients.
+    candidates are waves, which have two coefficients.
     """
     a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
     x, y = score.T

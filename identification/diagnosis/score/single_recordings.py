@@ -71,8 +71,8 @@ def _rests_of(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
 
 
 def crowded_recordings(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
-    """Return a text for each recording that contains most of the final model's mismatch, with the
-    interval.
+    """Return a text for each recording that contains most of the mismatch of the corrected model,
+    with the interval.
 
     Args:
         traces: Mismatch of the recordings that were fitted.

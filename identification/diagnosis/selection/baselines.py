@@ -175,7 +175,8 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
 
 
 def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
-    """Return the sum of squares that each group explains.
+    """Return the sum of squares that each group (one effect at one set of trial parameters)
+    explains.
 
     The sum is 0 if the group is collinear with the selected groups, or a coefficient has an
     unphysical sign.
@@ -263,7 +264,9 @@ def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array
 
 
 def _stays(group: Group, gram: Array, coefficients: Array, threshold: float) -> bool:
-    """Whether a group contributes at least the threshold, with physical signs."""
+    """Whether the contribution of a group is at least the threshold of the sparse regression, with
+    coefficients of physical sign.
+    """
     own = coefficients[group.columns]
     power = float(own @ gram[group.columns, group.columns] @ own)
     return power >= threshold**2 and all(own[k] > 0.0 for k in group.positive)

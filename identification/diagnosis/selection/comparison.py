@@ -202,7 +202,7 @@ def contains(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
 def one_of_each(
     trials: Sequence[tuple[Candidate, Joint]],
 ) -> tuple[list[Candidate], list[Joint]]:
-    """Return candidates and fits with the best fit of each effect only, in the same order."""
+    """Return the candidates and fits with only the best fit of each effect, in the given order."""
     best: dict[str, tuple[Candidate, Joint]] = {}
     for candidate, joint in trials:
         if candidate.name not in best or joint.cost < best[candidate.name][1].cost:

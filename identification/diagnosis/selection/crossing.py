@@ -113,8 +113,8 @@ def _columns(
 def _quick_acceleration(view: View) -> Array:
     """Return motor acceleration referred to the joint, by differences over few samples, rad/s^2.
 
-    A crossing lasts ten samples, which a filter does not resolve: the acceleration that the filter
-    removes would appear as transmitted torque.
+    A crossing lasts ten samples, and a filter does not resolve so short a time: the acceleration
+    that the filter removes would appear as transmitted torque.
     """
     motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
     padded = np.pad(motor, span, mode="edge")

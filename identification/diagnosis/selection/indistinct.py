@@ -32,8 +32,8 @@ between motor and joint is wound up.
 
 
 def with_indistinct_effects(found: Search, terms: Sequence[Term]) -> Search:
-    """Return a search in which the effects that these recordings cannot distinguish from an
-    identified effect are open rivals.
+    """Return the search with further rivals: effects that these recordings cannot distinguish from
+    an identified effect. Such a rival is open, that is, not rejected.
 
     Args:
         found: The search.

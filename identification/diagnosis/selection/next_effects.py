@@ -59,7 +59,7 @@ def finalist_groups(
         joint: Fit with the effects so far.
         terms: Terms of the candidates, by name.
         ranked: The best candidate of each effect, best first.
-        missing: Function from an equation's name to whether anything is missing in it.
+        missing: Function from an equation's name to whether physics is missing in it.
     """
     if not joint.effects:
         yield _finalists(ranked)
@@ -87,8 +87,8 @@ def _finalists(ranked: Sequence[Candidate]) -> list[Candidate]:
 def unscored(
     joint: Joint, terms: Mapping[str, Term], scored: Collection[Candidate]
 ) -> list[Candidate]:
-    """Return trials of the effects without a score whose size is given by a nonlinear parameter, in
-    the equations whose mismatch is beyond the noise.
+    """Return candidates of the effects without a score whose size is given by a nonlinear
+    parameter, in the equations whose mismatch is beyond the noise.
 
     The regressors of these effects depend on the nominal values: if these values are far from the
     right ones, as without a fall of friction with speed, the score of the right effect may be

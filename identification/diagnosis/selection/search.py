@@ -58,8 +58,8 @@ class Search:
         baseline: Fit of the nominal model alone.
         final: Fit with every kept effect.
         rounds: Selection step of each kept effect.
-        p_value: p-value of the test whether anything is missing.
-        p_after: p-value of the test whether anything more is missing.
+        p_value: p-value of the test whether physics is missing.
+        p_after: p-value of the test whether further physics is missing.
         loudest: Generic family or effect with the least p-value at the end.
         steps: Steps of the search.
         unseen_share: Share of the mismatch beyond the noise on recordings set aside that the
@@ -111,7 +111,7 @@ class _Case:
 
 @dataclass(frozen=True)
 class _Test:
-    """Result of a test whether anything is missing.
+    """Result of a test whether physics is missing.
 
     Attributes:
         trials: Effects of the catalogue at trial parameters.
@@ -137,8 +137,8 @@ def search(
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each effect.
 
-    Each effect is judged at the end together with the others: two effects may explain everything
-    together though one alone explains little.
+    Each effect is judged at the end together with the others: two effects may explain the whole
+    mismatch together although one alone explains little.
 
     Args:
         views: Recordings.
@@ -183,7 +183,7 @@ def search(
 def _missing_test(
     joint: Joint, case: _Case, left: Sequence[Term], rng: np.random.Generator
 ) -> _Test:
-    """Test whether anything is missing, by size and by sign flips.
+    """Test whether physics is missing, by size and by sign flips.
 
     Only equations whose mismatch is beyond the noise are tested. Effects that may vary by their
     full amplitude from row to row are tested in any case, because they count as noise.
@@ -249,8 +249,8 @@ def _final_effects(
     progress: Progress,
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Try to remove each effect, then to replace it by its rivals; return the final fit and
-    rounds.
+    """Try to remove each effect, then to replace each remaining effect by its rivals; return the
+    final fit and the selection rounds.
     """
     (baseline, before), views, unit = fits, case.views, case.unit
     joint, rounds = with_needed_effects(views, unit, baseline, before, rounds, steps)
@@ -345,8 +345,8 @@ def _forms(case: _Case, candidate: Candidate) -> list[Shape]:
 
 
 def _fit_from(case: _Case, fits: tuple[Joint, Joint], candidate: Candidate, shape: Shape) -> Joint:
-    """Return the fit with a candidate that starts from these nonlinear parameters, and the selected
-    effects.
+    """Return the fit with the selected effects and a candidate, whose fit starts from the given
+    nonlinear parameters.
     """
     baseline, joint = fits
     added = Added(

@@ -142,7 +142,9 @@ def _stop(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _stops(context: Context) -> list[Shape]:
-    """Return trial stops at either end of the travel, and at both."""
+    """Return trial parameters of an end stop at either end of the travel, and of a stop at each
+    end.
+    """
     low = min(float(np.min(v.angle)) for v in context.views)
     high = max(float(np.max(v.angle)) for v in context.views)
     middle, half = 0.5 * (low + high), 0.5 * (high - low)

@@ -71,8 +71,9 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 
 def _exponents(context: Context) -> list[Shape]:
-    """Return trial exponents, each with the ratio of the trial to the nominal Stribeck speed at
-    which the two falls of friction agree at one share.
+    """Return trial exponents, each with a ratio of the trial to the nominal Stribeck speed. With
+    this ratio the trial and the nominal friction have fallen by the same share of the rise at one
+    speed.
     """
     usual = context.nominal.alpha
     return [
@@ -144,13 +145,13 @@ def _start_with_presliding(nominal: Nominal, shape: Shape) -> tuple[Nominal, Sha
 
 @recent
 def _initial_friction(view: View, nominal: Nominal) -> float:
-    """Return the friction at the start of a recording, N m, which balances the drive's torque at
-    rest.
+    """Return the friction that balances the drive's torque at rest at the start of a recording, N
+    m.
 
     A resting joint is held by its presliding stiffness, with up to its static friction in either
     direction; no recording shows this initial friction. The friction at the start is therefore
     taken from the measured torque. The contribution of the initial friction decays with the first
-    slip, so that this one value cannot account for any other mismatch.
+    slip, so that the initial friction cannot account for any other mismatch.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]

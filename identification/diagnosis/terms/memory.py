@@ -76,7 +76,7 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
 @compiled
 def first_swing(series: Array, width: float) -> int:
     """Return the first sample at which the range of a series reaches ``width``; from this sample on
-    the play of the series does not depend on the start value.
+    the output of a play (backlash operator) of this width does not depend on its start value.
 
     The result is the number of samples if the range never reaches ``width``.
     """

@@ -116,15 +116,15 @@ def _waves(context: Context) -> Sequence[Shape]:
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the trial parameters of :func:`_waves` without one cycle per turn of the joint, which
-    is a weight imbalance.
+    """Return the trial parameters of :func:`_waves` except one cycle per turn of the joint, because
+    a wave of one cycle per turn is an imbalance of weight.
     """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
 
 
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
-    """Return the torque of the current in excess of the current that would be needed without
+    """Return the torque of that part of the current which exceeds the current needed without
     saturation.
 
     The torque is Km I_k tanh(I / I_k), or (rational) Km I / (1 + (I / I_k)^2), which cannot exceed

@@ -156,7 +156,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
 
 @recent
 def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Array:
-    """Return :func:`lead`, without a nominal model if no weight turns with the joint."""
+    """Return :func:`lead`; ``nominal`` may be None if no weight turns with the joint."""
     motor = view.drive_angle
     through = _through(view, nominal, motor, gap, rotor)
     middle = through(len(motor), 0.0)
@@ -286,11 +286,11 @@ def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:
-    """Return the effects for torques computed from the joint encoder, whose delay also delays the
-    friction in the torque.
+    """Return the effects for torques computed from the joint encoder. A delay of this encoder also
+    delays the friction in the torque.
 
-    If the friction were not delayed, the torque would lead the delayed angles, which would look
-    like a lag of the current.
+    If the friction were not delayed, the torque would lead the delayed angles, as with a lag of the
+    current.
     """
     return [
         replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)

@@ -111,9 +111,9 @@ def change_at_zero(views: Sequence[View]) -> float:
     the other, A: the greatest change in a passage, the median over the passages of all recordings;
     0 with fewer than :data:`LEAST_CROSSINGS` passages.
 
-    A step over a smaller current is smeared over the sample. A passage leads from beyond the
-    current of a dead-time step to beyond it with the other sign, so that noise around zero, as at
-    rest, is none.
+    A step of the voltage over a smaller range of current is smeared over the sample. A passage
+    leads from beyond the current of a dead-time step to beyond this current with the other sign, so
+    that noise around zero, as at rest, is no passage.
     """
     currents = [v.current for v in views if v.current is not None]
     if not currents:

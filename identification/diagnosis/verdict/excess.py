@@ -1,4 +1,6 @@
-"""Mismatch of each equation before and after correction, and whether effects explain enough."""
+"""Compares the mismatch of each equation by the nominal and by the corrected model, and judges
+whether the effects explain enough of it.
+"""
 
 from __future__ import annotations
 
@@ -14,7 +16,7 @@ from identification.diagnosis.verdict.hysteretic import is_hysteretic
 
 @dataclass(frozen=True)
 class Excess:
-    """Power of an equation's whitened mismatch before and after correction, per row."""
+    """Power of an equation's whitened mismatch per row, by nominal and corrected model."""
 
     equation: str
     before: float
@@ -28,7 +30,7 @@ class Excess:
 
 
 def excess_of(found: Search) -> list[Excess]:
-    """Return the power of each equation's mismatch before and after correction."""
+    """Return the power of each equation's mismatch by the nominal and by the corrected model."""
     stack = found.baseline.stack
     out = []
     for equation in found.baseline.equations:
@@ -41,7 +43,7 @@ def excess_of(found: Search) -> list[Excess]:
 
 
 def explains_nearly_all(found: Search) -> bool:
-    """Whether the effects explain as much of the mismatch beyond the noise as right ones do."""
+    """Whether the effects explain as much of the mismatch beyond the noise as right effects do."""
     return judged_equation(found).explained >= RULES.nearly_complete
 
 

@@ -1,8 +1,8 @@
 """Tests whether the remaining torque mismatch is hysteretic, in which case the identified effect is
 wrong.
 
-A hysteretic torque follows the angle between reversals, like the torque of a weight or a spring,
-which then explains most of the mismatch. The remaining mismatch starts anew at each reversal.
+Between reversals a hysteretic torque follows the angle, so that the torque of a weight or a spring
+explains most of the mismatch. The remaining mismatch starts anew at each reversal.
 """
 
 from __future__ import annotations

@@ -123,8 +123,8 @@ def _any_beyond_noise(joint: Joint, least: float, between: bool = False) -> bool
 
 
 def main_equation(found: Search) -> Equation:
-    """Return the equation in which the final model reduces the mismatch most; the torque equation
-    if there is no reduction.
+    """Return the equation in which the corrected model reduces the mismatch most; the torque
+    equation if there is no reduction.
     """
     if found.p_value > RULES.level:
         return found.baseline.equations[0]
@@ -162,8 +162,8 @@ def effects_of(found: Search, rng: np.random.Generator) -> tuple[Effect, ...]:
     """Return every accepted effect with its parameters, rivals and confidence, in the order of
     their selection.
 
-    A rival that replaced an effect is last in the fit, but has the place of the replaced effect in
-    this list.
+    A rival that replaced an effect is the last effect of the fit, but has the place of the replaced
+    effect in the returned list.
 
     Args:
         found: The search.
@@ -256,8 +256,8 @@ def little_unseen(found: Search) -> bool:
 
 
 def _needing(final: Joint, k: int, rows: slice) -> float:
-    """Return the mean-square mismatch, over that of the noise, that the final model leaves in some
-    rows without the contribution of effect ``k``.
+    """Return the mean-square mismatch, over that of the noise, that the corrected model leaves in
+    some rows without the contribution of effect ``k``.
     """
     effect, stack = final.effects[k], final.stack
     columns = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -274,7 +274,7 @@ def confidence_of(
     Args:
         taken: The selection round with its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
-        incomplete: Whether more is missing than the effects explain.
+        incomplete: Whether more physics is missing than the effects explain.
         before: Mean-square mismatch of that equation over that of the noise, without the effect.
         alone: Whether it was selected first. Beside another effect, a faint mismatch may be the
             error of that effect's regressors.

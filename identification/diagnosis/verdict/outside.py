@@ -1,4 +1,6 @@
-"""Reasons for which effects of the catalogue do not explain a mismatch, or it does not count."""
+"""Defines the reasons for which effects of the catalogue do not explain a mismatch, or for which
+the mismatch does not count.
+"""
 
 from __future__ import annotations
 

@@ -31,7 +31,7 @@ def statement(
         effects: Identified effects.
         main: Errors of the equation in which the mismatch is judged.
         where: Where most of the mismatch is, if known.
-        p_value: That of the test whether anything is missing.
+        p_value: That of the test whether physics is missing.
         unseen: Effects that the recordings cannot show.
         reason: Why a mismatch does not count, if there is a reason.
     """

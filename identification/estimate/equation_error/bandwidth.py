@@ -22,7 +22,8 @@ def common_bandwidth(recordings: Sequence[Recording], most_Hz: float = math.inf)
     most stages have enough samples in motion.
 
     Motion that reverses faster than the filter's length leaves no sample in steady motion. A stage
-    that rests at every bandwidth does not decide on the bandwidth of the others.
+    that has no sample in motion at any bandwidth has no influence on the bandwidth of the other
+    stages.
 
     Args:
         recordings: At least one.

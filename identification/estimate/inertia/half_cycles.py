@@ -101,7 +101,7 @@ def replicated_segments(
 
 
 def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
-    """Return the segments of a replicate by recording: row of the table, and curve."""
+    """Return the segments of a replicate by recording: row in the table of segments, and curve."""
     point, slopes = replicate.point, replicate.sensitivities
     curves = np.column_stack([slopes.parameters, slopes.own])
     out, row = [], 0
@@ -118,8 +118,8 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment with the same direction that has most samples in common with
-    these bounds, or None if no segment has half of the samples in common.
+    """Return the curve of the segment in the given direction that has most samples in common with
+    the segment of these bounds, or None if no segment has half of the samples in common.
     """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:

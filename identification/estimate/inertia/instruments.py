@@ -4,7 +4,7 @@ A segment's own sensitivities contain the noise of its measured torque, and so d
 errors, because the drive follows that noise within its bandwidth. The mean over matching half
 cycles, at the same time since breakaway, is nearly the same curve without that noise (Soderstrom
 and Stoica, Instrumental Variable Methods for System Identification, 1983, ch. 4). The mean over
-simulated replicates of the segment has the same property.
+simulated replicates of the segment is also free of that noise.
 """
 
 from __future__ import annotations

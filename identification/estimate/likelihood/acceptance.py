@@ -1,4 +1,5 @@
-"""Acceptance tests of the likelihood's values: reject a fit that absorbs unmodelled physics.
+"""Acceptance tests of the likelihood's values: reject a fit whose parameters compensate unmodelled
+physics.
 
 The tests are stated in docs/method.md, section 12.
 """

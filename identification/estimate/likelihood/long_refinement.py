@@ -156,8 +156,8 @@ def _settled(
 def _covariances(
     found: Sequence[Reduced], names: Sequence[str], vector: Array
 ) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters, which is the larger of inverse information and
-    sandwich covariance, and its Cramer-Rao bound.
+    """Return the covariance of the named parameters (the larger of inverse information and sandwich
+    covariance) and its Cramer-Rao bound.
     """
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])

@@ -137,14 +137,15 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 
 def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
-    """Solve the inertia's equation with instruments from replicates too (M32); the other parameters
-    change with the inertia.
+    """Solve the inertia's equation with instruments from half cycles and from replicates (M32); the
+    other parameters change with the inertia.
 
     Floors are computed from the replicates.
 
-    The inertia's equation is solved at the bias-corrected values, because in a replicate too the
-    other parameters have their true values. Errors of the other parameters have an effect of second
-    order, which is not negligible if these errors are several standard deviations.
+    The inertia's equation is solved at the bias-corrected values, because a replicate, too, is
+    evaluated with the other parameters at the values with which it was simulated. Errors of the
+    other parameters have an effect of second order, which is not negligible if these errors are
+    several standard deviations.
     """
     names = found.spread.names
     begun = replace(joint, vector=pack(found.values, joint.alpha))

@@ -164,7 +164,8 @@ def logged_share(
 
 @dataclass(frozen=True)
 class _Scored:
-    """A replicate and one scoring step of the likelihood from the simulated values.
+    """A simulated replicate, and one scoring step of its likelihood from the parameter values with
+    which it was simulated.
 
     Attributes:
         step: Scoring step, shape (p,).
@@ -237,7 +238,7 @@ def _named(joint: Point, step: Array, names: Sequence[str]) -> Array:
 
 
 def _loop(motions: Sequence[Motion], headroom: float = DEFAULT.replicates.headroom) -> Loop | None:
-    """Return the drive loop; The result is None if the recordings do not determine the loop or
+    """Return the drive loop. The result is None if the recordings do not determine the loop or
     their loads cannot be simulated.
     """
     recordings = [m.recording for m in motions]

@@ -169,8 +169,8 @@ def likeliest_together(starts: Sequence[Point]) -> Searched:
     ends, an end with a several times larger Stribeck speed is preferred, because the likelihood is
     flat where the Stribeck speed is below the resolution of the samples.
 
-    A search ends early when as many steps as it may take, each as good as its last one, would not
-    reach the least cost so far.
+    A search ends early if all steps that it may still take, each with the decrease of its last
+    step, would not reach the least cost of the searches before it.
 
     Args:
         starts: Starts of the joint fit, each from an end of the loaded fit.
@@ -296,8 +296,8 @@ def _deviance(point: Point) -> float:
 
 
 def _resolved(point: Point) -> bool:
-    """Return whether the samples resolve the load Stribeck speed: whether it is above a share of
-    the speed that the joint gains within one period by the fall of load friction.
+    """Return whether the samples resolve the load Stribeck speed, that is, whether this speed is
+    above a share of the speed that the joint gains within one period by the fall of load friction.
     """
     p = point.vector
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in point.motions])))

@@ -2,8 +2,8 @@
 
 The equation error of eq. 15/16 is minimised in two stages. Stage 1 uses the unloaded recordings and
 searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 uses the loaded recordings, keeps these five
-parameters fixed and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum e(k)^2), targets
-0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
+parameters fixed and searches x = [mu_c, mu_s, omega_sL, mu_2]. The fitness is sqrt(sum e(k)^2), the
+targets are 0.01 and 0.015 N m, and the population of 40 has at most 1000 generations (Sec. 4.2).
 
 This module defines three points that the paper does not state. Friction opposes motion, so eq. 13
 and 15 contain sgn(omega). Samples at rest are omitted, because friction and drive then obey an

@@ -2,8 +2,8 @@
 delay (M50).
 
 The coordinates contain rises instead of static levels, and the logarithms of the Stribeck speed and
-of the ratios of motor constants. The lateness is the delay with which a logged command acts. All
-coordinates have bounds.
+of the ratios of motor constants. The lateness of the command is the delay with which a logged
+command acts. All coordinates have bounds.
 """
 
 from __future__ import annotations

@@ -98,7 +98,9 @@ def fit_loop(pieces: Sequence[Piece], coordinates: Coordinates, starts: Sequence
 
 
 def refit(pieces: Sequence[Piece], found: LoopFit) -> LoopFit:
-    """Fit other pieces, started from the end of a fit, with the threshold and unit of that fit."""
+    """Fit other pieces, starting from the end of an earlier fit, with the threshold and unit of the
+    earlier fit.
+    """
     end = _searched(pieces, found, (TOLERANCE, MOST_STEPS))
     return replace(found, x=end.x, cost=end.cost)
 

@@ -8,9 +8,9 @@ samples (Ljung, System Identification, 2nd ed., 7.4), with the breakaway times e
 
 The sensitivities of a segment contain the current noise, whose square would count as excitation.
 With replicates, products of sensitivities from two different noise realisations are used. Without
-replicates, the mean over matching half cycles is used. More half cycles reduce the noise in the
-mean, but the mean loses the differences between half cycles; this bound is therefore up to a
-quarter too high.
+replicates, the sensitivities are averaged over matching half cycles. More half cycles reduce the
+noise in the averaged sensitivities, but the average loses the differences between half cycles; this
+bound is therefore up to a quarter too high.
 """
 
 from __future__ import annotations

@@ -137,8 +137,8 @@ def _walk(node: Any, change: Callable[[Tree], None]) -> None:
 def _tidy(node: Tree) -> None:
     """Remove the parts that an editor does not use, and use only keywords of draft 7.
 
-    Without their discriminating key the branches of a union overlap, and "one of" would refuse
-    files that the program accepts. Titles of keys only repeat their names.
+    Without the key that discriminates them, the branches of a union overlap, and the keyword
+    ``oneOf`` would refuse files that the program accepts. Titles of keys only repeat their names.
     """
     if isinstance(branches := node.get("oneOf"), list) and any("$ref" in item for item in branches):
         node["anyOf"] = node.pop("oneOf")

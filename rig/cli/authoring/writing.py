@@ -1,4 +1,4 @@
-"""Writes a new file, which is validated before it gets its name and never replaces an existing
+"""Writes a new file: the file is validated before it gets its name, and never replaces an existing
 file.
 """
 

@@ -192,8 +192,8 @@ def _home(
     low, high = limits.angle_min_deg, limits.angle_max_deg
     if angle_deg is not None and not low <= angle_deg <= high:
         raise InputError(
-            f"--home-angle: is {angle_deg:g} deg, must be from {low:g} to {high:g} deg, the limits "
-            f"of the bench"
+            f"--home-angle: is {angle_deg:g} deg; it must be from {low:g} to {high:g} deg, the "
+            "limits of the bench"
         )
     return None if method is None else HomeRequest(method, angle_deg, time_s)
 

@@ -59,8 +59,9 @@ def command(
     that these recordings do not distinguish, with a sequence file of an experiment that
     distinguishes them; missing physics outside the catalogue; or nothing missing. Recordings with
     role validate are used in no fit. These recordings decide only whether an identified effect is
-    kept, which must lower the error on them; without such recordings, parts of the recordings are
-    predicted from the other parts. The corrected model is written next to the report.
+    kept: the effect must lower the error on these recordings; without such recordings, parts of the
+    recordings are predicted from the other parts. The corrected model is written next to the
+    report.
 
     \b
     Example:

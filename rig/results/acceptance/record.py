@@ -59,8 +59,8 @@ def _check_record(check: Check) -> dict[str, Any]:
 def junit(record: RunRecord, bench: str, checks: Sequence[Check]) -> bytes:
     """Return the checks as JUnit XML in UTF-8: one test suite with one test case for each limit.
 
-    Form: https://github.com/testmoapp/junitxml; times are zero, because a check takes no measurable
-    time.
+    The form is that of https://github.com/testmoapp/junitxml; times are zero, because a check takes
+    no measurable time.
     """
     failed = sum(not check.passed for check in checks)
     counts = {

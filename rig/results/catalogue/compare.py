@@ -58,8 +58,8 @@ class Difference:
 
     @property
     def moved(self) -> bool | None:
-        """Whether the difference exceeds its uncertainty, or None if the uncertainty is not
-        known.
+        """Whether the difference of the parameters exceeds its uncertainty, or None if the
+        uncertainty is not known.
         """
         if self.change is None or self.joint is None:
             return None

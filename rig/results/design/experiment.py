@@ -219,8 +219,8 @@ def _stages(
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the same centre, rounded as in a sequence
-    file.
+    """Return a stage with another excitation about the centre of the stage, rounded as in a
+    sequence file.
     """
     changes: dict[str, Any] = {
         "name": name,

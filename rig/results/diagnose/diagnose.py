@@ -74,14 +74,14 @@ def diagnose_source(
         source: Run folder or campaign file.
         seed: Seed of the random generator.
         bandwidth_Hz: Bandwidth of every error; None to choose it from the recordings. Pressure
-        keeps its own bandwidth.
+            keeps its own bandwidth.
         progress: Called with the current step and the completed share.
         refine: Whether nominal parameters are those of ``rig identify`` if nothing is missing, and
             refitted by prediction errors, with the effects subtracted, if something is; above
             :data:`REFINED_SAMPLES` samples no refit is made. The parameters of a gas generator are
             always refitted.
         gas: Whether to diagnose the gas generator although there is torque too; recordings without
-        a firing are left out.
+            a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
             generator.
         partial: Whether to take the unfinished excitations of a run as well; the result warns of

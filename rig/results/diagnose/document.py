@@ -137,7 +137,7 @@ def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
 
 
 def _if_any(cells: Table) -> tuple[Table, ...]:
-    """Return a table; nothing if the table has no rows."""
+    """Return a tuple with the table, or an empty tuple if the table has no rows."""
     return (cells,) if cells.rows else ()
 
 

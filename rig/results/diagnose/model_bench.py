@@ -1,7 +1,7 @@
 """Converts a result file to a simulated bench, whose machine is the corrected model.
 
 Effects and parameters have the same names in results and in the simulated machine; only this module
-maps the names.
+transfers them.
 """
 
 from __future__ import annotations

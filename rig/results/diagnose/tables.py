@@ -64,8 +64,8 @@ def rival_table(found: Diagnosis) -> Table:
 
 
 def fit_table(found: Diagnosis) -> Table:
-    """Return the errors before and after the correction, one row per equation and role; each
-    equation has one bandwidth.
+    """Return the errors of the nominal and of the corrected model, one row per equation and role;
+    each equation has one bandwidth.
     """
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
@@ -82,8 +82,8 @@ def fit_table(found: Diagnosis) -> Table:
 
 
 def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters before and after the correction; no rows if no parameter
-    changed.
+    """Return the nominal parameters in the nominal and in the corrected model; no rows if no
+    parameter changed.
     """
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())

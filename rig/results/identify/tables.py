@@ -59,7 +59,7 @@ def recording_fit_table(results: Sequence[Identification]) -> Table:
 
 
 def stage_table(results: Sequence[Identification]) -> Table:
-    """Return effort and final state of each stage of each method."""
+    """Return the number of evaluations and the final state of each stage of each method."""
     rows = tuple(
         (
             result.method,

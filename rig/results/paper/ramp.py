@@ -25,7 +25,7 @@ _THIN = 10  # of the samples, in the data files
 
 @dataclass(frozen=True)
 class RampStudy:
-    """The same ramps unloaded and loaded, without and with feed-forward."""
+    """Ramps at low speed, unloaded and loaded, each without and with feed-forward."""
 
     plain: Dataset
     fed: Dataset

@@ -88,7 +88,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
 
     Args:
         machine: The bench; its gas generator burns steadily at the closed valve when the motion
-        starts.
+            starts.
         speed_deg_s: Commanded speed.
         seed: Seed of the sensor noise.
 

@@ -195,7 +195,8 @@ _FIXED = {
 
 @cache
 def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
-    """Return the experiments in the order in which they are made; the last repeats the first.
+    """Return the experiments in the order in which they are made; the last experiment repeats the
+    first.
 
     Args:
         gravity: A bench without lever, whose load is a weight fixed to the joint.

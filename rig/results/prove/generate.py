@@ -92,7 +92,7 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any], salt: str) -> S
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
 
-    The noise floors of its reference simulation are written next to the truth.
+    The noise floors of the trial's reference simulation are written next to its truth.
 
     Raises:
         OSError: It cannot be written.
@@ -108,8 +108,8 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return the injected effects in the time of a recording, which begins after the machine has
-    settled under power.
+    """Return the injected effects with times counted from the start of a recording; a recording
+    begins after the machine has settled under power.
 
     The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
     """

@@ -31,7 +31,7 @@ class Judgement(NamedTuple):
         diagnosis: The record of ``rig diagnose --json``.
         baselines: Method to the effects that it selects, the most important first.
         oracle: Function from the true names to the record of
-        :class:`identification.diagnosis.oracle.HeldOut`, or None.
+            :class:`identification.diagnosis.oracle.HeldOut`, or None.
         seconds: Time spent on the diagnosis, s.
         baseline_seconds: Time spent on the baselines, s.
         left: Residual of the nominal model's fit in each equation, in its unit.

@@ -143,7 +143,9 @@ def _parameters(
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the relative errors of the nominal parameters, before and after the correction."""
+    """Return the relative errors of the nominal parameters in the nominal and in the corrected
+    model.
+    """
     rows = {}
     for name, shift in diagnosis["parameter_shift"].items():
         if name in true and shift["before"] is not None and shift["after"] is not None:
@@ -156,7 +158,7 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
     """Return the errors on unused recordings, and the reduction of this error as a share of the
-    largest possible reduction, which is from the error before the diagnosis to the noise floor.
+    largest possible reduction, that from the error before the diagnosis to the noise floor.
 
     On unused recordings the error of a model does not fall below the noise floor, except by chance.
     """

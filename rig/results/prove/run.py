@@ -218,7 +218,7 @@ def prove_trial(trial: Trial, seed: int, family: str, judge: Judge, keep: bool) 
 
 
 def _store(proof: Proof, proved: Proved) -> None:
-    """Write the files of one trial; its row, which marks it as done, is the last."""
+    """Write the files of one trial; the row is written last, because it marks the trial as done."""
     where = place(proof.out, proved.number)
     name = f"{proved.number:04d}.json"
     write_folder(where.campaign.parent, proved.files)

@@ -33,7 +33,7 @@ def repeated_salt(seed: int, number: int) -> str:
     """Return a salt that repeats with the seed of a proof and the number of a trial, so that the
     digests of a proof repeat.
 
-    The salt hides a truth only from those who do not know the seed; this also holds for the draws.
+    The salt, like the draws, hides a truth only from those who do not know the seed.
     """
     state = np.random.SeedSequence([seed, number, _SALT]).generate_state(4)
     return "".join(f"{word:08x}" for word in state)

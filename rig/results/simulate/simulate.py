@@ -112,8 +112,7 @@ def simulate_source(
         source: Campaign file or run folder.
         results: Result files of ``rig identify`` or ``rig diagnose``.
         bandwidth_Hz: Bandwidth of the errors, or None for the bandwidth of the first result, or
-            chosen
-        as in the identification.
+            chosen as in the identification.
         progress: Called with the current step and the completed share.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Keeps an index of run folders in SQLite, which can be deleted at any time.
+"""Keeps an index of run folders in SQLite; the index can be deleted at any time.
 
 Each row holds the entry of one folder as JSON, the signature of the files from which the entry was
 made, and a checksum. A row is used only if its signature is that of the present files and its
@@ -208,7 +208,8 @@ def _open(file: Path) -> sqlite3.Connection:
 
 
 def _store(root: Path, file: Path, made: list[_Row], gone: Iterable[str]) -> str:
-    """Write rows, and remove the rows of deleted folders; return a message if that fails.
+    """Write rows, and remove the rows of deleted folders; return a message if the index cannot be
+    written.
 
     Rows whose files changed while they were read are not written.
     """

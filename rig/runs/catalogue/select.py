@@ -104,7 +104,7 @@ def chosen(root: Path, entries: Iterable[Entry], wanted: Wanted) -> list[Entry]:
 
 
 def latest(entries: Sequence[Entry], count: int | None) -> Sequence[Entry]:
-    """Return the last of a list of runs, or all of them."""
+    """Return the last runs of a list, or all runs."""
     return entries if count is None else entries[-count:]
 
 

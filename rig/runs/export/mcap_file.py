@@ -122,7 +122,7 @@ def _write_run(writer: McapWriter, folder: Path, record: RunRecord) -> None:
 
 
 def read_mcap(path: Path) -> list[Read] | None:
-    """Read the recordings back; The result is None if the file contains no description.
+    """Read the recordings back. The result is None if the file contains no description.
 
     Raises:
         InputError: Its numbers do not fit its description.

@@ -60,7 +60,7 @@ def winding(
 
 @inlined
 def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
-    """Return the voltage loss due to the dead time, V, which is a share of the supply voltage."""
+    """Return the voltage loss due to the dead time, a share of the supply voltage, V."""
     return float(e[DEAD_TIME_VOLTAGE] * supply / nominal)
 
 

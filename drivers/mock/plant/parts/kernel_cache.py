@@ -210,7 +210,7 @@ class _TemporaryFolder:
 
 
 class _Naming(CompileResultCacheImpl):
-    """File names of a kernel's cache, which end in its digest."""
+    """File names of a kernel's cache; each name ends in the digest of the kernel."""
 
     _locator_classes: Any = [*CompileResultCacheImpl._locator_classes, _TemporaryFolder]  # noqa: RUF012 - numba's
 

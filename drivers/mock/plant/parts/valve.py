@@ -7,7 +7,8 @@ sin(theta) from this line and 2 L1 sin(theta/2) from the centre of the hole, so 
 
     A_t = (opening beside the strip) + (opening and hole),    A_s = pi D^2/4 - A_t.
 
-The plate covers no part of the opening beyond L1 sin(theta) = (b + D)/2, which is 29.65 deg.
+The plate covers no part of the opening beyond the angle at which L1 sin(theta) = (b + D)/2, 29.65
+deg.
 """
 
 from __future__ import annotations

@@ -189,7 +189,9 @@ def _motor(world: World, joint: str) -> str:
 
 
 def _lugre(world: World) -> str:
-    """Return the joint's friction as LuGre's bristles, instead of the constraint."""
+    """Return the joint's friction as the bristles of the LuGre model, which replace MuJoCo's
+    friction constraint.
+    """
     if "presliding" not in world.effects:
         return ""
     constants, stiffness = world.constants, world.effects["presliding"]["stiffness_Nm_rad"]

@@ -133,7 +133,7 @@ def draw_world(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> World:
 
 
 def without_effects(world: World) -> World:
-    """Return the same world without injected effects."""
+    """Return a copy of a world without its injected effects."""
     return replace(world, effects={})
 
 
@@ -215,8 +215,8 @@ def _commanded(
 
 
 def _loaded(k: int, kind: str, loads: int, body: Body, sends_torque: bool) -> Planned:
-    """Return recording ``k`` with its known load and nothing else; the first recording has no known
-    load, except for a weight on the joint.
+    """Return recording ``k`` with its known load; command and times are still empty. The first
+    recording has no known load, unless the loads are weights on the joint (pendulums).
 
     If a host sends the torques, a weak spring that the host computes pulls the joint to angle zero;
     the weight therefore hangs straight down at zero.

@@ -38,8 +38,9 @@ class Gains(NamedTuple):
 def gains(world: World) -> Gains:
     """Return the gains of the drive, or of the host that computes its torque.
 
-    A ``pd`` loop overcomes the static friction with an error that falls with its gain, a third of
-    the smallest motion at 1 Hz.
+    A ``pd`` loop needs an angle error to overcome the static friction. This angle error is
+    inversely proportional to the gain, and is a third of the amplitude of the smallest motion with
+    a position loop of 1 Hz.
     """
     drive, motor, J = world.drive, world.motor, world.constants.J
     omega = 2.0 * math.pi * drive.velocity_Hz

@@ -1,5 +1,6 @@
-"""Draws the machine of a world, from a hobby servo to the valve or from a small actuator to a ball
-screw that carries hundreds of kilograms, with its drive, encoders and logger.
+"""Draws the machine of a world with its drive, encoders and logger: a rotary machine from a hobby
+servo to the valve, or a linear machine from a small actuator to a ball screw that carries hundreds
+of kilograms.
 """
 
 from __future__ import annotations

@@ -72,7 +72,7 @@ class Course(NamedTuple):
 
 
 def centring(rng: np.random.Generator, constants: Constants, static: float, travel: float) -> float:
-    """Draw the stiffness of the spring that the host computes, N m/rad.
+    """Draw the stiffness of the virtual spring, whose torque the host computes, N m/rad.
 
     Args:
         rng: Generator.

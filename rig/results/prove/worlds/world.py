@@ -277,8 +277,9 @@ class World:
     def host_law(self) -> tuple[float, float]:
         """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
 
-        A position loop overcomes the static friction with an error that falls with its gain, a
-        third of the smallest motion at 1 Hz, as far as the rate of the host permits.
+        A position loop needs an angle error to overcome the static friction. This angle error is
+        inversely proportional to the gain, and is a third of the amplitude of the smallest motion
+        with a loop of 1 Hz. The rate of the host limits the gain.
         """
         drive, J = self.drive, self.constants.J
         if drive.kind == "torque":

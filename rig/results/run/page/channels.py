@@ -151,7 +151,7 @@ class Deriver:
     def _pauses(
         self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]
     ) -> Flags:
-        """Return a mask of samples preceded by an event of these kinds."""
+        """Return a mask of the samples directly after an event of one of the ``kinds``."""
         flags = np.zeros(len(time), dtype=np.bool_)
         at = np.array(
             [e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time]
@@ -200,8 +200,8 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return the values less the value at the latest start, and the value at the latest start;
-    ``before`` is the value at the last start before the block.
+    """Return the values less their value at the latest start, and that value for the last sample;
+    ``starts`` marks the starts, and ``before`` is the value at the last start before the block.
     """
     if math.isnan(before):
         before = float(values[0])

@@ -73,7 +73,7 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
     Args:
         bins: The bins to draw.
         position: Where each bin begins, 0 at the left edge and 1 at the right, not falling, shape
-        (n,).
+            (n,).
         columns: Number of columns of the drawing.
     """
     if not len(bins.start):

@@ -39,8 +39,7 @@ class Attachments:
         bench: The bench, with the limits in force, or None if its file is missing or cannot be
             read.
         plan: The plan, with the first passes of each stage, or None if a file is missing or cannot
-            be
-        read.
+            be read.
         problem: Message why one of them is None.
     """
 
@@ -66,8 +65,8 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the run warned of a drive without watchdog, which its EDS file may have
-    shown.
+    """Return whether the run warned of a drive without watchdog; the EDS file, which is not
+    attached, may be the source of this warning.
     """
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])

@@ -200,7 +200,7 @@ def tripped_first(check: Check | None) -> list[Panel]:
 def chart(
     panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | None, tall: bool
 ) -> Chart | None:
-    """Return one chart of a time interval; The result is None if no channel of the panel was
+    """Return one chart of a time interval. The result is None if no channel of the panel was
     recorded.
 
     Args:
