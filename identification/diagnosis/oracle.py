@@ -59,8 +59,8 @@ def oracle(
         bandwidth_Hz: Bandwidth of every error.
 
     Returns:
-        None if no recording is set aside, or if an effect is collinear with the nominal model or
-        gets an unphysical sign.
+        None if no recording set aside has a row of an equation, or if an effect is collinear with
+        the nominal model or gets an unphysical sign.
     """
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
@@ -84,6 +84,8 @@ def oracle(
     noise = {
         e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
     }
+    if not noise:
+        return None
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
     remaining_strength = {}
     for effect in joint.effects:

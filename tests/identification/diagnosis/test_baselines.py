@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,3 +98,20 @@ def test_without_recordings_set_aside_there_is_no_oracle(
 ) -> None:
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None
+
+
+def test_without_a_row_of_a_recording_set_aside_there_is_no_oracle(
+    lopsided: tuple[Recording, ...],
+) -> None:
+    """The joint rests, and neither a joint encoder nor a voltage is recorded."""
+    kept = ("time", "motor_angle", "current")
+    bare = tuple(replace(r, channels={k: r.channels[k] for k in kept}) for r in lopsided)
+    still = tuple(
+        replace(r, channels={**r.channels, "motor_angle": np.zeros(len(r.channels["time"]))})
+        if r.role == "validate"
+        else r
+        for r in bare
+    )
+    first = nominal_fit(bare)
+    assert oracle(Dataset(bare), first, ["asymmetric_viscous"], 25.0) is not None
+    assert oracle(Dataset(still), first, ["asymmetric_viscous"], 25.0) is None
