@@ -21,8 +21,8 @@ from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR, PHASES, parameter_title
 from identification.recording import Array
 
-USUAL_CURRENT_A, USUAL_VOLTAGE_V = 13.0, 40.0
-"""Greatest current and voltage on the practical bench."""
+USUAL_CURRENT_A, USUAL_VOLTAGE_V, USUAL_INERTIA_KG_M2 = 13.0, 40.0, 0.2
+"""Greatest current and voltage, and inertia at the joint, on the practical bench."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def implausible(joint: Joint) -> str:
     last = joint.effects[-1]
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
-    scales = _scales(views)
+    scales = _scales(views, joint.nominal.get("J"))
     motion = views[0].recording.bench.motion
     for q in ENTRIES[last.term.name].parameters:
         scale = scales.get(q.unit, 1.0)
@@ -125,9 +125,13 @@ def implausible(joint: Joint) -> str:
     return ""
 
 
-def _scales(views: Sequence[View]) -> dict[str, float]:
+def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
     """Return by unit the scale of this bench over that of the bench for which the catalogue's
     ranges were written.
+
+    Args:
+        views: Recordings.
+        inertia: Nominal inertia at the joint, kg m^2, or kg on a linear axis.
     """
     torque, speed, angle = torque_scale(views), speed_scale(views), travel_scale(views)
     current = _greatest([v.current for v in views], USUAL_CURRENT_A)
@@ -144,8 +148,9 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
         "N m/rad": torque / angle,
         "N m s/rad": torque / speed,
         "N m s^2/rad^2": torque / speed**2,
-        # The inertia of a load is stated for the reference mass.
-        "kg m^2": torque * angle / speed**2 / (mass or 1.0),
+        # The inertia of a load is stated for the reference mass. A fast machine moves more inertia
+        # than torque, travel and greatest speed tell.
+        "kg m^2": max(torque * angle / speed**2, inertia / USUAL_INERTIA_KG_M2) / (mass or 1.0),
     }
 
 
@@ -176,10 +181,18 @@ def _criterion(joint: Joint) -> float:
     return joint.cost + _effect_parameters(joint) * math.log(len(joint.residual))
 
 
-def preferred(name: str, preference: float) -> str:
-    """Return by how much an effect is preferred to another one, in words."""
+def preferred(name: str, preference: float, beyond: str = "") -> str:
+    """Return why an effect is preferred to another one, in words.
+
+    Args:
+        name: Name of the other effect.
+        preference: Preference of the data for the effect over the other one.
+        beyond: Why the fit of the other effect is implausible; empty if it is plausible.
+    """
     if preference > 0.0:
         return f"preferred to {name} by {preference:.1f} standard errors"
+    if beyond:
+        return f"{name} fits as well or better, but only with {beyond}"
     return f"{name} fits as well or better, but not by more than its parameters explain by chance"
 
 

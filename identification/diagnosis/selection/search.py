@@ -390,4 +390,4 @@ def _missing(
 def _why(rivals: Sequence[Contender]) -> str:
     if not rivals:
         return "no other effect fits nearly as well"
-    return "; ".join(preferred(r.name, r.preference) for r in rivals)
+    return "; ".join(preferred(r.name, r.preference, r.beyond) for r in rivals)

@@ -203,6 +203,24 @@ def test_the_inertia_of_a_load_is_plausible_for_the_weights_of_the_bench(
     assert bool(found) == bool(said)
 
 
+@pytest.mark.parametrize(("heavier", "said"), [(1.0, "inertia_kgm2 15"), (10.0, "")])
+def test_the_inertia_of_a_load_is_plausible_for_the_inertia_of_the_machine(
+    heavier: float, said: str
+) -> None:
+    """A fast machine has little torque and travel for its inertia."""
+    joint = nominal_fit(honest())
+    values = {**joint.nominal.values, "J": heavier * joint.nominal.values["J"]}
+    inertia = next(t for t in TERMS if t.name == "load_inertia")
+    machine = replace(
+        joint,
+        nominal=replace(joint.nominal, values=values),
+        effects=(Added(inertia, (), (15.0,)),),
+    )
+    found = implausible(machine)
+    assert found.startswith(said)
+    assert bool(found) == bool(said)
+
+
 def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:
     """It begins at nothing, and is fitted as soon as an effect gives the gear something to bear."""
     recordings = tuple(r for r in campaign({}, 3, 6.0) if r.stage == "unloaded")
