@@ -119,7 +119,7 @@ class Homes:
         )
 
     def start_homing(self) -> None:
-        """Stage the start of the homing (controlword bit 4), for the next exchange."""
+        """Put the start of the homing (controlword bit 4) into the PDO of the next exchange."""
 
     def homing_state(self) -> HomingState:
         """Return the state of the homing at the last exchange."""

@@ -76,8 +76,7 @@ class ServoLimits:
 
 @dataclass(frozen=True)
 class LimitSteps:
-    """Resolution of the limits that a drive holds: one unit of each object, at the joint and in SI
-    units.
+    """Resolution of the limits that a drive holds: one unit of each object, at the joint, in SI.
 
     A step is zero if the drive does not hold the limit, or holds the limit exactly.
     """
@@ -220,7 +219,9 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         """Read back the limits held in the drive."""
 
     def lacks(self, cycle_s: float) -> Lacks:
-        """Return the limits and the values that the drive does not have. Nothing is sent."""
+        """Return the limits that the drive does not enforce and the measured values (temperature,
+        supply voltage) that it does not report. Nothing is sent.
+        """
         return NOTHING
 
     def limit_steps(self) -> LimitSteps | None:
@@ -256,8 +257,7 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
         )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield the reasons, as found by reads alone, why :meth:`prepare` would refuse a
-        de-energised drive. Writes nothing.
+        """Yield why :meth:`prepare` would refuse a de-energised drive, by read requests alone.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -302,10 +302,10 @@ class Servo(SpeedRemedies, Recognised, Homes, ABC):
 
     @abstractmethod
     def set_target(self, angle_rad: float) -> None:
-        """Stage the joint angle that the next exchange sends."""
+        """Set the joint angle that the next exchange sends."""
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to the torque of its controller, from the next
+        """Set a joint torque that the drive adds to the torque of its controller, from the next
         exchange until the value is changed.
 
         The drive must be prepared for the offset; while it is not operating, the offset is zero.

@@ -120,8 +120,10 @@ class ProcessChannel(ObjectAccess, Protocol):
 
     def describes(self, index: int, subindex: int, mappable: bool = False) -> bool:
         """Return whether the device's description has an object, and, with ``mappable``, allows it
-        in process data. Without ``mappable``, an object with a faulty description counts as
-        described, so that its use is refused with an error.
+        in process data.
+
+        An object whose description is faulty counts as contained, so that its use is refused with
+        an error, but not as allowed in process data.
 
         Nothing is sent.
         """

@@ -66,8 +66,8 @@ class Homing(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the controlword for the next exchange; the homing starts only if the drive is
-        energised. Commands of other modes are 0.
+        """Put the controlword into the PDO of the next exchange; the homing starts only if
+        the drive is energised. Commands of other modes are 0.
         """
         if word == cia402.ENABLE_OPERATION and self.started:
             word |= _START

@@ -66,7 +66,8 @@ class Motion(ABC):
         target: The object that it commands.
         unheld: Objects of limits that a drive need not obey in this mode.
         needs_watch: Whether it is safe only with a drive that notices a lost master by itself.
-        follows: Whether the drive follows what is staged, rather than moving by itself.
+        follows: Whether the drive follows the commands of the exchanges, rather than moving by
+            itself.
         remarks: What the operator has to know, in words.
         offset: Torque offset, in units of 60B2h.
         takes_offset: Whether the torque offset is sent.
@@ -119,7 +120,7 @@ class Motion(ABC):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the command of the next exchange.
+        """Put the command into the PDO of the next exchange.
 
         Args:
             channel: The drive.
@@ -152,7 +153,7 @@ class CyclicPosition(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage controlword, position and torque offset."""
+        """Put controlword, position and torque offset into the PDO of the next exchange."""
         if self.takes_offset:
             channel.stage(OUTPUT_PDO, word, counts, self.offset)
         else:
@@ -234,8 +235,8 @@ class _HostLoop(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the controlword and the command of the position loop; the command is 0 unless the
-        drive may run.
+        """Put the controlword and the command of the position loop into the PDO of the next
+        exchange; the command is 0 unless the drive may run.
         """
         value = 0
         if word == cia402.ENABLE_OPERATION:
@@ -376,8 +377,8 @@ class ProfilePosition(Motion):
     def stage(
         self, channel: ProcessChannel, word: int, counts: int, observe: Callable[[], Observed]
     ) -> None:
-        """Stage the set-point. The set-point is announced as new in every other exchange, after the
-        drive has accepted the last set-point.
+        """Put the set-point into the PDO of the next exchange. The set-point is announced as new in
+        every other exchange, after the drive has accepted the last set-point.
         """
         if word == cia402.ENABLE_OPERATION:
             if channel.cycle != self._staged_in:

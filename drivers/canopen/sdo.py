@@ -157,7 +157,8 @@ def described(dictionary: ObjectDictionary, index: int, subindex: int, mappable:
     """Return whether the EDS contains an object and, with ``mappable``, allows the object in
     process data.
 
-    An object with a faulty description counts as contained, except for process data.
+    An object whose description in the EDS is faulty counts as contained in the EDS, but not as
+    allowed in process data.
     """
     if (index, subindex) in getattr(dictionary, "faults", {}):
         return not mappable

@@ -329,8 +329,8 @@ class DbcChannel:
     def state(self) -> ServoState | None:
         """State of the drive in the last valid frames, or None for a value that is not in the map.
 
-        Any fault code means a fault, whatever the value of the status signal: a fault with power on
-        until the power is off.
+        A fault code other than 0 means a fault, whatever the value of the status signal; the drive
+        counts as energised until this signal shows that the power is off.
         """
         wiring = self.wiring
         shown = wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))

@@ -46,9 +46,12 @@ class Information:
     NAMES; it is additive over stages.
 
     Attributes:
-        normal: Fisher information, shape (9, 9).
-        power: Covariance of the scores from the noise model, shape (9, 9).
-        scatter: Covariance of the scores over motion segments, shape (9, 9).
+        normal: Fisher information, from products of the sensitivities of different simulated runs
+            (replicates), at most ``power``, shape (9, 9).
+        power: Covariance of the scores that the noise model predicts: the Fisher information from
+            the products of each run's own sensitivities, shape (9, 9).
+        scatter: Covariance of the scores observed over the motion segments of the simulated runs,
+            shape (9, 9).
     """
 
     normal: Array
@@ -60,8 +63,8 @@ class Information:
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def effective(self, weights: Array) -> Information:
-        """Return the effective information for an estimate whose error weights the scores by
-        ``weights``, shape (9,).
+        """Return the information that is effective for one parameter; the error of its estimate is
+        the sum of the scores times ``weights``, shape (9,).
 
         The information is reduced by the ratio of the scores' observed scatter to their scatter in
         the noise model, if this ratio exceeds one.
@@ -97,9 +100,9 @@ class Intervals:
 def stage_information(stage: PlannedStage, nominals: Sequence[PlannedModel]) -> Information:
     """Return the information of one stage, from simulated runs that are replicates of one another.
 
-    The information is :data:`NOTHING` where a run has too few breakaways or the filter does not
-    follow it. The information is relative to the values, so that the matrices are well scaled;
-    static limits take the place of the rises.
+    The information is :data:`NOTHING` where a run has too few breakaways or the filter diverges.
+    The information is relative to the values, so that the matrices are well scaled; static limits
+    take the place of the rises.
 
     Args:
         stage: Command and weight of the stage.
@@ -132,8 +135,8 @@ def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return two covariances of a stage's scores, from the noise model and from the scatter over
-    motion segments; breakaway times are eliminated, shape (p, p) each.
+    """Return two covariances of a stage's scores, as predicted by the noise model and as observed
+    over motion segments; breakaway times are eliminated, shape (p, p) each.
     """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
@@ -215,8 +218,9 @@ def _turn(names: Sequence[str], nominal: PlannedModel) -> Array:
 
 
 def weights_of_scores(informations: Sequence[Information], target: str, loaded: bool) -> Array:
-    """Return the weights of the scores in the error of the ``target``'s estimate from several
-    stages, shape (9,).
+    """Return the weights of the scores, shape (9,): the row of the ``target`` in the inverse of
+    the information of several stages. To first order, the error of the estimate is the sum of the
+    scores times these weights.
     """
     count = len(NAMES) if loaded else len(SYSTEM_PARAMETERS)
     total = np.sum([i.normal for i in informations], axis=0)[:count, :count]

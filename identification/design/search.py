@@ -214,8 +214,8 @@ class Search:
         return None
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
-        """Return whether the filter follows an excitation for its whole duration, with other noise
-        series than those with which the excitation was judged.
+        """Return whether the filter does not diverge over the whole duration of an excitation, with
+        other noise series than those with which the excitation was judged.
         """
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:

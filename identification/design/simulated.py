@@ -194,8 +194,8 @@ def followed(
     names: Sequence[str],
     noises: Iterable[int],
 ) -> bool:
-    """Return whether the filter follows a stage with every drive and each of several noise
-    series.
+    """Return whether the filter does not diverge on a stage, with every drive and each of several
+    noise series.
     """
     return all(
         at_the_truth([stage], n, names, noise, whole=False) is not None

@@ -96,8 +96,12 @@ class MotionWitness:
         return surer(found, motion, self._servo)
 
     def explanation(self, too_fast: bool = False, too_strong: bool = False) -> str:
-        """Return the explanation of a trip (``too_fast``: of the reported speed, ``too_strong``: of
-        the torque) or of a fault as text; empty if the samples do not explain it.
+        """Return a text that explains a fault or a trip, or an empty text if the samples do not
+        explain it.
+
+        Args:
+            too_fast: Whether the limit of the reported speed tripped.
+            too_strong: Whether the limit of the torque tripped.
         """
         try:
             found = self.hint(too_fast, too_strong)

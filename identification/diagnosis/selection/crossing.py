@@ -4,9 +4,10 @@ and the other rests.
 If friction holds the valve until the gap or the hysteresis loop is closed, the angles with a gap
 and with a loop are equal within the encoders' resolution. In a gap the drive supplies only the
 rotor's torque, T = J_r domega_m/dt + M_r s. In a hysteresis loop the torque rises with the angle, T
-= J_r domega_m/dt + M_r s + w (s + u). Here J_r is the rotor's inertia, M_r the friction on the
-motor's side, w the torque that closes the loop, s the direction, and u from -1 to 1 the position in
-the loop. The rise w u distinguishes a loop from a gap; the constant part may occur with either.
+= J_r domega_m/dt + M_r s + w (s + u), that is (D8) with M = M_r + w. Here J_r is the rotor's
+inertia, M_r the friction on the motor's side, w the torque that closes the loop, s the direction,
+and u from -1 to 1 the position in the loop. The rise w u distinguishes a loop from a gap; the
+constant part may occur with either.
 """
 
 from __future__ import annotations

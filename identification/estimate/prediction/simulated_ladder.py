@@ -134,9 +134,10 @@ def climb_simulated(
         progress: Called with the name of the step and the share done.
 
     Returns:
-        One record for each fit. The list is empty unless each recording has an angle and, in
-        addition, either a controller with its command or a motor voltage without a measured torque;
-        with a measured torque, the equation error suffices.
+        One record for each fit. The list is empty unless each recording is unloaded, has an angle
+        and, in addition, either a declared controller and a ``command`` channel, or a measured
+        motor voltage and neither torque nor current; with either of these, the equation error
+        suffices.
 
     Raises:
         RecordingError: A recording cannot be simulated, or cannot be fitted.

@@ -1,5 +1,5 @@
-"""Writes the JSON Schema beside a file, and the first line of the file, which refers an editor to
-the schema.
+"""Writes the JSON Schema beside a file, and composes the first line of the file, which refers an
+editor to the schema.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ def simulation_record(found: Simulation) -> dict[str, Any]:
 
 
 def _errors(found: Simulation) -> list[dict[str, object]]:
-    """Return the errors of every equation, SI units."""
+    """Return the prediction errors of each result, one entry per equation, SI units."""
     units = {"transmission": "rad" if found.rotary else "m", "voltage": "V"}
     return [
         {

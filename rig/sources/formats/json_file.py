@@ -38,7 +38,7 @@ class JsonTable(Table):
     """Table with one column for each number, named by its path in the file.
 
     These forms are read: a list of objects; a list of lists, whose first list is the header if it
-    is text; an object of lists of equal length; and the forms that pandas writes, ``split``
+    is text; an object whose lists are equally long; and the forms that pandas writes, ``split``
     (``columns`` and ``data``), ``table``, ``index`` and ``columns``. Each form may be inside an
     object; if a file has several tables, the names of the columns begin with the place of the
     table. A date in text is read as seconds since the first date.
@@ -68,7 +68,7 @@ class JsonTable(Table):
         if not self._tables_found:
             raise InputError(
                 f"{path}: holds no table of numbers{f' ({words})' if words else ''}; write a list "
-                f"of objects, or an object of lists of one length"
+                f"of objects, or an object whose lists are equally long"
             )
         if words:
             self.note(f"left out: {words}")

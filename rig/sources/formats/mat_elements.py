@@ -119,8 +119,8 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     count, odd = divmod(dimensions.length, 4)
     if odd or not 2 <= count <= _MOST_DIMENSIONS:
         raise DamagedElementError(
-            f"the array dimensions at byte {dimensions.start} have {dimensions.length} bytes; they "
-            f"must have 4 for each of 2 to {_MOST_DIMENSIONS} dimensions"
+            f"the array dimensions at byte {dimensions.start} take {dimensions.length} bytes; "
+            f"expected 4 bytes per dimension, for 2 to {_MOST_DIMENSIONS} dimensions"
         )
     stream.seek(dimensions.start)
     shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))

@@ -67,19 +67,22 @@ class McapTable(Table):
             raise
         except _DAMAGED as error:
             if not self._take_cut_off(others):
-                remedy = "recover it first; a run of this program is opened by its folder"
+                remedy = (
+                    "recover this file with `mcap recover`; open a run of this program by its "
+                    "folder"
+                )
                 if self._cut:
                     raise InputError(
-                        f"{path}: cannot be read: cut off before its first whole message; log in "
-                        f"smaller chunks, or {remedy}"
+                        f"{path}: cannot be read: cut off before its first whole message; write "
+                        f"logs with smaller chunks, or {remedy}"
                     ) from error
                 raise damaged(path, error, remedy) from error
         listed = ", ".join(sorted(others))
         if not self._rows:
             found = f"; found {listed}" if others else ""
             raise InputError(
-                f"{path}: no JSON, CDR or protobuf messages{found}; a run of this program is "
-                f"opened by its folder, not by this file"
+                f"{path}: no JSON, CDR or protobuf messages{found}; open a run of this program "
+                f"by its folder, not by this file"
             )
         if others:
             self.note(f"left out: {listed}")

@@ -97,8 +97,8 @@ def scatter(number: float) -> float:
 
 @inlined
 def outside_torque(run: float, theta: float, travel: float, e: Vector) -> float:
-    """Return the torque on the joint that depends on running time, angle and the former travel, N
-    m.
+    """Return the torque on the joint, N m, by effects outside the catalogue that depend on running
+    time, s, angle, rad, and the state of a hysteresis over long travel, -1 to 1.
     """
     torque = 0.0
     if e[TIMED_TORQUE] != 0.0:

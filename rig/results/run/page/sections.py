@@ -142,7 +142,7 @@ def _closer(
 
 
 def whole(recorded: Recorded) -> Iterator[str]:
-    """Yield the section of one recording as a whole."""
+    """Yield the page section that shows one whole recording."""
     traces = recorded.traces
     if traces.damage is not None:
         yield f'<p class="warning">The recording is damaged: {escape(traces.damage)}</p>'
