@@ -211,3 +211,15 @@ def test_without_the_package_the_message_says_what_to_install(
         next(iter(PLANT.play(world_of(sine()))))
     assert status(["prove", "--plant", "mujoco", "--gas"]) == 2
     assert "--gas cannot be combined" in capsys.readouterr().err
+
+
+def test_a_constant_load_beyond_a_flexible_shaft_stays_constant() -> None:
+    """It is set in each step, not added to that of the step before."""
+    stiffness = 2000.0
+    signals = played(
+        world_of(sine(), {"compliance": {"stiffness_Nm_rad": stiffness}}, pull_N_m=5.0)
+    )
+    free = played(world_of(sine(), {"compliance": {"stiffness_Nm_rad": stiffness}}))
+    moved = (signals.angle - signals.motor_angle / 100.0) - (free.angle - free.motor_angle / 100.0)
+    assert np.max(np.abs(signals.angle)) < 0.4
+    assert float(np.median(moved)) == pytest.approx(5.0 / stiffness, rel=0.2)

@@ -260,6 +260,7 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
     terminal = voltage * sag - stage[DEAD] * np.sign(current)
     push = f[PER_A] * current
     views.voltage[0] = terminal - stage[BRUSH] * math.tanh(current / stage[BRUSH_A])
+    views.applied[:] = 0.0
     views.applied[0] = further(f, given.law_state, since, shaft * f[GEAR], w, current, dt)
     views.friction[last] = dry(f, given.law_state, t, q, w, push, dt)
     views.viscous[last] = damping(f, t, q)
