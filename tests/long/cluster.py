@@ -60,7 +60,11 @@ def proved(folder: Path, options: Sequence[str], kill: bool) -> tuple[float, flo
 
 def _workers(pid: int) -> Iterator[psutil.Process]:
     for child in psutil.Process(pid).children():
-        if "resource_tracker" not in " ".join(child.cmdline()):
+        try:
+            words = child.cmdline()
+        except psutil.NoSuchProcess:  # it ended a moment ago
+            continue
+        if "resource_tracker" not in " ".join(words):
             yield child
 
 
