@@ -247,6 +247,8 @@ def _place(
         return key_mark or mark, path, message.removeprefix("Value error, "), _ABSENT
     if kind == "value_error":
         return mark, path, message.removeprefix("Value error, "), node.plain()
+    if kind == "too_short":
+        message = "needs at least {min_length} entries, has {actual_length}".format(**details["ctx"])
     return mark, path, message[:1].lower() + message[1:], node.plain()
 
 

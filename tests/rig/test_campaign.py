@@ -51,6 +51,12 @@ def problems(folder: Path, text: str) -> list[str]:
     return [line.removeprefix(f"{path}:") for line in caught.value.problems]
 
 
+def test_an_empty_list_is_told_in_words(tmp_path: Path) -> None:
+    text = SHORT[: SHORT.index("  - file")].replace("recordings:", "recordings: []")
+    (line,) = problems(tmp_path, text)
+    assert line.endswith("recordings: needs at least 1 entries, has 0 (got [])")
+
+
 def test_the_example_of_the_contract(tmp_path: Path) -> None:
     (tmp_path / "c.yaml").write_text(CONTRACT)
     campaign = load_campaign(tmp_path / "c.yaml").value
