@@ -248,7 +248,7 @@ def _place(
     if kind == "value_error":
         return mark, path, message.removeprefix("Value error, "), node.plain()
     if kind == "too_short":
-        message = "needs at least {min_length} entries, has {actual_length}".format(**details["ctx"])
+        message = "has {actual_length} entries, needs {min_length}".format(**details["ctx"])
     return mark, path, message[:1].lower() + message[1:], node.plain()
 
 

@@ -54,7 +54,7 @@ def problems(folder: Path, text: str) -> list[str]:
 def test_an_empty_list_is_told_in_words(tmp_path: Path) -> None:
     text = SHORT[: SHORT.index("  - file")].replace("recordings:", "recordings: []")
     (line,) = problems(tmp_path, text)
-    assert line.endswith("recordings: needs at least 1 entries, has 0 (got [])")
+    assert line.endswith("recordings: has 0 entries, needs 1 (got [])")
 
 
 def test_the_example_of_the_contract(tmp_path: Path) -> None:
