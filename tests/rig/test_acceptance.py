@@ -262,7 +262,7 @@ def test_without_limits_there_is_nothing_to_accept(
     limits = tmp_path / "limits.yaml"
     limits.write_text("acceptance: 1\nlimits: []\n")
     assert status(["runs", "accept", str(run), "--acceptance", str(limits)]) == 2
-    assert "at least 1 item" in capsys.readouterr().err
+    assert "has 0 entries, needs 1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("count", [3, 60])

@@ -112,7 +112,7 @@ def test_every_error_is_at_its_place(row: str, words: str) -> None:
         ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
         ("phase,target,phase\n", "1:1", "name the columns, each once"),
         ("", "1:1", "name the columns"),
-        ("phase,target,fault\n", "1:1", "at least 1 item"),
+        ("phase,target,fault\n", "1:1", "has 0 entries, needs 1"),
         ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
     ],
 )
