@@ -19,7 +19,7 @@ from identification.diagnosis.score.significance import greatest, over_own_noise
 from identification.diagnosis.selection.comparison import Contender, Round, probability
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.verdict.excess import Excess, excess_of
-from identification.diagnosis.verdict.outside import Kind, Reason, reason_outside
+from identification.diagnosis.verdict.reasons import Kind, Reason, reason_outside
 from identification.diagnosis.verdict.wording import finding
 from identification.model.units import parameter_unit
 from identification.prepare import drive_channel

@@ -11,7 +11,7 @@ from identification.diagnosis.catalogue.entry import title
 from identification.diagnosis.result import Effect, Fit, Location, Verdict
 from identification.diagnosis.rows.view import View
 from identification.diagnosis.rules import RULES
-from identification.diagnosis.verdict.outside import Reason
+from identification.diagnosis.verdict.reasons import Reason
 from identification.recording import Dataset
 
 

@@ -19,7 +19,7 @@ from identification.diagnosis.verdict.excess import (
     judged_equation,
 )
 from identification.diagnosis.verdict.judgement import effects_of, little_unseen
-from identification.diagnosis.verdict.outside import Kind, Reason
+from identification.diagnosis.verdict.reasons import Kind, Reason
 
 _ENDS: Mapping[str, str] = {
     "stop": "the best candidate of the catalogue",

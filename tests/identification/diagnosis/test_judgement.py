@@ -14,10 +14,10 @@ from identification.diagnosis.rules import RULES
 from identification.diagnosis.selection.comparison import Round
 from identification.diagnosis.selection.search import Search
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.verdict import judgement, outside
+from identification.diagnosis.verdict import judgement, reasons
 from identification.diagnosis.verdict import unexplained as unexplained_module
 from identification.diagnosis.verdict.judgement import Judged, effects_of, verdict_of
-from identification.diagnosis.verdict.outside import Kind, Reason
+from identification.diagnosis.verdict.reasons import Kind, Reason
 from identification.diagnosis.verdict.unexplained import unexplained, unexplained_equations
 from identification.recording import Array
 
@@ -69,7 +69,7 @@ def noise(search: Search, power: float) -> Array:
 def test_a_fit_that_needs_impossible_constants_names_nothing(
     monkeypatch: pytest.MonkeyPatch, beyond: bool, expected: Verdict
 ) -> None:
-    monkeypatch.setattr(outside, "infeasible", lambda _joint: beyond)
+    monkeypatch.setattr(reasons, "infeasible", lambda _joint: beyond)
     judged = verdict_of(found(1.0), np.random.default_rng(0))
     assert judged.verdict is expected
     assert any("outside their physical limits" in t for t in texts_of(judged)) is beyond
@@ -157,7 +157,7 @@ def test_what_explains_little_of_recordings_set_aside_is_not_sure(
 def test_effects_that_explain_enough_are_outside_the_catalogue_with_the_right_reason(
     monkeypatch: pytest.MonkeyPatch, hysteretic: bool
 ) -> None:
-    monkeypatch.setattr(outside, "hysteretic_remainder", lambda _found: hysteretic)
+    monkeypatch.setattr(reasons, "hysteretic_remainder", lambda _found: hysteretic)
     judged = verdict_of(found(1.0), np.random.default_rng(0))
     assert (judged.verdict is Verdict.OUTSIDE_CATALOGUE) is hysteretic
     texts = texts_of(judged)

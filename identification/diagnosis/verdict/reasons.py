@@ -1,6 +1,4 @@
-"""Defines the reasons for which effects of the catalogue do not explain a mismatch, or for which
-the mismatch does not count.
-"""
+"""Reasons for which effects do not explain a mismatch, or for which a mismatch does not count."""
 
 from __future__ import annotations
 
