@@ -26,8 +26,21 @@ def lagged(series: Array, time: Array, time_s: float) -> Array:
 
 
 def advanced(series: Array, time: Array, time_s: float) -> Array:
-    """Return the series advanced by ``time_s``, with the end values held, shape (n,)."""
-    return np.asarray(np.interp(time + time_s, time, series))
+    """Return the series advanced by ``time_s``, with the end values held, shape (n,).
+
+    Between two samples the series is the cubic through the four nearest samples, and beside the
+    ends a straight line.
+    """
+    last = len(series) - 1
+    place = np.interp(time + time_s, time, np.arange(last + 1.0))
+    j = np.minimum(place.astype(int), last - 1)
+    x = place - j
+    before, here, after, later = (series[np.clip(j + k, 0, last)] for k in (-1, 0, 1, 2))
+    bent = after - 2.0 * here + before
+    more = later - 3.0 * after + 3.0 * here - before
+    cubic = x * (x - 1.0) * (0.5 * bent + (x + 1.0) / 6.0 * more)
+    inside = (j >= 1) & (j < last - 1)
+    return np.asarray(here + x * (after - here) + np.where(inside, cubic, 0.0))
 
 
 def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:

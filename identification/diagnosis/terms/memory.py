@@ -145,11 +145,21 @@ def temperature_rise(loss: Array, run_time: Array, time_constant: float) -> Arra
 def delayed_series(series: Array, step: float, time_s: float) -> Array:
     """Return a series delayed by ``time_s`` (advanced if negative), with the end values held, shape
     (m,).
+
+    Between two samples the series is the cubic through the four nearest samples. A straight line
+    would be wrong by an eighth of the acceleration times ``step`` squared, which in a log of 100 Hz
+    exceeds the noise of an encoder. Beside the ends the series is a straight line.
     """
     out = np.empty(len(series))
     last = len(series) - 1
     for k in range(len(series)):
         place = min(max(k - time_s / step, 0.0), float(last))
-        before = min(int(place), last - 1)
-        out[k] = (series[before + 1] - series[before]) * (place - before) + series[before]
+        j = min(int(place), last - 1)
+        x = place - j
+        line = (series[j + 1] - series[j]) * x + series[j]
+        if 1 <= j < last - 1:
+            bent = series[j + 1] - 2.0 * series[j] + series[j - 1]
+            more = series[j + 2] - 3.0 * series[j + 1] + 3.0 * series[j] - series[j - 1]
+            line += x * (x - 1.0) * (0.5 * bent + (x + 1.0) / 6.0 * more)
+        out[k] = line
     return out

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from identification.corrected.states import advanced
 from identification.diagnosis.terms.memory import (
     dahl,
     delayed_series,
@@ -14,6 +15,7 @@ from identification.diagnosis.terms.memory import (
     play,
     temperature_rise,
 )
+from identification.recording import Array
 
 TIME = np.arange(2000) * 1e-3
 
@@ -116,8 +118,30 @@ def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:
     assert play(angle, 0.2, 5.0)[0] == pytest.approx(0.1), "no further than a flank"
 
 
-@pytest.mark.parametrize("time_s", [0.0, 0.003, 0.00137, -0.0217, 9.0, -9.0])
-def test_a_delay_goes_straight_from_sample_to_sample_and_holds_the_ends(time_s: float) -> None:
-    series, places = np.sin(0.1 * np.arange(200)), np.arange(200)
-    expected = np.interp(places - time_s / 0.001, places, series)
-    assert delayed_series(series, 0.001, time_s) == pytest.approx(expected, abs=1e-14)
+@pytest.mark.parametrize("time_s", [0.0, 0.003, 0.00137, -0.0217])
+def test_a_delay_is_exact_for_a_cubic_away_from_the_ends(time_s: float) -> None:
+    """A log of 100 Hz resolves a delay of one and a half samples only with the curvature."""
+
+    def cubic(time: Array) -> Array:
+        return 0.3 + 2.0 * time - 70.0 * time**2 + 900.0 * time**3
+
+    time = 0.001 * np.arange(200)
+    late = delayed_series(cubic(time), 0.001, time_s)
+    assert late[25:175] == pytest.approx(cubic(time - time_s)[25:175], abs=1e-12)
+
+
+@pytest.mark.parametrize("time_s", [9.0, -9.0, 0.0123])
+def test_a_delay_holds_the_ends(time_s: float) -> None:
+    series = np.sin(0.1 * np.arange(200))
+    late = delayed_series(series, 0.001, time_s)
+    held = np.arange(200) - time_s / 0.001
+    assert late[held <= 0.0] == pytest.approx(series[0])
+    assert late[held >= 199.0] == pytest.approx(series[-1])
+
+
+def test_the_corrected_model_delays_a_series_in_the_same_way() -> None:
+    series, time = np.sin(0.1 * np.arange(200)), 0.001 * np.arange(200)
+    for late_s in (0.00137, -0.0217):
+        assert advanced(series, time, -late_s) == pytest.approx(
+            delayed_series(series, 0.001, late_s), abs=1e-12
+        )
