@@ -21,12 +21,19 @@ def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
     For well-conditioned columns the normal equations are solved with one step of iterative
     refinement; this is as exact as a singular value decomposition and takes a tenth of its time.
     Other columns use the singular value decomposition, without the singular values below ``rcond``
-    times the greatest.
+    times the greatest. The coefficient of a column whose norm is about zero is zero: the quotient
+    of two numbers at the limit of the number format may be infinite.
     """
     inner = columns.T @ columns
     length = np.sqrt(np.diag(inner))
-    if not len(length) or np.any(length < LEAST_LENGTH):
-        return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])
+    seen = length >= LEAST_LENGTH
+    if not np.all(seen):
+        found = np.zeros(len(length))
+        if np.any(seen):
+            found[seen] = least_squares(columns[:, seen], target, rcond)
+        return found
+    if not len(length):
+        return length
     values, vectors = np.linalg.eigh(inner / length / length[:, None])
     if not values[0] > LEAST_EIGENVALUE_RATIO * values[-1]:
         return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])

@@ -24,8 +24,10 @@ def test_of_columns_that_are_one_each_gets_its_half() -> None:
 
 
 def test_a_column_of_nothing_gets_nothing() -> None:
-    columns = np.stack([ROWS, np.zeros(400)], axis=1)
-    assert least_squares(columns, 3.0 * ROWS) == pytest.approx([3.0, 0.0])
+    for nothing in (0.0, 2.5e-317):
+        columns = np.stack([ROWS, np.full(400, nothing)], axis=1)
+        assert least_squares(columns, 3.0 * ROWS) == pytest.approx([3.0, 0.0])
+        assert least_squares(columns[:, 1:], 3.0 * ROWS) == pytest.approx([0.0])
 
 
 def test_no_column_gets_no_coefficient() -> None:
