@@ -145,6 +145,7 @@ def _scales(views: Sequence[View], inertia: float) -> dict[str, float]:
         "K/W": 1.0 / (voltage * current),
         "N m": torque,
         "N m/s": torque,
+        "1/rad": 1.0 / angle,
         "N m/rad": torque / angle,
         "N m s/rad": torque / speed,
         "N m s^2/rad^2": torque / speed**2,

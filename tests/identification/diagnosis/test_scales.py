@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.fit.joint import Added
 from identification.diagnosis.rows.scales import at_scale
 from identification.diagnosis.rows.view import View
+from identification.diagnosis.selection.comparison import implausible
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.model.units import LINEAR
@@ -51,3 +53,16 @@ def test_gaps_of_a_linear_axis_are_a_share_of_its_travel() -> None:
     (short,), (long,) = at_scale([1e-3], linear), at_scale([1e-3], twice)
     assert long == pytest.approx(2.0 * short)
     assert 0.0 < short < 1e-3
+
+
+def test_the_plausible_slope_over_the_angle_grows_as_the_travel_shrinks() -> None:
+    """On a travel of a tenth, ten times the slope changes the friction by as much."""
+    joint = nominal_fit(honest())
+    effect = Added(TERM["load_position_dependence"], (), (4.0,))
+    beyond = []
+    for travel in (1.0, 0.1):
+        views = tuple(scaled(v, travel=travel) for v in joint.equations[0].views)
+        equations = tuple(replace(e, views=views) for e in joint.equations)
+        beyond.append(implausible(replace(joint, effects=(effect,), equations=equations)))
+    assert beyond[0].startswith("slope_per_rad 4, outside its plausible range")
+    assert not beyond[1]
