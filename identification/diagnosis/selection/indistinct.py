@@ -24,10 +24,12 @@ from identification.diagnosis.terms.term import Context, Term
 from identification.diagnosis.terms.voltage_drop import change_at_zero
 from identification.recording import Array
 
-ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {"presliding": ("compliance",)}
+ONE_ENCODER_ALIASES: Mapping[str, tuple[str, ...]] = {
+    "presliding": ("compliance", "coupling_hysteresis")
+}
 """Effects that the motor's encoder alone does not distinguish. After a reversal the torque rises
-with the motor's travel until the friction slips, whether a spring in the friction or a shaft
-between motor and joint is wound up.
+with the motor's travel until the friction slips, whether a spring in the friction, or a shaft or a
+coupling between motor and joint, is wound up.
 """
 
 

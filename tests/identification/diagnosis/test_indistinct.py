@@ -22,7 +22,7 @@ TERM = {t.name: t for t in TERMS}
 @pytest.mark.parametrize(
     ("name", "kept", "alias"),
     [
-        ("presliding", "motor_angle", ("compliance",)),
+        ("presliding", "motor_angle", ("compliance", "coupling_hysteresis")),
         ("presliding", "angle", ()),
         ("asymmetric_coulomb", "motor_angle", ()),
     ],
