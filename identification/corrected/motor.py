@@ -58,14 +58,18 @@ def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
 
 
 def gear_mesh_ripple_drive(
-    s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
+    s: Any,
+    m: Any,
+    amplitude_rad: float,
+    per_turn: float,
+    phase_rad: float,
+    with_torque: float = 1.0,
 ) -> Array:
     """Torque ripple due to the ripple of the transmission ratio: power is conserved, so torque is
-    greater where the motor turns faster.
+    greater where the motor turns faster; none if ``with_torque`` is 0.
     """
-    return np.asarray(
-        s["drive"] * amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad)
-    )
+    steepness = amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad)
+    return np.asarray(with_torque * steepness * s["drive"])
 
 
 def time_skew(s: Any, m: Any, time_s: float) -> Array:

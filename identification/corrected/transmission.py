@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.corrected.states import play
+from identification.corrected.states import advanced, play
 from identification.numerics.arrays import Array
 
 
@@ -28,9 +28,15 @@ def compliance(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
 
 
 def gear_mesh_ripple(
-    s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
+    s: Any,
+    m: Any,
+    amplitude_rad: float,
+    per_turn: float,
+    phase_rad: float,
+    with_torque: float = 1.0,
 ) -> Array:
-    """Periodic error of the gear mesh: A sin(n theta + p)."""
+    """Periodic error of the gear mesh: A sin(n theta + p); the torque is in
+    :func:`identification.corrected.motor.gear_mesh_ripple_drive`."""
     return np.asarray(amplitude_rad * np.sin(per_turn * s["angle"] + phase_rad))
 
 
@@ -42,7 +48,7 @@ def coupling_hysteresis(s: Any, m: Any, torque_Nm: float, deflection_rad: float)
 
 def transport_delay(s: Any, m: Any, time_s: float) -> Array:
     """Delay of the joint encoder's angle."""
-    return np.asarray(s["angle"] - np.interp(s["time"] - time_s, s["time"], s["angle"]))
+    return np.asarray(s["angle"] - advanced(s["angle"], s["time"], -time_s))
 
 
 def encoder_eccentricity(s: Any, m: Any, amplitude_rad: float, phase_rad: float) -> Array:

@@ -48,7 +48,8 @@ TRANSMISSION: tuple[Entry, ...] = (
     Entry(
         name="gear_mesh_ripple",
         group="transmission",
-        equation="phi / i - theta = A sin(n theta + p)",
+        equation="phi / i - theta = A sin(n theta + p); M = i Km I (1 + A n cos(n theta + p)) (if "
+        "with_torque = 1)",
         assumption="assumption A5: theta = i theta_r with one constant ratio i",
         shows_in="transmission",
         coordinate="angle: periodic in the joint's angle, the same both ways and at any speed and "
@@ -57,6 +58,7 @@ TRANSMISSION: tuple[Entry, ...] = (
             Quantity("amplitude_rad", "rad", 0.0, 0.05),
             Quantity("per_turn", "1/turn", 5.0, 2000.0),
             Quantity("phase_rad", "rad", -pi, pi),
+            Quantity("with_torque", "", 0.0, 1.0),
         ),
         look_alikes=("encoder_eccentricity", "cogging", "torque_ripple"),
         experiment=(
@@ -67,7 +69,8 @@ TRANSMISSION: tuple[Entry, ...] = (
         ),
         sentence=(
             "the gear's ratio varies: the angles of motor and joint differ by up to "
-            "{amplitude_rad:deg}, {per_turn:} times per joint turn (phase {phase_rad:deg})"
+            "{amplitude_rad:deg}, {per_turn:} times per joint turn (phase {phase_rad:deg}), and "
+            "the torque varies with the ratio ({with_torque:}; 1: it does, 0: it does not)"
         ),
     ),
     Entry(

@@ -239,18 +239,28 @@ class Stack:
         )
 
     def candidate(
-        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
+        self,
+        name: str,
+        shape: Shape,
+        columns: Mapping[str, Array],
+        positive: Sequence[int] = (),
+        least_active: float = RULES.least_active,
     ) -> Candidate | None:
         """Return the score of regressors, or None if they are collinear with the nominal model,
-        active in too few blocks, or have an unphysical sign.
+        active in fewer than ``least_active`` blocks, or have an unphysical sign.
         """
         if not columns:
             return None
         here = self.only(columns.keys())
-        return here._scored(name, shape, columns, positive)
+        return here._scored(name, shape, columns, positive, least_active)
 
     def _scored(
-        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int]
+        self,
+        name: str,
+        shape: Shape,
+        columns: Mapping[str, Array],
+        positive: Sequence[int],
+        least_active: float = RULES.least_active,
     ) -> Candidate | None:
         full = self.whitened(columns)
         # A recording that shows nothing of what each recording has to itself has zeros there.
@@ -265,7 +275,7 @@ class Stack:
             return None
         sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
         energy = np.einsum("bkk->b", weights) / q.shape[1]
-        if 1.0 / float(energy @ energy) < RULES.least_active:
+        if 1.0 / float(energy @ energy) < least_active:
             return None
         score = q.T @ self.residual
         coefficients = np.zeros(len(shown))
@@ -322,7 +332,9 @@ class Stack:
 
     def term(self, term: Term, shape: Shape) -> Candidate | None:
         """Return the score of one effect at one set of nonlinear parameters, or None."""
-        return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
+        # An effect of one recording is active in the blocks of this recording only.
+        least = RULES.least_active if term.place is None else 0.0
+        return self.candidate(term.name, shape, self.columns(term, shape), term.positive, least)
 
 
 def connected(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:

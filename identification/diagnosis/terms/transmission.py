@@ -30,7 +30,8 @@ from identification.diagnosis.terms.wave import sine_cosine
 from identification.recording import Array
 from identification.signals import central_difference, quantum
 
-TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
+WITH_TORQUE = (1.0, 0.0)
+TEETH: tuple[Shape, ...] = tuple((float(n), WITH_TORQUE[0]) for n in range(5, 201))
 GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 TWIST_COUNTS = (0.0, 2.0)
@@ -248,10 +249,10 @@ def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    # Power is conserved: where the teeth make the motor turn faster, it needs less torque in the
-    # same proportion.
+    # Where the teeth make the motor turn faster, it needs less torque in the same proportion: power
+    # is conserved. An error of the angle alone, as of an encoder, makes no torque.
     sine, cosine = sine_cosine(shape[0], view.angle)
-    torque = shape[0] * nominal.drive(view)
+    torque = shape[1] * shape[0] * nominal.drive(view)
     out = np.empty((2, len(torque)))
     np.multiply(torque, cosine, out=out[0])
     np.multiply(torque, sine, out=out[1])
@@ -261,7 +262,12 @@ def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
     amplitude, phase = polar(float(c[0]), float(c[1]))
-    return {"amplitude_rad": amplitude, "per_turn": shape[0], "phase_rad": phase}
+    return {
+        "amplitude_rad": amplitude,
+        "per_turn": shape[0],
+        "phase_rad": phase,
+        "with_torque": shape[1],
+    }
 
 
 def _eccentric(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -347,6 +353,7 @@ TERMS = (
         {"transmission": _mesh, "torque": _mesh_torque},
         _read_mesh,
         lambda context: everywhere(context, _both_encoders, TEETH),
+        forms={1: WITH_TORQUE},
         at_angle=True,
         follows=True,
     ),

@@ -35,6 +35,16 @@ def test_torque_that_saturates_by_either_law(rational: float) -> None:
     assert parameters["rational"].value == rational
 
 
+@pytest.mark.parametrize("with_torque", [0.0, pytest.param(1.0, marks=pytest.mark.proof)])
+def test_an_error_of_the_teeth_is_told_from_one_of_the_angle_alone(with_torque: float) -> None:
+    wave = {"amplitude_rad": 1e-3, "per_turn": 33.0, "phase_rad": 0.4, "with_torque": with_torque}
+    found = diagnose(Dataset(campaign({"gear_mesh_ripple": wave}, 8, 8.0), Model()))
+    assert [e.name for e in found.effects] == ["gear_mesh_ripple"]
+    parameters = found.effects[0].parameters
+    assert parameters["amplitude_rad"].value == pytest.approx(1e-3, rel=0.05)
+    assert parameters["with_torque"].value == with_torque
+
+
 @pytest.mark.proof
 @pytest.mark.parametrize("magnet", [0.0, 1.0])
 def test_a_winding_that_heats_alone_is_told_from_one_with_its_magnets(magnet: float) -> None:

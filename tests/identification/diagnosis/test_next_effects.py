@@ -162,7 +162,7 @@ def test_rows_that_an_effect_does_not_touch_need_not_be_looked_at(name: str, gap
         Added(BY_NAME["asymmetric_coulomb"], (), (0.0,)),
         Added(BY_NAME["encoder_eccentricity"], (), (0.0, 0.0)),
     )
-    mesh = Added(ripple, (33.0,), (0.0, 0.0))
+    mesh = Added(ripple, (33.0, 1.0), (0.0, 0.0))
     for effects in (given, (*given, mesh)):
         stack = fit(views_here, "N m", gap.nominal, effects, gap).stack
         term = BY_NAME[name]
@@ -230,7 +230,7 @@ def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:
     plain = nominal_fit(campaign(mesh, 13, 6.0)[:3])
     here = views([e.recording for e in plain.equations[0].views], 25.0, True)
     before = fit(here, "N m", plain.nominal)
-    added = Added(BY_NAME["gear_mesh_ripple"], (33.0,), (1e-3, 1e-3))
+    added = Added(BY_NAME["gear_mesh_ripple"], (33.0, 1.0), (1e-3, 1e-3))
     after = fit(here, "N m", plain.nominal, (added,), before)
     power = [np.mean(j.residual[j.stack.part("torque")] ** 2) for j in (before, after)]
     assert power[1] < 0.1 * power[0]
@@ -276,3 +276,15 @@ def test_effects_without_a_score_are_tried_if_a_nonlinear_parameter_gives_their_
     assert stiff == sorted(stiff)
     scored = [c for c in found if c.name == "presliding"][:1]
     assert "presliding" not in {c.name for c in unscored(joint, BY_NAME, scored)}
+
+
+def test_a_slip_in_one_short_recording_is_a_candidate() -> None:
+    """The recording has fewer blocks than an effect of all recordings must be active in."""
+    slip = {"encoder_slip": {"angle_rad": 2e-3, "at_s": 2.0, "recording": 2.0}}
+    joint = nominal_fit(campaign(slip, 12, 6.0)[:3])
+    context = Context(joint.equations[0].views, joint.nominal)
+    found = list(trial_candidates(joint.stack, context, [BY_NAME["encoder_slip"]]))
+    best = max(found, key=lambda c: c.score)
+    assert best.shape[0] == 1.0
+    assert abs(best.coefficients[0]) == pytest.approx(2e-3, rel=0.1)
+    assert best.gain > 0.5 * left_beyond_noise(joint, BY_NAME["encoder_slip"])

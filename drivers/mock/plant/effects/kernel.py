@@ -162,7 +162,7 @@ def integrate(
             # coupling.
             rate = turning - omega * (1.0 + steepness) - (given - before) / h
             carried = shaft_torque(twist, rate, given, damping, e)
-            transmitted = carried * (1.0 + steepness)
+            transmitted = carried * (1.0 + e[table.MESH_WITH_TORQUE] * steepness)
             turning += h * (torque - carried) / rotor_inertia
             omega, held, bristles, work = move_joint(
                 omega, held, bristles, transmitted + external + strange, h, w, e
@@ -170,7 +170,7 @@ def integrate(
             rotor += 0.5 * h * turning
             theta += 0.5 * h * omega
         else:
-            transmitted = torque * (1.0 + steepness)
+            transmitted = torque * (1.0 + e[table.MESH_WITH_TORQUE] * steepness)
             new, held, bristles, work = move_joint(
                 omega, held, bristles, transmitted + external + strange, h, w, e
             )

@@ -32,6 +32,7 @@ from typing import NamedTuple
     MESH_AMPLITUDE,
     MESH_ORDER,
     MESH_PHASE,
+    MESH_WITH_TORQUE,
     EFFICIENCY,
     HYSTERESIS_TORQUE,
     HYSTERESIS_DEFLECTION,
@@ -78,7 +79,7 @@ from typing import NamedTuple
     SLIP_TIME,
     SLIP_RECORDING,
     CATALOGUE_SIZE,
-) = range(67)
+) = range(68)
 
 
 class Parameter(NamedTuple):
@@ -130,6 +131,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "amplitude_rad": Parameter(MESH_AMPLITUDE, 0.0, 0.02),
         "per_turn": Parameter(MESH_ORDER, 0.1, 200.0),
         "phase_rad": Parameter(MESH_PHASE, *_PHASE),
+        "with_torque": Parameter(MESH_WITH_TORQUE, 0.0, 1.0, 1.0),
     },
     "transmission_efficiency": {"efficiency": Parameter(EFFICIENCY, 0.3, 1.0)},
     "coupling_hysteresis": {
