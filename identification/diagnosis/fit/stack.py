@@ -7,14 +7,19 @@ bootstrap: Cameron, Gelbach and Miller, Review of Economics and Statistics 90 (2
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
 import numpy as np
-from scipy import sparse, special
+from scipy import sparse
 
+from identification.diagnosis.fit.candidate import (
+    FEW_REGRESSORS,
+    NO_WEIGHTS,
+    Candidate,
+    wald_statistic,
+)
 from identification.diagnosis.rows.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.rows.equations import Equation
 from identification.diagnosis.rows.nominal import Nominal
@@ -24,71 +29,10 @@ from identification.diagnosis.terms.lateness import delayed_view
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.recording import Array
 
-FEW_REGRESSORS = 4
-"""Number of regressors up to which the statistic is computed from the residual after the fit."""
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column is rounding error."""
 NOMINAL_IN = ("torque", "breakaway")
 """Equations in which regressors may depend on the nominal values."""
-NO_WEIGHTS = np.zeros((0, 0, 0))
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """One effect at one set of nonlinear parameters, scored against the stack.
-
-    Attributes:
-        name: Name of the term, or of a generic family.
-        shape: Nonlinear parameters of the effect.
-        coefficients: Least-squares coefficients, in the term's units, shape (k,).
-        gain: Sum of whitened squares that the effect explains.
-        penalty: Sum of whitened squares that it explains by chance, expected value (Takeuchi).
-        statistic: Squared score over its variance by blocks after the fit; about chi-square with k
-            degrees of freedom if nothing is missing.
-        blocks: Score by block, shape (b, k).
-        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty for
-            many regressors.
-        share: Power of the effect's contribution over the noise power, in the rows of its
-            equations.
-    """
-
-    name: str
-    shape: Shape
-    coefficients: Array
-    gain: float
-    penalty: float
-    statistic: float
-    blocks: Array
-    weights: Array
-    share: float
-
-    @property
-    def score(self) -> float:
-        """Sum of whitened squares that the effect explains beyond those expected by chance."""
-        return self.gain - 2.0 * self.penalty
-
-    @property
-    def surprise(self) -> float:
-        """-log of the probability of at least this statistic."""
-        return log_surprise(self.statistic, len(self.coefficients))
-
-    @property
-    def preference(self) -> float:
-        """Preference of the data for the effect over no effect, in standard errors of the gain by
-        blocks; infinite without weights.
-        """
-        if not len(self.weights):
-            return math.inf
-        score = np.sum(self.blocks, axis=0)
-        gain = 2.0 * self.blocks @ score - np.einsum("j,bjk,k->b", score, self.weights, score)
-        spread = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
-        return float(np.sum(gain)) / spread if spread > 0.0 else 0.0
-
-
-def log_surprise(statistic: Array | float, degrees: int) -> float:
-    """Return -log of the probability of a chi-square beyond ``statistic``."""
-    with np.errstate(divide="ignore"):
-        return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -364,12 +308,6 @@ def view_regressors(
     if term.at_angle and equation == "torque" and nominal.late_s:
         return lambda view: made(make, delayed_view(view, nominal.late_s), nominal, shape)
     return lambda view: made(make, view, nominal, shape)
-
-
-def wald_statistic(score: Array, sums: Array) -> float:
-    """Return the squared score over its variance by blocks."""
-    variance = sums.T @ sums
-    return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
 
 
 def stack_of(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:

@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.catalogue import ENTRIES
+from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint
-from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.fit.within_limits import infeasible
 from identification.diagnosis.rows.scales import speed_scale, torque_scale, travel_scale
 from identification.diagnosis.rows.view import View

@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
-from identification.diagnosis.terms import device, friction, motor, transmission
+from identification.diagnosis.terms import device, friction, joint_encoder, motor, transmission
 from identification.diagnosis.terms.term import Term
 
-TERMS: tuple[Term, ...] = (*motor.TERMS, *transmission.TERMS, *friction.TERMS, *device.TERMS)
+TERMS: tuple[Term, ...] = (
+    *motor.TERMS,
+    *transmission.TERMS,
+    *joint_encoder.TERMS,
+    *friction.TERMS,
+    *device.TERMS,
+)

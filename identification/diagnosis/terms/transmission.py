@@ -43,7 +43,6 @@ LEAST_JOINT_SHARE = 0.1
 LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
 """Start value of the rotor's share of the inertia, which is unknown and fitted."""
-SLIPS_PER_RECORDING = 12
 FIRST_SAMPLES = 20
 """Number of first samples whose encoder readings determine the initial position in a gap or
 loop.
@@ -270,15 +269,6 @@ def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
     }
 
 
-def _eccentric(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    return rows(-np.sin(view.angle), -np.cos(view.angle))
-
-
-def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, float]:
-    amplitude, phase = polar(float(c[0]), float(c[1]))
-    return {"amplitude_rad": amplitude, "phase_rad": phase}
-
-
 def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
     # Speed times delay is not accurate enough: if the speed changes within the delay its error is
     # far above the encoders' noise.
@@ -304,21 +294,6 @@ def on_the_joint(terms: Iterable[Term]) -> list[Term]:
         else t
         for t in terms
     ]
-
-
-def _slip(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    here = view.index == round(shape[0])
-    return rows(np.where(here & (view.time - view.time[0] >= shape[1]), -1.0, 0.0))
-
-
-def _slips(context: Context) -> list[Shape]:
-    shapes: list[Shape] = []
-    for view in context.views:
-        if view.lag is not None:
-            length = float(view.time[-1] - view.time[0])
-            times = np.linspace(0.0, length, SLIPS_PER_RECORDING + 2)[1:-1]
-            shapes += [(float(view.index), float(t)) for t in times]
-    return shapes
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
@@ -385,22 +360,6 @@ TERMS = (
         refine={0: 0.0},
         positive=(0,),
         size=1.0,
-        shape_error=EXACT,
-    ),
-    Term(
-        "encoder_eccentricity",
-        {"transmission": _eccentric},
-        _read_eccentric,
-        lambda context: everywhere(context, _both_encoders, ((),)),
-        shape_error=EXACT,
-    ),
-    Term(
-        "encoder_slip",
-        {"transmission": _slip},
-        lambda c, shape, _context: {"angle_rad": float(c[0]), "at_s": shape[1]},
-        _slips,
-        place=0,
-        refine={1: 3.0},
         shape_error=EXACT,
     ),
 )

@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate
 from identification.diagnosis.rows.view import views
 from identification.diagnosis.score.collinear import collinear_effects
 from identification.diagnosis.score.significance import size_p_value, trial_candidates

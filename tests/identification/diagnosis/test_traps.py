@@ -19,8 +19,9 @@ from scipy.optimize import minimize_scalar
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.without_bus import record
+from identification.diagnosis.fit.candidate import Candidate
 from identification.diagnosis.fit.joint import Added, Joint, fit
-from identification.diagnosis.fit.stack import Candidate, Stack, stack_of
+from identification.diagnosis.fit.stack import Stack, stack_of
 from identification.diagnosis.rows.equations import Equation, equations
 from identification.diagnosis.rows.nominal import Nominal
 from identification.diagnosis.rows.view import View, views
