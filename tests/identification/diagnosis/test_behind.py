@@ -33,7 +33,7 @@ def with_skew(joint: Joint, ripple: Term, fraction: tuple[float, float]) -> floa
 def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
     joint = nominal_fit(honest())
     view, term = joint.equations[0].views[1], TERM[name]
-    shape = {"gear_mesh_ripple": (20.0,), "position_dependent_friction": (0.1, 0.05)}.get(
+    shape = {"gear_mesh_ripple": (20.0, 1.0), "position_dependent_friction": (0.1, 0.05)}.get(
         name, COGGING
     )
     prompt = view_regressors(term, "torque", joint.nominal, shape)(view)
