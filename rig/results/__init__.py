@@ -1,3 +1,1 @@
-"""Results of the commands: turns the record of a result into terminal text, JSON, HTML and
-figures.
-"""
+"""Output of the commands: makes terminal text, JSON, HTML and figures from result records."""

@@ -52,7 +52,7 @@ class Items:
     """A list.
 
     Attributes:
-        items: Name, such as that of a file, and text of each; the name may be empty.
+        items: Name and text of each item; the name, such as that of a file, may be empty.
     """
 
     items: tuple[tuple[str, str], ...]
@@ -77,7 +77,8 @@ class Picture:
         name: File name without its ending.
         caption: Description of its content.
         data: PNG.
-        lead: Whether it is what a page opens with, drawn to be read on a telephone.
+        lead: Whether the picture is at the top of a page, drawn so that it can be read on a
+            telephone.
     """
 
     name: str
@@ -87,7 +88,7 @@ class Picture:
 
     @classmethod
     def of(cls, name: str, caption: str, figure: Figure, *, lead: bool = False) -> Picture:
-        """Render a figure. Characters of the name that do not belong in a file name become
+        """Render a figure. Characters of the name that are not safe in a file name become
         underscores.
         """
         # Imported late: documents without figures do not need the plotting library.
@@ -112,8 +113,8 @@ class Section:
 
     Attributes:
         title: Heading.
-        blocks: Its content, in order.
-        anchor: Name that links lead to.
+        blocks: Content of the section, in order.
+        anchor: Name of the section in links.
     """
 
     title: str
@@ -138,7 +139,7 @@ class Document:
 
     Attributes:
         title: Heading.
-        subtitle: Line under it.
+        subtitle: Line below the heading.
         summary: Summary for the terminal; blank lines separate its sections.
         sections: Full content for the page; empty if there is no page.
         facts: Name and value of the facts at the top of the page, such as bench, date and operator.

@@ -22,7 +22,7 @@ def entry_of(name: str) -> Entry:
     """Return one entry of the catalogue.
 
     Raises:
-        InputError: There is no such effect; suggests the nearest name.
+        InputError: The effect does not exist; the message suggests the nearest name.
     """
     if name not in ENTRIES:
         raise InputError(f"{name}: not an effect of the catalogue; {nearest(name, list(ENTRIES))}")
@@ -53,7 +53,7 @@ def whole(entry: Entry) -> str:
         ("shows in", f"the {entry.shows_in} equation, against {entry.coordinate}"),
         *(("parameter" if k == 0 else "", _quantity(q)) for k, q in enumerate(entry.parameters)),
         ("look-alikes", ", ".join(entry.look_alikes)),
-        ("told apart by", entry.experiment),
+        ("distinguished by", entry.experiment),
         ("finding", entry.sentence),
     ]
     return "\n".join(_wrapped(label, text) for label, text in lines)

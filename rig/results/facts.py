@@ -11,8 +11,8 @@ from rig.runs.run_file import read_record
 
 
 def facts_of(source: Path) -> tuple[tuple[str, str], ...]:
-    """Return names and values of the known facts of a source: for a run bench, date and operator;
-    for a campaign the file.
+    """Return names and values of the known facts of a source: of a run, these are bench, date and
+    operator; of a campaign, the file.
     """
     if not is_folder(source):
         return (("campaign", source.name),)

@@ -41,7 +41,7 @@ def write_page(document: Document, file: Path) -> None:
 
 
 def write_texts(texts: Mapping[str, str], folder: Path) -> None:
-    """Write text files into a folder, by their paths relative to it.
+    """Write text files into a folder, by their paths relative to the folder.
 
     Raises:
         InputError: The folder cannot be written.
@@ -54,7 +54,7 @@ def write_texts(texts: Mapping[str, str], folder: Path) -> None:
 
 @contextmanager
 def _writing(*places: Path) -> Iterator[None]:
-    """Translate a write failure into a message with the paths concerned and the remedy."""
+    """Turn a write error into an InputError that names the paths and the remedy."""
     try:
         yield
     except OSError as error:

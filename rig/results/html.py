@@ -8,8 +8,8 @@ from rig.results.document import Block, Document
 
 
 def page(document: Document) -> str:
-    """Fill the template. All text is escaped, and a name that the template does not find is an
-    error.
+    """Return a document as HTML, from the template. All text is escaped, and an undefined name in
+    the template is an error.
     """
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("rig.results"),

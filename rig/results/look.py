@@ -29,14 +29,17 @@ def described(look: Look) -> str:
 def _clock_words(look: Look) -> str:
     clock = look.clock
     if clock is None:
-        return "no column is known as time: name it in the campaign file, or give `rate`"
+        return (
+            "no column is recognised as time: name the column of time in the campaign file or, if "
+            "there is none, give `rate`"
+        )
     name = look.columns[clock.column].name or clock.column
     words = [f"time is {name}"]
     if clock.period > 0:
         words.append(f"{1.0 / clock.period:.6g} Hz (median period {clock.period:.4g} s)")
     if clock.high - clock.low > 0.05 * abs(clock.period):
-        words.append(f"uneven, 5 to 95 % {clock.low:.4g} to {clock.high:.4g} s")
-    words.append(f"{clock.gaps} gaps, the longest step {clock.longest:.4g} s")
+        words.append(f"uneven: 90 % of the steps from {clock.low:.4g} to {clock.high:.4g} s")
+        words.append(f"{clock.gaps} gaps, the longest step {clock.longest:.4g} s")
     words += [f"{clock.backwards} steps backwards"] if clock.backwards else []
     words += [f"{clock.repeated} repeated"] if clock.repeated else []
     return ", ".join(words)

@@ -1,4 +1,4 @@
-"""Makes the sections that several documents share, on provenance and corrections on reading, and
+"""Makes sections that several documents have, on provenance and on corrections on reading, and
 chooses the plotted recordings.
 """
 
@@ -33,8 +33,8 @@ def provenance_section(provenance: Provenance) -> Section:
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return notes on corrections and implausible values; of notes that differ only in numbers,
-    only the first note.
+    """Return notes on corrections and implausible values; only the first of several notes that
+    differ only in numbers is returned.
     """
     alike: dict[str, list[str]] = {}
     for recording in recordings:
@@ -43,7 +43,7 @@ def reading_notes(recordings: Sequence[Recording]) -> list[str]:
                 f"reading: {recording.name}: {note}"
             )
     return [
-        lines[0] + (f" ({len(lines) - 1} more like this: see the report)" if len(lines) > 1 else "")
+        lines[0] + (f" ({len(lines) - 1} similar notes: see the report)" if len(lines) > 1 else "")
         for lines in alike.values()
     ]
 

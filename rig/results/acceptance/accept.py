@@ -56,12 +56,12 @@ def accept(folder: Path, limits: Sequence[Limit], source: str, progress: Progres
 
     Args:
         folder: The run folder.
-        limits: Its limits.
-        source: Where they are from.
+        limits: The acceptance limits of the run.
+        source: Origin of the limits.
         progress: Called with the current step and the completed share.
 
     Raises:
-        InputError: The folder is no run, or cannot be written.
+        InputError: The folder is not a run folder, or cannot be written.
     """
     evidence = gather(folder, limits, progress)
     progress("writing the certificate", 1.0)
@@ -86,7 +86,7 @@ def write_bytes(path: Path, content: bytes) -> None:
     """Write a file in one step.
 
     Raises:
-        InputError: It cannot be written; an earlier version is kept.
+        InputError: The file cannot be written; an earlier version is kept.
     """
     try:
         with replacing(path) as draft:
@@ -103,7 +103,7 @@ def acceptance_document(found: Acceptance) -> Document:
     statement = (
         f"{failed} of {len(rows)} checks failed."
         if failed
-        else f"All {len(rows)} checks are passed."
+        else f"The run passed all {len(rows)} checks."
     )
     blocks = (
         Table(("limit", "verdict", "found"), rows, ()),

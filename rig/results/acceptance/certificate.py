@@ -31,7 +31,7 @@ class Certificate:
         accepted: Whether the run is accepted.
         facts: Name and value of each fact on run, bench, time and operator.
         checks: Limits, found values and verdicts.
-        constants: Identified constants, or None if none were needed.
+        constants: Identified constants, or None if no limit is on a constant.
         masses: Stages with their masses.
         devices: Identities of the devices.
         calibrations: Calibrations and due dates, or None if the bench file names none.
@@ -72,8 +72,8 @@ def make_certificate(
         folder: The run folder.
         bench: Name of the bench.
         evidence: Values of the run that the limits apply to.
-        checks: Its limits, judged.
-        digests: File of the run folder to its SHA-256.
+        checks: Verdicts on the limits of the run.
+        digests: SHA-256 of the files of the run folder, by file name.
         made: Program and time.
     """
     record = evidence.record

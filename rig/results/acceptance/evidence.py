@@ -45,11 +45,11 @@ class Evidence:
         record: ``run.json``.
         digests: SHA-256 of its recordings, by file.
         dataset: Its finished excitations, or None if there are none.
-        constants: Identified constants; empty where they were not needed.
+        constants: Identified constants; empty if no limit needs an identification.
         method: Method of the identification; empty without one.
         fit_rms: Torque error of the identification; None without one.
-        diagnosis: Verdict of the diagnosis; empty where it was not needed.
-        weights: Stage to verdict and message of its last weight check.
+        diagnosis: Verdict of the diagnosis; empty if no limit needs a diagnosis.
+        weights: Verdict and message of the last weight check, by the name of the stage.
         problems: Messages on values that could not be obtained.
     """
 
@@ -67,12 +67,12 @@ class Evidence:
 def gather(folder: Path, limits: Sequence[Limit], progress: Progress) -> Evidence:
     """Collect the values of a run that the limits apply to.
 
-    An identification or diagnosis in the run folder is used if it is of these recordings; else
-    the run is identified and diagnosed as by ``rig identify`` and ``rig diagnose``, and the results
-    are written into the folder.
+    An identification or diagnosis in the run folder is used if it was made from the present
+    recordings; else the run is identified and diagnosed as by ``rig identify`` and ``rig
+    diagnose``, and the results are written into the folder.
 
     Raises:
-        InputError: The folder is no run, or results cannot be written.
+        InputError: The folder is not a run folder, or results cannot be written.
     """
     record = read_record(folder)
     digests = {
@@ -110,8 +110,8 @@ def _needs_constants(limit: Limit) -> bool:
 
 
 def _tried(made: Callable[[], Any], problems: list[str]) -> Any:
-    """Return the result of a function. If the function fails, return None, and add the message to
-    the problems; a limit then fails with this message.
+    """Return the result of a function. If the function fails, return None, and add the message of
+    the error to the problems; limits that need the result then fail with this message.
     """
     try:
         return made()

@@ -24,12 +24,12 @@ class Check:
 
     Attributes:
         limit: The limit as written.
-        passed: Whether the limit is met; an unknown value fails.
-        words: Message on the found value, with the remedy if there is none.
+        passed: Whether the limit is met; a check without a found value is not passed.
+        words: Message on the found value, or a remedy if there is no value.
         value: Found value, in ``unit``, or None if it is unknown or not a number.
-        low: Lower end of its 90 % interval; None without one.
-        high: Upper end of it.
-        unit: Unit of these values.
+        low: Lower end of the 90 % interval of the value; None without an interval.
+        high: Upper end of the interval.
+        unit: Unit of ``value``, ``low`` and ``high``.
     """
 
     limit: str
@@ -76,8 +76,8 @@ def _unknown(limit: Limit, evidence: Evidence, what: str) -> Check:
 
 
 def _range(limit: Range, evidence: Evidence) -> Check:
-    """Judge an identified parameter: the whole interval must be inside the limits, so that a value
-    that is inside by chance does not pass (the rule of ISO 14253-1).
+    """Judge an identified parameter: its whole 90 % interval must be inside the limits, so that an
+    estimate that is inside by chance does not pass (the rule of ISO 14253-1).
     """
     found = evidence.constants.get(limit.name)
     if found is None:
@@ -125,8 +125,8 @@ def _diagnosis(limit: Limit, evidence: Evidence) -> Check:
 def _weight(limit: Limit, evidence: Evidence) -> Check:
     if not evidence.weights:
         words = (
-            "no mass could be checked: run with --identification, or with two masses and the empty "
-            "lever"
+            "no mass could be checked: the check needs a run with --identification, or stages with "
+            "two masses and with the empty lever"
         )
         return Check(limit.text, False, words)
     bad = {s: each for s, each in evidence.weights.items() if each[0] != Verdict.RIGHT.value}
@@ -135,8 +135,8 @@ def _weight(limit: Limit, evidence: Evidence) -> Check:
 
 
 def _timing(part: str) -> Callable[[Evidence, str], float | None]:
-    """Return the function that computes a statistic of a timing histogram, s, as the worst of all
-    recordings.
+    """Return the function that computes a statistic of a timing histogram, s; of the values of all
+    recordings, the worst counts.
     """
 
     def measured(evidence: Evidence, statistic: str) -> float | None:
@@ -197,4 +197,4 @@ _MEASURED: Mapping[str, Callable[[Evidence, str], float | None]] = {
     "lost samples": _count("lost_servo", "lost_encoder"),
     "missed SYNCs": _count("missed_syncs"),
 }
-"""Quantity of :data:`rig.config.acceptance.MEASURES` to the function that measures it, SI."""
+"""Functions that compute the quantities of :data:`rig.config.acceptance.MEASURES`, SI units."""

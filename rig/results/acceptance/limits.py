@@ -38,8 +38,8 @@ def limits_for(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]
 
 
 def stated_limits(folder: Path, file: Path | None) -> tuple[tuple[Limit, ...], str]:
-    """Return the limits for a run and their origin: the given file, else the file that the run was
-    given, else the recorded sequence, which may state no limits.
+    """Return the limits for a run and their origin: the file given here, else the file that was
+    given to the run, else the recorded sequence, which may state no limits.
 
     Raises:
         InputError: A file is not valid, or cannot be read.

@@ -56,7 +56,7 @@ class _Sheet:
     ) -> None:
         """Write a line whose upper edge is ``y`` mm below the top."""
         place = (x / WIDTH_MM, 1.0 - y / HEIGHT_MM)
-        # No formulas: a dollar sign in a name is a dollar sign.
+        # Without formulas, so that a dollar sign in a name is drawn as a dollar sign.
         self.figure.text(
             *place, words, fontsize=size, color=colour, va="top", parse_math=False, **kept
         )
@@ -208,7 +208,7 @@ def _top(sheet: _Sheet, it: Certificate, x: float, y: float, half: float) -> flo
 
 
 def _foot(sheet: _Sheet, it: Certificate, x: float, y: float, half: float) -> None:
-    rule = "A constant passes where its whole 90 % interval lies within the limits."
+    rule = "A constant passes if its whole 90 % interval is within the limits."
     for words in (f"{it.made}.", rule):
         sheet.text(x, y, words, 0.8 * sheet.size, _SOFT)
         y += 0.85 * sheet.row_mm

@@ -25,9 +25,9 @@ def acceptance_record(
 
     Args:
         record: The run.
-        source: Where the limits are from.
-        checks: The limits and whether they were kept.
-        inputs: File of the run folder to its SHA-256.
+        source: Origin of the limits.
+        checks: The limits, and whether the run met them.
+        inputs: SHA-256 of the files of the run folder, by file name.
     """
     known = versions()
     return {

@@ -27,9 +27,9 @@ class Compared:
     """One run of a comparison.
 
     Attributes:
-        run: Its folder, as given.
-        entry: Its entry in the catalogue of runs.
-        details: Its constants.
+        run: Run folder, as given.
+        entry: Entry of the run in the catalogue of runs.
+        details: Identified constants of the run.
     """
 
     run: Path
@@ -45,9 +45,9 @@ class Difference:
         name: Name of the constant.
         first: Value in the first run.
         other: Value in the other run, or None if that run has none.
-        change: Difference, or None if either is not known.
-        joint: Half width of the 90 % interval of the difference, both estimates being
-            independent, or None if either has no interval.
+        change: Difference, or None if one of the values is not known.
+        joint: Half width of the 90 % interval of the difference of two independent estimates, or
+            None if one of the values has no interval.
     """
 
     name: str
@@ -188,9 +188,8 @@ def _notes(found: Sequence[Difference], first: Compared, other: Compared) -> Ite
     words = f"{CHANGED} by more than their uncertainty: {', '.join(moved) or 'none'}"
     yield Note(words)
     yield Note(
-        f"without any change, {0.1 * known:.2g} of {known} constants exceed their uncertainty "
-        "by chance (one in "
-        "ten)",
+        f"without any change, {0.1 * known:.2g} of {known} constants differ by more than their "
+        "uncertainty by chance (one in ten)",
         "aside",
     )
     for role, name in first.details.devices.items():
@@ -209,7 +208,7 @@ def _figures(first: Compared, other: Compared) -> SideBySide:
 
 
 def _stored(each: Compared) -> tuple[Block, ...]:
-    """Return the figures that each run's own report contains, if their files exist."""
+    """Return the figures of a run's own report, if their files exist."""
     picture = stored_picture(each.run, FIGURE, f"Friction against speed, {each.run}")
     missing = Note(
         f"{each.run / FIGURE} does not exist; draw it with `rig identify {each.run}`", "aside"

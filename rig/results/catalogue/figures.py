@@ -52,9 +52,10 @@ def courses(
     """Draw each parameter over the runs with its intervals; detected changes are red.
 
     Args:
-        histories: Name to the index of a run and its constant there, in the order of time.
-        alarms: Names with a change, and which of the runs that have it is the first after a step,
-            or None for a drift.
+        histories: Index of a run and value of the constant in that run, in the order of time, by
+            the name of the constant.
+        alarms: Names of the constants that changed; for a step, the number of the first value
+            after the step, for a drift None.
     """
     rows = math.ceil(len(histories) / _COLUMNS)
     size = (_LEAD_WIDTH, 3.4) if len(histories) == 1 else (10.0, 2.3 * rows)

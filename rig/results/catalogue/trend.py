@@ -18,7 +18,7 @@ from rig.results.catalogue.words import place
 from rig.runs.catalogue.entry import Constant, Details, Entry
 
 FALSE_ALARMS = 0.01
-"""Greatest share of unchanged histories in which a parameter is reported to have changed."""
+"""Greatest share of the histories without change in which a change is reported."""
 _HALF_WIDTHS = 1.6448536269514722
 """Ratio of the half width of a 90 % interval to the standard error."""
 
@@ -56,7 +56,7 @@ class History:
 
     Attributes:
         bench: Name of the bench.
-        simulated: Whether it is simulated.
+        simulated: Whether the bench is simulated.
         method: Method of the identifications.
         runs: Folders, in the order of time.
         begun: When each run began.
@@ -83,8 +83,8 @@ def histories(
         root: The searched folder.
         entries: The runs, the earliest first.
         seed: Seed of the simulated distribution of the test.
-        only: The one constant to follow, and only the histories that have it, or None for all. It
-            is judged as it is among all of them.
+        only: Name of the constant to which histories are restricted, or None for all constants.
+            The p-value of the constant is then that among all constants.
     """
     copies = {id(e): each[0] for each in copies_of(entries).values() for e in each[1:]}
     groups: dict[tuple[str, bool | None, str, str], list[tuple[Entry, Details]]] = {}
@@ -135,7 +135,8 @@ def courses(history: Sequence[Details], seed: int = 0, only: str | None = None) 
     Args:
         history: Details of the runs in the order of time.
         seed: Seed of the simulated distribution of the test.
-        only: The one constant to yield; the rate is still of all of them. None for all.
+        only: Name of the constant to yield, or None for all; the false-alarm rate is that of all
+            constants in either case.
     """
     found = {name: _determined(name, history) for each in history for name in each.constants}
     tested = sum(len(runs) >= LEAST_RUNS for runs, _ in found.values())

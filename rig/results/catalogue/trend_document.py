@@ -15,9 +15,9 @@ from rig.results.look import picture
 
 TREND_SCHEMA = "loadrig.trend/1"
 _RATE = (
-    f"In at most {100 * FALSE_ALARMS:g} of 100 histories without change, one or more constants "
-    f"are reported; a test after every further run increases this share. At least {LEAST_RUNS} "
-    "runs are needed."
+    f"In at most {100 * FALSE_ALARMS:g} of 100 histories without change, a change of one or more "
+    f"constants is reported; a test after every further run increases this share. At least "
+    f"{LEAST_RUNS} runs are needed."
 )
 _MOST_LEFT_OUT = 6
 
@@ -91,11 +91,11 @@ def _verdict(history: History) -> Verdict:
         return Verdict("not tested", words, "open")
     if found:
         return Verdict(
-            CHANGED, f"{', '.join(found)} changed beyond the scatter of the runs.", "found"
+            CHANGED, f"{', '.join(found)} changed by more than the scatter of the runs.", "found"
         )
     known = [course.name for course in history.courses]
     which = f"{known[0]} did not change" if len(known) == 1 else "No constant changed"
-    words = f"{which} beyond the scatter of the runs and their intervals."
+    words = f"{which} by more than the scatter of the runs and the intervals."
     return Verdict(NO_CHANGE, words, "good")
 
 

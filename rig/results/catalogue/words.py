@@ -26,7 +26,7 @@ def masses(head: Head) -> str:
 
 
 def state(root: Path, entry: Entry) -> str:
-    """Return the ending of a run; for a folder without a complete run, the kind of the folder."""
+    """Return how a run ended; for a folder without a complete run, the kind of the folder."""
     return state_of(root, entry) if entry.head.kind == "run" else entry.head.kind.upper()
 
 
@@ -43,7 +43,7 @@ def place(root: Path, entry: Entry) -> str:
 
 
 def head_record(schema: str) -> dict[str, Any]:
-    """Return the first keys of a result file on several runs."""
+    """Return the keys at the start of a result file on several runs."""
     known = versions()
     return {
         "schema": schema,

@@ -73,11 +73,12 @@ def _advice(experiment: Experiment) -> str:
     """Return the purpose of the proposal, or a statement that no proposal was better than the given
     sequence.
     """
-    aim = f"aimed at {experiment.proposal.weakest}, which is determined least accurately now"
+    aim = f"aimed at {experiment.proposal.weakest}, so far the least accurate parameter"
     if experiment.proposal.proposed == experiment.proposal.present:
         return (
             f"{aim}: no other experiment had narrower intervals when it was simulated and "
-            "identified, so the sequence is proposed as it is; another --seed tries others"
+            "identified, so the given sequence is proposed unchanged; with another --seed, other "
+            "experiments are tried"
         )
     return (
         f"{aim}; if another parameter gets a wider interval, run both sequences and "
@@ -107,7 +108,6 @@ def excitation_words(stage: StageSection) -> str:
     if stage.ramp is not None:
         ramp = stage.ramp
         return (
-            f"{ramp.times} times {ramp.travel_deg:g} deg there and back at "
-            f"{ramp.speed_deg_s:g} deg/s"
+            f"{ramp.times} times {ramp.travel_deg:g} deg out and back at {ramp.speed_deg_s:g} deg/s"
         )
     return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)

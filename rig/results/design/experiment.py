@@ -30,7 +30,9 @@ from rig.runs.run import bench_constants
 NOISE_SHARE = 1e-3
 """Default current noise as a share of the bench's current limit."""
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
-"""Masses to choose from, in addition to those of the sequence, if the bench file lists none."""
+"""Masses, kg, to choose from in addition to those of the sequence, if the bench file lists no
+masses.
+"""
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,8 @@ class Experiment:
 
     Attributes:
         sequence: The given sequence.
-        nominal: The model used to assess it.
-        nominal_source: Origin of its values, as text.
+        nominal: The model used to assess the sequence.
+        nominal_source: Origin of the model's parameter values, as text.
         current_noise_A: Noise of the logged current, rms.
         proposal: Parameters determined by the given and by the proposed sequence.
         proposed: The sequence to run instead.
@@ -121,7 +123,8 @@ def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
     sequence.require(
         (
             ("stages", k, "ramp"),
-            "an experiment is planned from tones; leave this stage out of the sequence",
+            "an experiment is planned from tones, not from ramps; leave this stage out of the "
+            "sequence",
         )
         for k, stage in enumerate(sequence.value.stages)
         if stage.ramp is not None
@@ -129,7 +132,8 @@ def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
     sequence.require(
         (
             ("stages", k, "stage"),
-            "an experiment is planned with weights; leave hot firings out of the sequence",
+            "an experiment is planned with weights, not with hot firings; leave this stage out of "
+            "the sequence",
         )
         for k, stage in enumerate(sequence.value.stages)
         if stage.stage == "hot_fire"
@@ -228,7 +232,8 @@ def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
         "duration_s": e.seconds,
         "repeats": 1,
     }
-    # The old stage's time limit does not apply to the proposed stage; the plan computes a new one.
+    # The time limit of the given stage does not apply to the proposed stage; the plan computes a
+    # new limit.
     changes["time_limit_s"] = None
     if e.ramps is None:
         tones = tuple(

@@ -29,7 +29,8 @@ class NominalValues:
         values: The nine parameters, SI.
         source: Their origin, as text.
         weakest: The least accurate parameter, or None if unknown.
-        recordings: The recordings they were identified from, if the run can still be read.
+        recordings: The recordings from which the values were identified, if the run can still be
+            read.
         torque_noise: Noise of the measured torque, N m rms, or None if unknown.
     """
 
@@ -45,7 +46,8 @@ def nominal_values(path: Path | None) -> NominalValues:
     determine gets the default nominal value.
 
     Raises:
-        InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
+        InputError: The file cannot be read, or is not a result of ``rig identify`` on a rotary
+            bench.
     """
     if path is None:
         return NominalValues(
@@ -70,7 +72,7 @@ def nominal_values(path: Path | None) -> NominalValues:
     open_names = [n for n in NAMES if n not in found]
     words = f"the identification {path}"
     if open_names:
-        words += f"; {', '.join(open_names)}, which it does not determine, at their default values"
+        words += f"; {', '.join(open_names)}, not determined by the result, at their default values"
     weakest = max(widths, key=lambda n: widths[n]) if widths else None
     return NominalValues({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
 
@@ -80,13 +82,13 @@ def _torque_noise(noise: dict[str, Any] | None) -> float | None:
     states no noise.
 
     Raises:
-        KeyError, TypeError, ValueError: It is damaged.
+        KeyError, TypeError, ValueError: The part of the file on noise is damaged.
     """
     if noise is None or noise["unit"] != "N m":
         return None
     whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
     if not math.isfinite(whole):
-        raise ValueError("the noise is not a number")
+        raise ValueError("the torque noise of the result is not a number")
     return whole or None
 
 

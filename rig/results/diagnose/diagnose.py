@@ -34,8 +34,8 @@ RESULT_FILE = "diagnose.json"
 EFFORT = frozenset({"torque", "current", "voltage"})
 """Channels from any of which the drive torque can be computed."""
 REFINED_SAMPLES = 60_000
-"""Number of samples up to which the refinement takes about as long as the search, some ten
-seconds.
+"""Number of samples up to which a new fit of the nominal parameters takes about as long as the
+search for effects, some ten seconds.
 """
 
 
@@ -73,15 +73,15 @@ def diagnose_source(
     Args:
         source: Run folder or campaign file.
         seed: Seed of the random generator.
-        bandwidth_Hz: Bandwidth of every error; None to choose it from the recordings. Pressure
-            keeps its own bandwidth.
+        bandwidth_Hz: Bandwidth of every equation except that of the pressure; None to choose it
+            from the recordings.
         progress: Called with the current step and the completed share.
-        refine: Whether nominal parameters are those of ``rig identify`` if nothing is missing, and
-            refitted by prediction errors, with the effects subtracted, if something is; above
-            :data:`REFINED_SAMPLES` samples no refit is made. The parameters of a gas generator are
-            always refitted.
-        gas: Whether to diagnose the gas generator although there is torque too; recordings without
-            a firing are left out.
+        refine: Whether to refine the nominal parameters: if nothing is missing, they are those of
+            ``rig identify``; if physics is missing, they are fitted again by prediction errors,
+            with the effects subtracted, for at most :data:`REFINED_SAMPLES` samples. The parameters
+            of a gas generator are always fitted again.
+        gas: Whether to diagnose the gas generator although the recordings have torque too;
+            recordings without a firing are left out.
         inspect: Receives the nominal model's fit before the search; not called for a gas
             generator.
         partial: Whether to take the unfinished excitations of a run as well; the result warns of
@@ -153,7 +153,7 @@ def burning(dataset: Dataset) -> Dataset:
     """Return the recordings of a gas generator: hot firings, and recordings without torque.
 
     Raises:
-        RecordingError: There are none.
+        RecordingError: No recording is of a gas generator.
     """
     kept = tuple(
         r
@@ -215,18 +215,18 @@ def _refined(
     seed: int,
     progress: Callable[[str, float], None] | None,
 ) -> Diagnosis:
-    """If physics is missing, and if prediction errors take no longer than the search, return a
-    diagnosis with nominal parameters from prediction errors, after the effects have been
-    subtracted.
+    """If physics is missing, and if a fit by prediction errors takes no longer than the search for
+    effects, return a diagnosis with nominal parameters from prediction errors, after the effects
+    have been subtracted.
     """
     if found.verdict is Verdict.NOTHING_MISSING:
         return found
     samples = sum(len(r.time) for r in dataset.part("fit"))
     if samples > REFINED_SAMPLES:
         note = (
-            f"with {samples} samples (more than {REFINED_SAMPLES}) the nominal parameters are "
-            f"those of the equations below {found.fit.bandwidth_Hz:.3g} Hz: static friction and "
-            "its speed are less precise than those of rig identify"
+            f"with {samples} samples (more than {REFINED_SAMPLES}), the nominal parameters are "
+            f"from equation errors at the bandwidth {found.fit.bandwidth_Hz:.3g} Hz: static "
+            "friction and Stribeck speed are less precise than those of rig identify"
         )
         return dataclasses.replace(found, warnings=(*found.warnings, note))
     if progress is not None:

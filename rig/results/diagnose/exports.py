@@ -45,7 +45,7 @@ def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Export
     Args:
         source: Run folder or campaign file that was diagnosed.
         outcome: The result.
-        record: Its JSON record.
+        record: The JSON record of the result.
     """
     if of_gas(outcome.diagnosis):
         use = "the corrected gas generator, as a block of a campaign file"

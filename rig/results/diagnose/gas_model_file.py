@@ -18,7 +18,7 @@ _KEYS = {
     "C_r": "characteristic_velocity",
     "V_0": "free_volume",
 }
-"""Name of a fitted constant to its key in a campaign file."""
+"""Keys in a campaign file by the names of the fitted constants."""
 _VALVE_KEYS = {"d": "hole_diameter", "D": "opening_diameter", "b": "plate_width"}
 
 
@@ -52,6 +52,6 @@ def gas_text(found: Diagnosis, bench: Bench) -> str:
         "# Corrected constants, for `bench:` of a campaign; free_volume is the mean over the "
         "recordings.\n"
         + yaml.safe_dump({"gas_generator": block}, sort_keys=False)
-        + "# What eq. 2 to 8 lack, by the catalogue's names; `rig effects NAME` has the "
-        "equations.\n" + yaml.safe_dump({"effects": effects}, sort_keys=False)
+        + "# Effects that eq. 2 to 8 do not contain; `rig effects NAME` prints the equations "
+        "of each.\n" + yaml.safe_dump({"effects": effects}, sort_keys=False)
     )

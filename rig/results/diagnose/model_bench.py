@@ -1,7 +1,7 @@
 """Converts a result file to a simulated bench, whose machine is the corrected model.
 
-Effects and parameters have the same names in results and in the simulated machine; only this module
-transfers them.
+Effects and parameters have equal names in results and in bench files; only this module copies their
+values from a result to a bench file.
 """
 
 from __future__ import annotations
@@ -112,8 +112,7 @@ def model_bench(
     if model.curve is not None:
         notes.append(
             "the empirical curve of the missing physics is left out of the simulated bench, "
-            "which has "
-            "no such term"
+            "which cannot contain a curve"
         )
     bench["name"] = f"{bench['name']}-corrected"
     return bench, notes
@@ -123,7 +122,7 @@ def bench_text(bench: Mapping[str, Any], notes: Sequence[str]) -> str:
     """Return the text of a bench file after a check against the schema.
 
     Raises:
-        InputError: The corrected machine is not one that can be simulated.
+        InputError: The corrected machine cannot be simulated.
     """
     try:
         Bench.model_validate_json(json.dumps(bench), strict=True)

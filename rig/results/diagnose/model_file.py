@@ -31,7 +31,7 @@ def read_result(path: Path) -> dict[str, Any]:
     """Read a result file of ``rig identify`` or ``rig diagnose``.
 
     Raises:
-        InputError: It cannot be read or is another kind of file; names it and what was found.
+        InputError: The file cannot be read, or is not a result file of these commands.
     """
     record = read_json(path)
     found = record.get("schema") if isinstance(record, dict) else type(record).__name__
@@ -45,7 +45,8 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
     differ.
 
     Raises:
-        InputError: The result is of the other motion, as stated or by the unit of its inertia.
+        InputError: The result is of a bench with the other kind of motion, by its ``motion`` or by
+            the unit of its inertia.
     """
     found = record.get("motion")
     if found is None:
@@ -55,8 +56,8 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
     if found != motion:
         raise InputError(
             f"{place}: motion: the result is of a {found} bench, but the recordings are of a "
-            f"{motion} one; give a result of a {motion} bench, "
-            f"or set bench.motion: {found} in the campaign"
+            f"{motion} bench; if the bench of the recordings is {found}, set bench.motion: {found} "
+            f"in the campaign, otherwise give a result of a {motion} bench"
         )
 
 
@@ -67,7 +68,7 @@ def model_of(
 
     Args:
         record: Record of ``rig identify --json`` or ``rig diagnose --json``.
-        recordings: Names of the recordings it was made from, in order.
+        recordings: Names of the recordings from which the result was made, in their order.
         place: Path of the record, for messages.
 
     Raises:

@@ -96,7 +96,7 @@ def observable_document(source: Path, seen: Seen) -> Document:
     alike = [e for e in shown if e.alike]
     text = (
         f"These recordings can show {len(shown)} of {len(seen.effects)} effects; "
-        f"{len(alike)} of these they cannot distinguish from others."
+        f"{len(alike)} of these effects cannot be distinguished from others."
     )
     blocks: list[Block] = [Paragraph(text), _table(seen, shown)]
     hidden = [e.name for e in seen.effects if not e.sizes]

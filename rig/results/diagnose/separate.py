@@ -213,8 +213,8 @@ RECIPES: Mapping[str, Recipe] = {
 }
 """Effect to the experiment that distinguishes it from similar effects.
 
-Effects without one need a manual change: another supply voltage, or the encoder turned on its
-shaft.
+Effects without an entry need a manual change of the bench: another supply voltage, or the encoder
+turned on its shaft.
 """
 
 

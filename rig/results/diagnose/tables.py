@@ -23,14 +23,14 @@ READABLE = {
     "s/m": "%/(m/s)",
     "W": "kW",
 }
-"""Unit of the records to the unit that is shown."""
+"""Units that are shown, by the units of the records."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)
 
 
 def effect_table(found: Diagnosis, motion: str) -> Table:
-    """Return one row for each parameter of each effect, with the name that states the unit of the
-    bench.
+    """Return one row for each parameter of each effect; the names of the parameters are those for
+    the motion of the bench.
 
     Args:
         found: The diagnosis.
@@ -65,7 +65,7 @@ def rival_table(found: Diagnosis) -> Table:
 
 def fit_table(found: Diagnosis) -> Table:
     """Return the errors of the nominal and of the corrected model, one row per equation and role;
-    each equation has one bandwidth.
+    all errors of one equation are at one bandwidth.
     """
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))

@@ -36,8 +36,8 @@ from rig.results.sections import few_of_each_role, provenance_section, reading_n
 
 _SHOWN_PER_ROLE = 6
 _TRUTH = (
-    'The column "true" comes from the simulated bench\'s own file and was read after the fit, for '
-    "this table only."
+    'The column "true" has the parameters of the simulated bench, which are read from its file '
+    "after the fit, for this table only."
 )
 
 
@@ -59,7 +59,7 @@ def identify_document(
 
     Args:
         name: Name of the source.
-        outcome: The result; figures of single recordings show the first method.
+        outcome: The result; figures of single recordings show the result of the first method.
         truth: True values of a simulated bench, only for display.
         facts: Facts at the top of the page, such as bench, date and operator.
     """
@@ -236,7 +236,7 @@ def _of_recording(trace: Trace, recording: Recording, unit: str) -> tuple[Pictur
         ),
         Picture.of(
             f"residual_{trace.recording}",
-            f"{trace.recording}: what the model leaves over",
+            f"{trace.recording}: residual of the model",
             signals.residual(trace, recording.bench.motion, unit),
         ),
     )

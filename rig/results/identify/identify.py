@@ -48,13 +48,13 @@ class Method(Protocol):
 
 
 METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
-"""Name of a method in the command line to its estimator."""
+"""Estimators by the names of their methods on the command line."""
 COMPARED_SEEDS = 5
-"""Number of seeds from which each stochastic search is run."""
+"""Number of random seeds with which a comparison of methods runs each stochastic search."""
 _FED = (
-    "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
-    "and breakaways are lost; static friction and Stribeck speeds may be wrong by tens of "
-    "percent, outside their intervals; identify a run without feed-forward"
+    "recorded with feed-forward: a joint that moves in pulses does not have the friction at its "
+    "mean speed, and the recordings lack breakaways; static friction and Stribeck speeds may be "
+    "wrong by tens of percent, outside their intervals; identify a run without feed-forward"
 )
 
 
@@ -67,7 +67,8 @@ class Outcome:
         results: One result per method, in the requested order.
         provenance: Seed, inputs, time.
         ladder: All rungs of the ladder of friction models, if requested.
-        simulated: The rungs fitted to the simulated angle, if requested and simulable.
+        simulated: The rungs fitted to the simulated angle, if requested and if the recordings can
+            be simulated.
         transfer: The first result scored on other recordings, if requested.
         scored_on: Source of these recordings.
         comparison: Comparison of all estimators, if requested.
@@ -220,8 +221,8 @@ def compare_methods(
     truth: Mapping[str, float] | None,
     progress: Callable[[str, float], None],
 ) -> Outcome:
-    """Return an outcome with the results of all estimators; each search is run from
-    ``COMPARED_SEEDS`` seeds.
+    """Return an outcome with a comparison of all estimators; each stochastic search is run with
+    ``COMPARED_SEEDS`` random seeds.
 
     Args:
         source: The source, for messages.

@@ -43,7 +43,7 @@ def parameter_table(
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:
-    """Return the reasons behind the last column of :func:`parameter_table`, one line each."""
+    """Return the reasons for the remarks in :func:`parameter_table`, one line per parameter."""
     return [
         f"{r.method}: {p.name}: {p.reason}"
         for r in results

@@ -63,7 +63,7 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 def parameter_record(parameter: Parameter) -> dict[str, Any]:
     """Return the record of one parameter; ``value`` is null if the parameter is not identifiable,
-    ``floor`` is null if it was not computed.
+    ``floor`` is null if no floor was computed.
     """
     return {
         "value": finite(parameter.value),
@@ -92,7 +92,7 @@ def fit_record(fit: Fit) -> dict[str, Any]:
 
 
 def known_record(result: Identification) -> dict[str, Any]:
-    """Return the keys on priors and on constants with a stated uncertainty."""
+    """Return the part of the record on priors and on constants with a stated uncertainty."""
     return {
         "priors": {
             p.name: {
@@ -118,7 +118,7 @@ def known_record(result: Identification) -> dict[str, Any]:
 
 
 def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the keys on uncertainty in a result file."""
+    """Return the part of the record on trade-offs, bounds, starts, profiles and bootstrap."""
     return {
         "tradeoffs": [
             {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
@@ -161,7 +161,9 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
 
 
 def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
-    """Return the record under ``ladder`` of ``rig identify --json``; angles in rad (m)."""
+    """Return the record under the key ``ladder`` of ``rig identify --json``; errors of the angle
+    are in rad, or in m for a linear bench.
+    """
     return [
         {
             "friction": rung.friction,
@@ -180,8 +182,8 @@ def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
 
 
 def simulated_record(rungs: Sequence[SimulatedRung]) -> list[dict[str, Any]]:
-    """Return the record under ``simulated_ladder`` of ``rig identify --json``; angles in rad
-    (m).
+    """Return the record under the key ``simulated_ladder`` of ``rig identify --json``; errors of
+    the angle are in rad, or in m for a linear bench.
     """
     return [
         {
@@ -217,7 +219,7 @@ def _constant_record(c: Constant) -> dict[str, Any]:
 
 
 def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
-    """Return the record under ``transfer`` of ``rig identify --json``."""
+    """Return the record under the key ``transfer`` of ``rig identify --json``."""
     floor = found.floor
     return {
         "source": source,

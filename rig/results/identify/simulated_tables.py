@@ -64,8 +64,9 @@ def simulated_notes(rungs: Sequence[SimulatedRung]) -> list[str]:
     longest = max(rung.horizon_s for rung in rungs)
     lines = [
         f"Fitted to the simulated angle over up to {number(longest, 3)} s from a measured state; "
-        f"MAE: mean absolute error of that angle. Cross-validated: each third of the recordings "
-        f"fitted, predicted from the other two; tied: not distinguished from the least of these.",
+        f"MAE: mean absolute error of that angle. Cross-validated: error on each third of the "
+        f"recordings, predicted by a fit to the other two thirds; tied: not distinguished from "
+        f"the least cross-validated error.",
     ]
     for rung in rungs:
         if rung.tied and rung.constants:

@@ -16,10 +16,9 @@ from rig.common.tables import CHANGED, NO_CHANGE, interval, number, percent
 from rig.results.document import Table
 
 COMPARISON_NOTE = (
-    "The searches minimise the paper's equation error, stage by stage, in one box; the default "
-    "method goes on to the "
-    "prediction errors. Failed: ended more than 0.1 % above the least cost found. Errors: worst "
-    "parameter, median run."
+    "All searches minimise the paper's equation error, stage by stage, within common bounds; the "
+    "default method then minimises the prediction errors. Failed: searches that ended more than "
+    "0.1 % above the least cost found. Errors: of the worst parameter, in the median run."
 )
 _FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
@@ -178,9 +177,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     first = rungs[0]
     where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
     lines = [
-        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over "
-        f"recordings, drawn anew "
-        "for fit and score.",
+        f"Torque errors are at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are from "
+        "bootstrap draws of the recordings to fit and of the recordings to score.",
         f"Best in: share of the draws in which a rung has the least torque error on {where}.",
     ]
     if first.angle is not None:

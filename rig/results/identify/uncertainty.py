@@ -16,7 +16,8 @@ from rig.results.document import Picture, Table
 PROFILE_NOTE = (
     "Profile: the range in which -2 log likelihood rises by at most 2.71, with all other "
     "parameters optimised. Scaled: factor on the likelihood, because the scatter of the scores "
-    "contradicts its curvature. Skew: ratio of the upper to the lower arm of the range."
+    "contradicts the curvature of the likelihood. Skew: distance of the estimate from the upper "
+    "end of the range over its distance from the lower end."
 )
 
 
@@ -33,12 +34,13 @@ CONSTANTS_NOTE = (
     "bootstrap do not contain this uncertainty."
 )
 PRIORS_NOTE = (
-    "Prior and recordings are combined as independent; +- is one standard deviation, of the "
-    "recordings with the uncertainty of the constants. All other values and intervals follow by "
-    "their correlation. Trade-offs, profiles and bootstrap are of the recordings alone."
+    "Prior and recordings are combined as independent; +- is one standard deviation, which for the "
+    "recordings includes the uncertainty of the constants. A prior also changes the values and "
+    "intervals of the parameters that correlate with its parameter. Trade-offs, profiles and "
+    "bootstrap are from the recordings alone."
 )
 _MOVED = 4
-"""Number of parameters that a row of the constants names."""
+"""Largest number of parameters in a row of the table of constants."""
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
@@ -108,7 +110,7 @@ def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
 
 
 def _open(curve: Profile) -> str:
-    """Return a range as text; an end may be open if it lies beyond the scanned range."""
+    """Return the range of a profile as text; an end beyond the scanned values is open."""
     low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
     high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
     return f"[{low}, {high}]"

@@ -24,27 +24,25 @@ def chosen() -> list[str]:
     stiff = practical.loops
     share = math.sqrt(gas.energy_J_kg) / gas.characteristic_velocity_m_s
     return [
-        "Gear ratio: with the printed motor constants friction would take 228 to 401 A; "
+        "Gear ratio: with the printed motor constants friction would require 228 to 401 A; "
         "assumption 5, "
         "theta = i theta_r, is missing from eq. 1 and 15. The literal bench has i = 1 and no "
-        "current limit, and makes "
-        f"the tables; the practical one has i = {practical.motor.gear_ratio:g}, "
+        "current limit, and is used for "
+        f"the tables; the practical bench has i = {practical.motor.gear_ratio:g}, "
         f"{stiff.voltage_limit_V:g} V and "
         f"{stiff.current_limit_A:g} A.",
-        f"Inertia of the practical bench: {practical.joint.inertia_kg_m2:g} kg m^2 at the valve "
-        f"shaft, for the printed "
-        f"{literal.joint.inertia_kg_m2:g}.",
+        f"Inertia of the practical bench: {practical.joint.inertia_kg_m2:g} kg m^2 at the joint, "
+        f"in place of the printed {literal.joint.inertia_kg_m2:g} kg m^2.",
         f"Position loop: stiff gains {stiff.position_gain:g} 1/s, "
         f"{stiff.velocity_gain_N_m_s_rad:g} N m s/rad, "
         f"{stiff.velocity_integral_1_s:g} 1/s; soft gains, position P only, "
         f"{soft.loops.position_gain:g} N m/rad.",
-        "omega_sf = 0.0557 rad/s as in the text, not the 0.0577 of Table 1; mu = 0.086 is mu_s; "
-        "0.4 pi r t is "
-        "0.4 pi t; the amplitude of 20 is in degrees.",
-        "sgn(omega) in eq. 12, 13 and 15, without which friction would drive; at rest friction "
-        "balances the drive up "
+        "omega_sf = 0.0557 rad/s as in the text, not the 0.0577 of Table 1; mu = 0.086 is read as "
+        "mu_s, 0.4 pi r t as 0.4 pi t, and the amplitude 20 as 20 degrees.",
+        "sgn(omega) in eq. 12, 13 and 15, without which friction would drive the joint; at rest "
+        "friction balances the drive torque up "
         f"to the static limit. alpha = {practical.joint.alpha:g} in eq. 9 as in eq. 13.",
-        f"Samples of the identification: {DURATION_S:g} s at {RATE_HZ:g} Hz a case.",
+        f"Samples of the identification: {DURATION_S:g} s at {RATE_HZ:g} Hz in each case.",
         f"Ramp of Fig. 2 and 9: {ramp.travel_deg:g} deg at {ramp.speed_deg_s:g} deg/s and back.",
         f"Gas generator: C_r = {gas.characteristic_velocity_m_s:g} m/s; R_g T_g = ({share:.3f} "
         f"C_r)^2 = "

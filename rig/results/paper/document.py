@@ -38,11 +38,11 @@ def paper_document(
     """
     sections = (
         *map(_section, (*figures, *of_tables)),
-        Section("Chosen here, as the paper does not give it", (_listed(chosen()),), "chosen"),
+        Section("Chosen here, because the paper does not state it", (_listed(chosen()),), "chosen"),
         provenance_section(provenance),
     )
     return Document(
-        "The paper's figures and tables, done again",
+        "The paper's figures and tables, reproduced",
         "Load Characteristics and Modeling Methods for the Flow Regulator of a Solid Ducted Rocket",
         tuple(_summary(found, figures)),
         sections,

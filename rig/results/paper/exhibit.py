@@ -24,7 +24,7 @@ class Exhibit:
         paper: What the paper prints or shows, as text.
         found: Our results, one sentence each.
         pictures: Figures; the first is named like the exhibit.
-        data: Picture name to its plotted data.
+        data: Plotted data by the name of the picture.
         table: Values side by side, if any.
     """
 
@@ -56,7 +56,9 @@ def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
 
 
 def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
-    """Return picture name to the paths of the picture and of its numbers, relative to the page."""
+    """Return the paths of each picture and of its plotted data, relative to the page, by the name
+    of the picture.
+    """
     files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
         for name in exhibit.data or {}:

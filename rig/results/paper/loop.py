@@ -23,11 +23,11 @@ from rig.results.paper.machine import true_machine
 
 BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02
-"""Share of the command within which a flow counts as settled."""
+"""Relative deviation from the commanded flow up to which a flow counts as settled."""
 _SMOOTHING_S = (
-    0.05  # a settling is judged on means over this time, so that sensor noise does not count
+    0.05  # settling is judged on means over this time, so that sensor noise has little influence
 )
-_THIN = 10  # of the samples, in the data file
+_THIN = 10  # the data file contains every tenth sample
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class Firing:
     """The closed-loop stage of a hot firing; each array of shape (n,).
 
     Attributes:
-        flow: Its flow command.
+        flow: Flow command of the stage.
         period: Sampling period, s.
         time: Time since the start of the stage, s.
         flows: Commanded flow, and flow computed from pressure and angle, kg/s.
@@ -94,18 +94,18 @@ def exhibit(scratch: Path, seed: int) -> Exhibit:
     return Exhibit(
         "fig_11",
         "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
-        "Block diagrams of the loop, in which pressure and valve angle make the load that the "
-        "motor works against, and "
-        "the angle makes the pressure. No controller and no response are given.",
+        "Block diagrams of the loop, in which pressure and valve angle determine the load on the "
+        "motor, and "
+        "the angle determines the pressure. The paper gives no controller and no response.",
         (
             f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole "
             f"simulated chain, "
             "pressure measured by a transmitter.",
             _settling(found),
-            "The flow first goes the wrong way: a throat that opens lets more out before the "
-            "pressure falls. " + _hunting(found),
-            f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, moved by "
-            f"pressure and angle alone; the motor "
+            "The flow first changes in the wrong direction: when the throat opens, more gas flows "
+            "out until the pressure falls. " + _hunting(found),
+            f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, which varies "
+            f"only with pressure and angle; the motor "
             f"current that holds and moves the valve against its friction reaches "
             f"{np.max(np.abs(found.current)):.1f} A.",
         ),
@@ -147,9 +147,8 @@ def _hunting(found: Firing) -> str:
     before = found.current[(time >= 1.0) & (time < found.flow.steps[1].at_s)]
     return (
         f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
-        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of "
-        f"the limit cycles "
-        "that the paper warns of."
+        f"{np.max(before):+.1f} A: the integrators of the loop hunt across static friction, one of "
+        "the limit cycles of which the paper warns."
     )
 
 

@@ -22,7 +22,7 @@ def true_machine(name: str) -> Machine:
     """Return the simulated machine of a packaged bench.
 
     Raises:
-        ValueError: It has none.
+        ValueError: The bench has no simulated machine.
     """
     machine = load_bench(name).value.mock
     if machine is None:

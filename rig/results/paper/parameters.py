@@ -20,10 +20,10 @@ from rig.runs.run import bench_constants
 from rig.runs.truth import true_parameters
 
 CONTACT_FORCE_N = 3000.0
-"""F_P of Case 2 (Sec. 4.2.2)."""
+"""Contact force F_P of Case 2 (Sec. 4.2.2), N."""
 DURATION_S = 5.0
 RATE_HZ = 1000.0
-"""Duration (one period of the command) and sample rate; the paper does not state the rate. The
+"""Duration, s (one period of the command), and sample rate, Hz, which the paper does not state. The
 fitness sqrt(sum e^2) is over these samples.
 """
 WRONG_BASIN_PERCENT = 20.0
@@ -68,8 +68,8 @@ class Reproduction:
 
     Attributes:
         dataset: The two simulated cases.
-        truth: Name to the simulated true value.
-        runs: Method to seed to its result.
+        truth: True values of the simulated parameters, by name.
+        runs: Results by method and seed.
     """
 
     dataset: Dataset
@@ -79,8 +79,8 @@ class Reproduction:
     def found(self, method: str, name: str) -> dict[int, float | None]:
         """Return the estimates of one parameter by one method, one for each seed.
 
-        A genetic search always ends with some J, which the result withholds if the data do not
-        determine it; for the comparison with Table 1 this J is read from the search history.
+        A genetic search always ends with some value of J, which the result withholds if the data do
+        not determine J; for the comparison with Table 1, the value is read from the search history.
         """
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
@@ -111,11 +111,12 @@ class Reproduction:
 
 
 def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> Reproduction:
-    """Simulate the literal bench without noise and identify it by both methods from every seed.
+    """Simulate the literal bench without noise, and identify it by the paper's and by the default
+    method from every seed.
 
     Args:
         seeds: Seeds of the methods; the simulation is deterministic.
-        progress: Called with what is being done and the share that is done.
+        progress: Called with the current step and the completed share.
     """
     progress("simulating the literal bench", 0.0)
     dataset, truth = simulate_cases()
@@ -151,7 +152,7 @@ def command(time: Array) -> Array:
 
 
 def _case(machine: Machine, bench: Bench, name: str, force_N: float) -> Recording:
-    """Simulate one case; the current is sampled at an instant, and no channel is quantised."""
+    """Simulate one case; the current is sampled instantaneously, and no channel is quantised."""
     out = simulate(machine, command, DURATION_S, RATE_HZ, contact_force_N=force_N)
     return Recording(
         name=name,

@@ -19,8 +19,8 @@ from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 
 BENCH, SEQUENCE = "practical_soft", "slow_ramp"
-_SPEED_SPAN_S = 0.02  # the speed shown is a mean over this time
-_THIN = 10  # of the samples, in the data files
+_SPEED_SPAN_S = 0.02  # the plotted speed is a mean over this time
+_THIN = 10  # the data files contain every tenth sample
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",
         "Angle against time while the regulator follows a low-speed ramp, gas generator not "
         "working: the valve waits, "
-        "jumps and waits, and comes to rest beside the command. Neither speed nor gains are given.",
+        "jumps and waits, and comes to rest with an error. The paper gives no speed and no gains.",
         (
             f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
             _words(

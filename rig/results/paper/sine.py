@@ -26,7 +26,7 @@ PERIOD_S = 5.0
 FIRST_S = 2.0
 CYCLES = 2
 _SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-_THIN = 10  # of the samples, in the data file
+_THIN = 10  # the data file contains every tenth sample
 
 
 def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
@@ -49,9 +49,8 @@ def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         "The paper states that friction raises control error and power consumption, and that "
         "the model is a starting point for compensation; it shows no compensation.",
         (
-            f"{SEQUENCE} on {BENCH}, stiff gains, identified from a log of its own: command less "
-            f"joint encoder, and "
-            f"electrical energy, over {CYCLES} cycles.",
+            f"{SEQUENCE} on {BENCH} with stiff gains, identified from a separate run: command less "
+            f"joint encoder, and electrical energy, over {CYCLES} cycles.",
         ),
         (
             Picture.of(

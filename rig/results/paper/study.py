@@ -1,5 +1,5 @@
-"""The runs behind the paper's figures: low-speed ramps, uniform motion and areas, each through the
-whole simulated chain.
+"""Runs that reproduce the paper's figures: low-speed ramps, sines, uniform motion, the opening
+valve and the closed loop, each through the whole simulated chain.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from rig.results.paper.exhibit import Exhibit
 
 
 def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
-    """Run and draw all figures except those of the tables, in the order of the paper.
+    """Make the runs and draw all figures except those of the tables, in the order of the paper.
 
     Args:
         seed: Seed of the simulated benches' noise.
@@ -21,11 +21,11 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
     """
     with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
         scratch = Path(name)
-        progress("Fig. 2 and 9: identifying the bench from a log of its own", 0.0)
+        progress("Fig. 2 and 9: identifying the bench from a separate run", 0.0)
         model = machine.identified(ramp.BENCH, scratch, seed, _silent)
         progress("Fig. 2 and 9: slow ramps", 0.2)
         fig_2, fig_9 = ramp.exhibits(ramp.run_ramps(scratch, model, seed))
-        progress("compensation: identifying the bench from a log of its own", 0.25)
+        progress("compensation: identifying the bench from a separate run", 0.25)
         model = machine.identified(sine.BENCH, scratch, seed, _silent)
         progress("compensation: the sine of both cases", 0.4)
         compensation = sine.exhibit(*sine.run_sines(scratch, model, seed))

@@ -14,8 +14,8 @@ _ENDS_DEG = np.array([5.0, 29.0])
 
 
 def exhibit(seed: int) -> Exhibit:
-    """Return Fig. 4 at the speed of the paper, and at a speed at which the pressure follows the
-    throat.
+    """Return Fig. 4 at the speed of the paper, and at a lower speed, at which the pressure follows
+    the throat area.
     """
     machine = true_machine("practical_hot")
     sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
@@ -29,7 +29,7 @@ def exhibit(seed: int) -> Exhibit:
         (
             Picture.of(
                 "fig_4",
-                "Fig. 4: an opening valve, as the paper runs it and slowly",
+                "Fig. 4: an opening valve, at the speed of the paper and slowly",
                 _figure(sweeps),
             ),
         ),
@@ -47,7 +47,7 @@ def _words(found: Sweep) -> str:
         f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the "
         f"pressure "
         f"{found.rank_pressure:.3f}, with the area {found.rank_area:.3f}. The pressure stays up to "
-        f"{100.0 * found.lag:.0f} % above the steady one."
+        f"{100.0 * found.lag:.0f} % above the steady pressure."
     )
 
 

@@ -19,15 +19,17 @@ from drivers.mock.without_bus import record
 Array = NDArray[np.float64]
 
 PAPER_DEG_S = 50.0
-"""Opening speed in the paper."""
+"""Opening speed in the paper, deg/s."""
 SLOW_DEG_S = 5.0
-"""Speed at which the pressure follows the throat within 7 % and the joint does not stick."""
+"""Speed, deg/s, at which the pressure follows the throat area within 7 % and the joint does not
+stick.
+"""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 UNIFORM = 0.05
-"""Relative speed deviation up to which the motion counts as uniform."""
+"""Relative deviation of the speed up to which the motion counts as uniform."""
 SMOOTHING_S = 0.020
-"""Time over which the speed is computed from the joint encoder."""
+"""Time, s, over which the speed is computed from the joint encoder."""
 REST_S = 0.2
 
 
@@ -93,7 +95,7 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
         seed: Seed of the sensor noise.
 
     Raises:
-        ValueError: The joint sticks, or is in stick-slip, all the way.
+        ValueError: The joint sticks, or is in stick-slip, during the whole motion.
     """
     noise, transmitter = np.random.default_rng(seed).spawn(2)
     plant = SimulatedMachine(machine, noise)

@@ -31,14 +31,12 @@ _TITLES = {
     "Table 2: working load, Case 2": TABLE_2,
 }
 _PAPER = (
-    "Fig. 12: the parameters of Case 1 settle under the genetic algorithm; the target of 0.01 N m "
-    "is met in generation "
-    "469. Table 1: errors of 0 to 3.62 %.",
-    "Fig. 13: the same in Case 2, 3000 N; the target of 0.015 N m is met in generation 152. Table "
-    "2: errors of 0.77 to "
-    "3.12 %.",
+    "Fig. 12: the parameters of Case 1 converge in the genetic algorithm; the cost reaches the "
+    "target of 0.01 N m in generation 469. Table 1: errors of 0 to 3.62 %.",
+    "Fig. 13: the parameters of Case 2 (3000 N) converge; the cost reaches the target of 0.015 N m "
+    "in generation 152. Table 2: errors of 0.77 to 3.12 %.",
 )
-_THIN = 5  # of the samples, in the data files
+_THIN = 5  # the data files contain every fifth sample
 
 
 def tables(found: Reproduction) -> dict[str, Table]:
@@ -61,8 +59,7 @@ def remarks(found: Reproduction) -> list[str]:
     """Return remarks on the tables."""
     lines = [
         f"Literal bench: gear ratio 1, J as printed, no noise; {DURATION_S:g} s at {RATE_HZ:g} Hz "
-        f"per case, and the "
-        "fitness is over those samples.",
+        f"per case; the fitness is over those samples.",
         "omega_sf is 0.0577 in Table 1 and 0.0557 in the text; 0.0557 is simulated.",
     ]
     for method, runs in found.runs.items():
@@ -117,7 +114,7 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
 
 
 def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
-    """Return the worst parameter of each method in this table; J is left out, because it is
+    """Return the worst parameter of each method in a table; J is left out, because its errors are
     reported separately.
     """
     lines = []

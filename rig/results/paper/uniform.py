@@ -30,8 +30,8 @@ from rig.runs.truth import true_parameters
 SPEEDS_DEG_S = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 18.0, 25.0)
 WEIGHT_KG = 30.6
 TRAVEL_DEG = {0.0: 8.0, WEIGHT_KG: 14.0}
-"""Weight, kg, to travel, deg: more than the deflection of a soft drive before breakaway, 1.7 and
-5.2 deg.
+"""Travel, deg, for each weight, kg: it exceeds the deflection of a soft drive before breakaway,
+1.7 deg without weight and 5.2 deg with weight.
 """
 LEAST_LEG_S = 0.6
 GAINS = {"stiff": "practical", "soft": "practical_soft"}
@@ -82,7 +82,7 @@ def measure(scratch: Path, seed: int) -> UniformStudy:
 
 def exhibit(study: UniformStudy) -> Exhibit:
     """Return the points with the true friction, and the parameters of a Stribeck curve fitted to
-    them.
+    the points.
     """
     sets = {
         "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
@@ -103,8 +103,8 @@ def exhibit(study: UniformStudy) -> Exhibit:
         (
             Picture.of(
                 "eq_14",
-                f"Eq. 14: mean torque against commanded speed; hollow: the speed spreads by more "
-                f"than {UNIFORM:.0%}",
+                f"Eq. 14: mean torque against commanded speed; hollow points: the speed varies by "
+                f"more than {UNIFORM:.0%}",
                 _figure(study),
             ),
         ),
@@ -130,7 +130,7 @@ def _verdict(
     lines = []
     for name, found in fits.items():
         if not found:
-            lines.append(f"{name.capitalize()}: too few for a Stribeck curve.")
+            lines.append(f"{name.capitalize()}: too few points for a Stribeck curve.")
             continue
         errors = errors_percent(found, truth)
         worst = max(errors, key=lambda key: abs(errors[key]))

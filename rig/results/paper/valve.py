@@ -39,9 +39,9 @@ def exhibit() -> Exhibit:
         "the greatest throat is the sum of both areas; the valve turns from 0 to 30 deg. The "
         "paper announces the curve, but does not print it.",
         (
-            f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate is "
-            f"clear at {clear:.2f} deg, the paper states 30; A_s + A_t = {total:.5g} m^2 "
-            "throughout.",
+            f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate has "
+            f"left the opening at {clear:.2f} deg, by the paper at 30 deg; A_s + A_t = "
+            f"{total:.5g} m^2 at every angle.",
         ),
         (
             Picture.of(

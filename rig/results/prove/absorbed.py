@@ -3,8 +3,8 @@ parameters does not explain, over the noise.
 
 The strength of an effect is the change that it makes in a channel. An effect may be collinear with
 the nominal model; for example, if the load consists only of friction, the loss of a gear increases
-every parameter by one factor. Therefore the nominal model is fitted to the trial's recordings and
-to those of its reference simulation without the effect, and the residuals are compared.
+every parameter by one factor. Therefore the nominal model is fitted to the recordings of the trial
+and to those of the reference simulation without the effect, and the two residuals are compared.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
     model cannot be fitted.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     with TemporaryDirectory() as folder:
         return floors_of(write(Path(folder), machine, reference, packed=False))
@@ -54,21 +54,21 @@ def floors_of(campaign: Path) -> dict[str, float]:
     model cannot be fitted.
 
     Raises:
-        InputError: It cannot be read.
+        InputError: The campaign cannot be read.
     """
     dataset, bandwidth, _ = choose(load_source(campaign), None)
     try:
         _, joint = views_and_fit(dataset, bandwidth)
     except RecordingError:
         return {}
-    # At least the noise of a row: rounding errors may coincide where little moves.
+    # The floor is at least the noise of a row: where little moves, rounding errors may cancel.
     sigma = {e.name: e.sigma for e in joint.equations}
     return {name: max(rms, sigma[name]) for name, rms in residual_rms(joint).items()}
 
 
 def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return the remaining strength for each equation: the part of the residual beyond the noise,
-    over the noise.
+    """Return the remaining strength for each equation: the part of the residual that exceeds the
+    noise floor, over the noise floor.
     """
     return {
         name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]

@@ -35,8 +35,8 @@ _NEEDS_LEVER = frozenset(
     }
 )
 _GRAVITY_SHARE = 0.1
-"""Share of trials with a weight on the joint among the trials that permit either load, so that the
-kind of load carries no information.
+"""Share of trials with a weight on the joint among the trials whose effects permit a weight on the
+joint or on the lever, so that the kind of load gives no information on the effects.
 """
 
 Effects = dict[str, dict[str, float]]
@@ -49,9 +49,9 @@ class Rig(NamedTuple):
 
     Attributes:
         kind: Number of effects, and whether the catalogue has them.
-        machine: The simulated machine with them.
+        machine: The simulated machine with the effects.
         pauses_s: Time without power before each recording.
-        seed: Seed of its noise.
+        seed: Seed of the noise.
         gravity: Whether the load is a weight fixed to the joint, without a lever.
     """
 
@@ -65,8 +65,8 @@ class Rig(NamedTuple):
 def assignment(rigs: int, seed: int) -> list[Assigned]:
     """Return kind and effect names of each trial, in random order.
 
-    Single effects are drawn in turn from the whole catalogue, effects outside the catalogue in turn
-    from their list; pairs are drawn at random.
+    For trials with one effect, all effects of the catalogue are taken in turn, and likewise all
+    effects outside the catalogue; pairs are drawn at random.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs)
@@ -101,8 +101,8 @@ def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, in
 
 
 def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
-    """Return names in rounds, each in random order, so that the counts of the names differ by at
-    most one.
+    """Return ``count`` names; each name occurs once before any name occurs again, in random order,
+    so that the counts of the names differ by at most one.
     """
     order: list[str] = []
     while len(order) < count:
@@ -114,7 +114,7 @@ def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
     """Draw one trial.
 
     Args:
-        kind: Its kind.
+        kind: Kind of the trial.
         names: Effects to inject.
         seed: Entropy of the draws; equal entropy results in equal trials.
     """

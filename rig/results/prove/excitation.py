@@ -2,10 +2,10 @@
 catalogue.
 
 The motions are large and small, slow and fast, with four weights. The trial has ramps from slow to
-fast, rests of 0.1 to 8 s, loops below breakaway, one experiment twice for the noise floor, and one
-experiment with a weight on the joint itself, which drives the motor: if the load consists only of
-friction, the loss of the gear is collinear with the nominal parameters. The recordings with role
-validate repeat no other recording.
+fast, rests of 0.1 to 8 s, loops below breakaway, and one experiment twice for the noise floor. In
+one further experiment, a weight on the joint itself drives the motor, because the loss of the gear
+is collinear with the nominal parameters if the load consists only of friction. The recordings with
+role validate repeat no other recording.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ class Experiment(NamedTuple):
     """Plan of one recording.
 
     Attributes:
-        name: Name of its file.
-        role: As in the campaign file.
+        name: Name of the recording's file.
+        role: Role of the recording, as in the campaign file.
         weight_kg: Mass on the lever.
         command: Joint angle sent in each cycle, rad, shape (n,).
         fixed: Weight on the joint; on a bench without lever, present in every recording.
@@ -71,9 +71,9 @@ def tones(*parts: tuple[float, float, float]) -> Array:
 def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     """Return ramps between both ends of a span, one speed after another until the time is over.
 
-    At slow speeds the ramps cover only the part of the span for which the time of one speed
-    suffices. Corners are rounded over 0.12 s, which keeps the torque of the fastest ramp within the
-    drive's limit.
+    Each speed has an equal share of the time; at low speeds, in which this share does not suffice
+    for the whole span, the ramps cover a part of it. Corners are rounded over 0.12 s, which keeps
+    the torque of the fastest ramp within the drive's limit.
     """
     span = np.deg2rad(span_deg)
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(speeds_rad_s)
@@ -108,8 +108,8 @@ def dwells(
 def small_loops(
     amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]
 ) -> Array:
-    """Return loops of increasing size around several angles: first below the breakaway torque, at
-    the end above it.
+    """Return loops of increasing size around several angles; the torque of the first loops is below
+    the breakaway torque, that of the last loops above.
     """
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(centers_deg)
@@ -179,8 +179,8 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
 _DRIVEN_BACK = Experiment(
     "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
 )
-"""Weight with a torque above most friction and a horizontal arm: its torque keeps its sign and
-hardly depends on an angle error.
+"""Weight whose torque exceeds most friction; its arm is horizontal, so that the torque keeps its
+sign and hardly depends on an angle error.
 """
 
 
@@ -199,7 +199,7 @@ def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
     first.
 
     Args:
-        gravity: A bench without lever, whose load is a weight fixed to the joint.
+        gravity: Whether the bench has no lever, so that the load is a weight fixed to the joint.
     """
     plan = tuple(Experiment(name, role, weight, command()) for name, role, weight, command in _PLAN)
     if gravity:

@@ -21,10 +21,10 @@ class Family(NamedTuple):
     """Functions that make the trials of one proof.
 
     Attributes:
-        assignment: (number of trials, seed) to kind and effects of each.
-        seal: (folder, number, kind and effects, seed) to the sealed trial.
-        simulate: (sealed trial, kind and effects, seed) to the strength by channel; it writes the
-            campaign.
+        assignment: Function of number of trials and seed; returns kind and effects of each trial.
+        seal: Function of folder, number, kind and effects, and seed; returns the sealed trial.
+        simulate: Function of sealed trial, kind and effects, and seed; writes the campaign and
+            returns the strength by channel.
     """
 
     assignment: Callable[[int, int], list[Assigned]]

@@ -25,17 +25,18 @@ def write(
 ) -> Path:
     """Write a campaign; return the campaign file.
 
-    Time runs through the whole campaign, so that the first time stamp of each recording is the
-    start of the recording in the campaign.
+    All time stamps are of one clock, so that the first time stamp of each recording is the start
+    of the recording in the campaign.
 
     Args:
         folder: Folder of the campaign.
         machine: The plant; only its nominal constants are written.
-        recorded: Its recordings.
-        packed: Whether to compress the recordings; this takes half as long as their simulation.
+        recorded: Recordings of the plant.
+        packed: Whether to compress the recordings; compression takes half as long as their
+            simulation.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for entry in recorded:

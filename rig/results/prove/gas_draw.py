@@ -15,8 +15,8 @@ from rig.results.prove.sizes import Draw, either, log
 
 GAS_SHARES: Mapping[Kind, float] = {"one": 50.0, "nothing": 40.0, "outside": 10.0}
 RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05, 0.2
-"""Relative deviation of the true constants from the values of the campaign; for the exponent the
-absolute deviation.
+"""Deviation of the true constants from the values in the campaign file: relative, but absolute for
+the exponent of the burning law.
 """
 GRAIN_SPREAD = 0.03
 """Relative scatter of the free volumes within a trial, which comes from different grain lengths."""
@@ -36,7 +36,7 @@ GAS_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "heat_loss": {"heat_flow_W": log(1e4, 3e5), "time_s": log(2.0, 15.0)},
     "leakage": {"area_m2": log(2e-6, 4e-5)},
 }
-"""Effect of the catalogue -> parameter -> its draw."""
+"""Functions that draw the parameters of effects of the catalogue, by effect and parameter."""
 
 GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_propellant_bands": {"share": log(0.003, 0.05), "length_m": log(0.01, 0.1)},
@@ -48,7 +48,7 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
         "length_s": log(0.05, 0.4),
     },
 }
-"""Effect that is in no catalogue -> parameter -> its draw."""
+"""Functions that draw the parameters of effects outside the catalogue, by effect and parameter."""
 
 
 class GasRig(NamedTuple):
@@ -61,7 +61,7 @@ class GasRig(NamedTuple):
         angle_zero_rad: True minus recorded valve angle.
         pressure_zero_Pa: Recorded pressure minus transmitter pressure.
         late_cycles: Delay of pressure relative to angle, cycles.
-        seed: Seed of its noise.
+        seed: Seed of the noise.
     """
 
     kind: Kind
@@ -91,7 +91,7 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
     """Draw one trial.
 
     Args:
-        kind: Its kind.
+        kind: Kind of the trial.
         names: Effects to inject.
         seed: Entropy of the draws; equal entropy results in equal trials.
     """

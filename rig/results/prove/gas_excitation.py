@@ -19,12 +19,12 @@ from rig.results.prove.excitation import CYCLE_S, Array
 
 BURN_S = 20.0
 MOVE_S = 0.25
-"""Duration of a step of the valve."""
+"""Duration of a step of the valve, s."""
 
 
 class GasExperiment(NamedTuple):
-    """Plan of one firing: name of its file, role as in the campaign file, valve angle commanded in
-    each cycle, rad, (n,).
+    """Plan of one firing: name of the file, role as in the campaign file, and valve angle commanded
+    in each cycle, rad, shape (n,).
     """
 
     name: str

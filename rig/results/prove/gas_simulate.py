@@ -33,7 +33,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
     """Draw a trial, and write and seal its truth; nothing is simulated yet.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The truth cannot be written.
     """
     rig = draw_gas(*assigned, seed)
     gas = rig.machine.gas
@@ -66,7 +66,7 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
     """Simulate a trial, write its campaign, and return the strength of its effect in the pressure.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     rig = draw_gas(*assigned, seed)
     burns = campaign(rig)
@@ -107,7 +107,7 @@ def write(file: Path, burns: Sequence[Samples]) -> None:
     """Write a campaign with the paper's constants of the gas generator.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     file.parent.mkdir(parents=True, exist_ok=True)
     for experiment, samples in zip(gas_experiments(), burns, strict=True):
@@ -118,7 +118,7 @@ def write(file: Path, burns: Sequence[Samples]) -> None:
 
 
 def description() -> dict[str, Any]:
-    """Return the content of the campaign file, which is the same for every trial."""
+    """Return the content of the campaign file, which does not depend on the trial."""
     return {
         "campaign": 1,
         "bench": {"moment_arm": Machine().joint.moment_arm_m, "gas_generator": {}},

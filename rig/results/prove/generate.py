@@ -2,8 +2,8 @@
 
     python -m rig.results.prove.generate OUT --rigs 12 --seed 1
 
-writes ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with the truth
-and the strength of its effects.
+writes ``OUT/rig-0001/campaign.yaml`` and, in another folder, ``OUT/sealed/0001.json`` with the
+truth and the strength of the injected effects.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ class Sealed(NamedTuple):
 
     Attributes:
         number: Number of the trial, from 1.
-        campaign: Its campaign file, once it is simulated.
-        truth: Its sealed truth.
-        digest: SHA-256 of that file.
+        campaign: Path of the campaign file, which exists once the trial is simulated.
+        truth: File of the sealed truth.
+        digest: SHA-256 of the file of the truth.
     """
 
     number: int
@@ -57,7 +57,7 @@ def seal_rig(out: Path, number: int, rig: Rig, salt: str) -> Sealed:
     """Write and seal the truth of a trial; nothing is simulated yet.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The truth cannot be written.
     """
     return seal_truth(out, number, truth_of(rig), salt)
 
@@ -81,7 +81,7 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any], salt: str) -> S
     """Write and seal the truth of one trial.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The truth cannot be written.
     """
     where = place(out, number)
     where.truth.parent.mkdir(parents=True, exist_ok=True)
@@ -95,7 +95,7 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     The noise floors of the trial's reference simulation are written next to its truth.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     plan = experiments(rig.gravity)
     recorded = campaign(rig, plan)
@@ -108,10 +108,9 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return the injected effects with times counted from the start of a recording; a recording
-    begins after the machine has settled under power.
-
-    The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
+    """Return the injected effects with times counted from the start of a recording, as in the
+    catalogue; the plant counts them from power-on, because a recording begins only after the
+    machine has come to rest under power.
     """
     out = {name: dict(parameters) for name, parameters in effects.items()}
     if "encoder_slip" in out:
@@ -127,7 +126,7 @@ def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[st
     "--rigs", type=click.IntRange(min=1), default=12, show_default=True, help="Number of rigs."
 )
 @click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws."
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of the draws."
 )
 @click.option(
     "--only", multiple=True, help="Inject these effects in every trial, instead of drawing them."

@@ -1,5 +1,5 @@
-"""Judges one blind trial: by the diagnosis, by the baseline methods and, after its truth is opened,
-by the oracle.
+"""Evaluates one blind trial by the diagnosis, by the baseline methods and, after the truth is
+opened, by the oracle.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ class Judgement(NamedTuple):
 
     Attributes:
         diagnosis: The record of ``rig diagnose --json``.
-        baselines: Method to the effects that it selects, the most important first.
-        oracle: Function from the true names to the record of
-            :class:`identification.diagnosis.oracle.HeldOut`, or None.
+        baselines: Effects that each baseline method selects, the most important first.
+        oracle: Function of the true names that returns the record of
+            :class:`identification.diagnosis.oracle.HeldOut` or None.
         seconds: Time spent on the diagnosis, s.
         baseline_seconds: Time spent on the baselines, s.
-        left: Residual of the nominal model's fit in each equation, in its unit.
+        left: Residual of the nominal model's fit in each equation, in the unit of the equation.
     """
 
     diagnosis: Mapping[str, Any]
@@ -46,8 +46,8 @@ class Judgement(NamedTuple):
 
 
 Judge = Callable[[Path, int], Judgement]
-"""Function that judges a campaign file with a seed; only the oracle gets the truth, after the
-judgement.
+"""Function that judges a campaign file with a seed; only the oracle of the judgement gets the true
+names, afterwards.
 """
 
 
@@ -62,7 +62,7 @@ def judge(source: Path, seed: int) -> Judgement:
     outcome = diagnose_source(source, seed, inspect=seen.append)
     diagnosed = time.perf_counter()
     if not seen:
-        # A gas generator's equation has neither these baselines nor this oracle.
+        # Baselines and oracle exist for diagnoses of the motion only.
         return Judgement(outcome.record(), {}, lambda _names: None, diagnosed - began, 0.0)
     first = seen[0]
     declared = outcome.dataset.model.terms
@@ -79,7 +79,7 @@ def oracle_of(source: Path, names: Sequence[str]) -> Mapping[str, Any] | None:
 
     Args:
         source: The campaign file.
-        names: The true effects, all of the catalogue.
+        names: The true effects, all of which are in the catalogue.
 
     Returns:
         The record of :class:`identification.diagnosis.oracle.HeldOut`, or None if the nominal model

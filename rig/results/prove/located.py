@@ -18,9 +18,9 @@ LIKE: Mapping[str, frozenset[str]] = {
     "travel since reversal": frozenset({"time since reversal"}),
     "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
-"""Coordinate of the catalogue to the equivalent coordinates on these trials: the sign of speed and
-torque contains the direction, torque rises with the load, the machine warms up with time, and a
-mismatch that changes with frequency shows where the torque reverses.
+"""Coordinates that are equivalent on blind trials to each coordinate of the catalogue: the signs of
+speed and torque give the direction, torque rises with the load, the machine warms up with time, and
+a mismatch that changes with frequency shows after reversals of the torque.
 """
 REFUSED = "refused"
 """Verdict of a trial that could not be diagnosed."""
@@ -39,17 +39,18 @@ def located(
     """Score the location that a diagnosis states for one injected effect.
 
     Args:
-        name: The effect.
-        true: Its parameters; ``recording`` counts from 1.
-        diagnosis: Record of ``rig diagnose --json``; of several effects the first one's location
-            counts.
+        name: The injected effect.
+        true: Parameters of the effect; ``recording`` counts from 1.
+        diagnosis: Record of ``rig diagnose --json``; of several identified effects, the location of
+            the first counts.
         recordings: Names of all recordings, in the order in which ``recording`` counts them.
 
     Returns:
-        ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is
-        the catalogue's; ``place``: whether it is that or one like it, or for effects of one
-        recording, whether at most one other is listed with it. All null where the diagnosis found
-        nothing, which the power curve shows.
+        ``equation``: whether the mismatch is in the equation in which the effect shows;
+        ``coordinate``: whether it is over the coordinate of the catalogue; ``place``: whether it is
+        over this or an equivalent coordinate or, for effects of one recording, whether this
+        recording is listed with at most one other recording; ``found``: the coordinate found. All
+        are null if the diagnosis found no mismatch; the power curve shows these trials.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] in ("nothing_missing", REFUSED) or where is None:

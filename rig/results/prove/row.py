@@ -15,12 +15,12 @@ CONFIDENT = 0.9
 gross error.
 """
 MOST_NAMED = 3
-"""Greatest number of a baseline method's effects that count where two effects are injected; a
-diagnosis identifies at most as many.
+"""Number of effects of a baseline method, from its first, that count if two effects are injected; a
+diagnosis identifies at most as many effects.
 """
 WORTH = 0.05
-"""Least reduction of the oracle's error on unused recordings, over the noise, from which diagnosis
-and oracle are compared.
+"""Least reduction, over the noise, of the error on unused recordings by the oracle for which
+diagnosis and oracle are compared.
 """
 FAINT = 1e-12
 VERSION = 6
@@ -39,19 +39,19 @@ def row_of(
     """Score one trial's judgement against its truth.
 
     Args:
-        truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
-        strengths: Channel to rms change over noise.
+        truth: The opened truth: ``rig``, ``kind``, ``effects`` and ``parameters``.
+        strengths: Strength of the effects (rms change over noise) by channel.
         judgement: Judgement of the trial.
         oracle: Held-out errors with the true structure, or None if there is none.
         digest: Digest of the seal.
-        floor: Equation to the nominal model's residual of the reference simulation; empty where
-            that is not known.
+        floor: Residual of the nominal model on the reference simulation, by equation; empty if it
+            is not known.
         recordings: Names of the recordings, in the order in which the truth counts them.
 
     Returns:
-        A row; ``refused`` is the message where no diagnosis was possible, else null; ``top1``,
-        ``alias``, ``exact`` and ``confident`` are null where they have no meaning for the kind of
-        trial.
+        A row; ``refused`` is the message if no diagnosis was possible, else null; ``top1``,
+        ``alias``, ``exact`` and ``confident`` are null for kinds of trials to which they do not
+        apply.
     """
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
@@ -157,10 +157,11 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return the errors on unused recordings, and the reduction of this error as a share of the
-    largest possible reduction, that from the error before the diagnosis to the noise floor.
+    """Return the errors on unused recordings before and after the correction, and the reduction of
+    the error as a share of the largest possible reduction, from the error before the correction to
+    the noise floor.
 
-    On unused recordings the error of a model does not fall below the noise floor, except by chance.
+    On unused recordings the error of a model falls below the noise floor only by chance.
     """
     before, after, floor = (
         fit["validate_baseline_rms"],
@@ -179,11 +180,11 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the reduction of the error on unused recordings by the diagnosis over that by the
-    oracle, in the equation in which the oracle reduces the error most.
+    """Return the reduction of the error on unused recordings by the diagnosis over the reduction by
+    the oracle, in the equation in which the oracle reduces the error most.
 
-    The result is null if the true structure does not reduce the error there, or if the diagnosis
-    has no such equation.
+    The result is null if the oracle does not reduce the error in this equation, or if the diagnosis
+    does not have this equation.
     """
     mine = [
         f

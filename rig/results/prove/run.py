@@ -31,16 +31,16 @@ from rig.results.prove.times import TIMES, timed_row, without_times
 PROOF_FILE = "proof.json"
 ROWS, DIAGNOSES = "rows", "diagnoses"
 REPEATED = (PROOF_FILE, "sealed", DIAGNOSES, "judgements", ROWS)
-"""Files and folders of a proof whose bytes depend on its settings alone."""
+"""Files and folders of a proof whose bytes depend on the settings of the proof alone."""
 
 
 class Proof(NamedTuple):
     """State of a proof.
 
     Attributes:
-        out: Its folder.
+        out: Folder of the proof.
         seed: Seed of draws and diagnosis.
-        seals: Every trial, its truth sealed.
+        seals: All trials, with sealed truths.
         family: Family of the trials, from :data:`rig.results.prove.family.FAMILIES`.
     """
 
@@ -59,7 +59,7 @@ def begin(out: Path, rigs: int, seed: int, family: str = MOTION) -> Proof:
 
     Raises:
         InputError: The folder holds a proof with other settings.
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     settings = {"rigs": rigs, "seed": seed, "from": None, "family": family, "row_version": VERSION}
     file = out / PROOF_FILE
@@ -88,10 +88,10 @@ def _make_folders(out: Path) -> None:
 
 
 def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
-    """Return the seals of a proof that was begun before: number of a trial to digest.
+    """Return the seals of a proof that was begun earlier: the digest of each trial, by its number.
 
     Raises:
-        InputError: The file is not this program's, or belongs to a proof with other settings.
+        InputError: The file is not by this program, or belongs to a proof with other settings.
     """
     begun = read_json(file)
     try:
@@ -108,15 +108,15 @@ def seals_begun(file: Path, settings: Mapping[str, Any]) -> dict[str, str]:
 
 
 class Trial(NamedTuple):
-    """One trial as it travels to a worker.
+    """One trial as it is sent to a worker.
 
     Attributes:
         number: Number of the trial, from 1.
         assigned: Kind and effects.
-        sealed: Content of its sealed truth, which is written to the worker's disk, and read, after
-            the diagnosis.
-        truth: Path of that file where the proof was begun, for messages.
-        digest: SHA-256 of that file.
+        sealed: Content of the sealed truth, which the worker writes to its disk, and reads, only
+            after the diagnosis.
+        truth: Path of the sealed truth where the proof was begun, for messages.
+        digest: SHA-256 of the sealed truth.
     """
 
     number: int
@@ -127,15 +127,15 @@ class Trial(NamedTuple):
 
 
 class Proved(NamedTuple):
-    """One trial as it comes back.
+    """Result of one trial as a worker returns it.
 
     Attributes:
         number: Number of the trial.
         diagnosis: The record of ``rig diagnose --json`` without date and duration.
-        row: Its row without durations.
+        row: Row of the trial without durations.
         times: Date and durations.
-        floor: Noise floors of its reference simulation.
-        files: Its recordings, if they are kept.
+        floor: Noise floors of the trial's reference simulation.
+        files: Recordings of the trial, if they are kept.
     """
 
     number: int
@@ -154,8 +154,8 @@ def work(
     Args:
         proof: The proof as begun.
         judge: Judges a campaign; with more than one worker it must be importable.
-        engine: Shares the trials out.
-        keep: Whether recordings of trials drawn here stay after scoring.
+        engine: Engine that does the work on the trials.
+        keep: Whether the recordings of the trials are kept after scoring.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
@@ -230,7 +230,7 @@ def _store(proof: Proof, proved: Proved) -> None:
 
 
 def diagnosis_seed(seed: int, number: int) -> int:
-    """Return a seed for the diagnosis; the draws of the truth cannot be reproduced from this
-    seed.
+    """Return the seed of a trial's diagnosis, from which the draws of the truth cannot be
+    reproduced.
     """
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

@@ -30,8 +30,8 @@ def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
 
 
 def repeated_salt(seed: int, number: int) -> str:
-    """Return a salt that repeats with the seed of a proof and the number of a trial, so that the
-    digests of a proof repeat.
+    """Return a salt that follows from the seed of a proof and the number of a trial, so that the
+    digests of a repeated proof are equal.
 
     The salt, like the draws, hides a truth only from those who do not know the seed.
     """
@@ -61,7 +61,7 @@ def unseal(path: Path, digest: str) -> Truth:
 
 
 def sealed_content(path: Path) -> bytes:
-    """Return the content of a sealed truth, unread.
+    """Return the content of a sealed truth as bytes, without parsing it.
 
     Raises:
         InputError: The file is missing or cannot be read.

@@ -65,9 +65,9 @@ def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dic
     holds a joint at rest depends on how the joint came to rest, down to a single encoder count.
 
     Returns:
-        For each channel the rms difference over the channel's noise. The noise is the difference of
-        two recordings of one experiment in the reference simulation, over sqrt(2), and at least its
-        quantisation noise.
+        For each channel, the rms difference over the channel's noise. The noise is the rms
+        difference of two recordings of one experiment in the reference simulation, over sqrt(2),
+        and at least the quantisation noise of the channel.
     """
     first, last = reference[0].samples, reference[-1].samples
     assert np.array_equal(first.command, last.command)

@@ -104,8 +104,8 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "recording": one_of(1.0, 2.0, 4.0, 5.0, 7.0, 10.0),
     },
 }
-"""Effect of the catalogue -> parameter -> the function that draws it. ``wrong_weight.mass_kg`` is
-the relative error of the label.
+"""Functions that draw the parameters of effects of the catalogue, by effect and parameter.
+``wrong_weight.mass_kg`` is the relative error of the label.
 """
 
 OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
@@ -138,4 +138,4 @@ OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
     "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},
 }
-"""Effect outside the catalogue -> parameter -> the function that draws it."""
+"""Functions that draw the parameters of effects outside the catalogue, by effect and parameter."""

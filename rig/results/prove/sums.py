@@ -18,10 +18,10 @@ def write_sums(home: Path, parts: Sequence[str] = (".",)) -> Path:
 
     Args:
         home: The folder.
-        parts: Files and folders in it to list.
+        parts: Files and folders to list, relative to ``home``.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The list cannot be written.
     """
     path = home / SUMS_FILE
     found = {f for part in parts for f in (home / part, *(home / part).rglob("*"))}
@@ -35,8 +35,8 @@ def check_sums(home: Path) -> None:
     """Compare the files of the folder with its list of digests; without a list nothing is checked.
 
     Raises:
-        InputError: A file is missing, or differs from its listed digest; the message names all such
-            files.
+        InputError: A file is missing, or its digest differs from the listed digest; the message
+            names all files with an error.
     """
     path = home / SUMS_FILE
     if not is_file(path):

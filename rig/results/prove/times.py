@@ -1,4 +1,4 @@
-"""Keeps dates and durations apart from results, so that the bytes of results repeat."""
+"""Stores dates and durations apart from results, so that repeated results have equal bytes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 from rig.common.input_files import is_file, read_json
 
 TIMES = "times"
-"""Folder of a proof with the date and the durations of every trial, which differ each time."""
+"""Folder of a proof with date and durations of every trial, which differ if a proof is repeated."""
 FIELDS = ("created", "seconds", "baseline_seconds")
 
 

@@ -17,7 +17,7 @@ from rig.config.configuration import Document, Loc, Schema, load_located
 from rig.results.prove.draw import Kind
 
 INJECTED: Mapping[str, Mapping[str, object]] = {**CATALOGUE, **GAS_CATALOGUE}
-"""Effect to the parameters that a simulated machine accepts; a diagnosis gives only some."""
+"""Parameters that a simulated machine accepts, by effect; a diagnosis estimates some of them."""
 Axis = bool | float | str | None
 
 
@@ -26,20 +26,20 @@ class Truth(Schema):
 
     Attributes:
         truth: Version of the file format.
-        effects: Injected effect to its parameters: names, units and signs of the catalogue
-            (`rig effects`). `recording` counts the campaign's files from 1, in its order. A
-            parameter that is unknown is left out; `{}` gives the name alone.
+        effects: Parameters of each injected effect, with names, units and signs of the catalogue
+            (`rig effects`). `recording` counts the files of the campaign from 1. An unknown
+            parameter is left out; `{}` states no parameter.
         outside: Names among `effects` that the catalogue does not have.
-        parameters: Nominal constants, by the names of `rig identify`; those not given are not
-            scored.
+        parameters: True nominal parameters, by the names of `rig identify`; a parameter that is
+            not given is not scored.
         not_scored: Names whose values are not scored, for example because this simulator has
-            another formula: a nominal constant, or `effect.parameter`. The name of an effect alone,
-            injected or not, excludes the effect from the score: neither a diagnosis that names the
-            effect nor a diagnosis that misses it counts as an error.
+            another formula: a nominal parameter, or `effect.parameter`. The name of an effect
+            alone, injected or not, excludes the effect from the score: neither a diagnosis that
+            names the effect nor a diagnosis that does not name it counts as an error.
         axes: Value of the rig on each axis of the worlds, such as rates, encoders, excitation,
             loads. The results are listed by these values.
         strength: For each channel, the rms change by the effects over the noise of the channel.
-        floor: For each equation, the residual of the nominal model on the same rig without its
+        floor: For each equation, the residual of the nominal model on this rig without its
             effects; if there is a `.reference` campaign, the residual is computed from that
             campaign instead.
         maker: Further content of any form, which the author of the rig adds.
@@ -95,7 +95,7 @@ def load_truth(path: Path) -> Truth:
     """Read a truth.
 
     Raises:
-        InputError: Lists every error with its place in the file.
+        InputError: The file is not valid; the message has every error with its place.
     """
     document = load_located(path, Truth)
     document.require(_cross_check(document))
@@ -115,7 +115,8 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
         if name not in ENTRIES:
             yield (
                 ("effects", name),
-                "no effect of the catalogue; see `rig effects`, or list the name under outside",
+                "not an effect of the catalogue (see `rig effects`); list an effect outside the "
+                "catalogue under outside as well",
             )
             continue
         known = {p.name for p in ENTRIES[name].parameters} | INJECTED.get(name, {}).keys()
@@ -126,11 +127,14 @@ def _cross_check(document: Document[Truth]) -> Iterator[tuple[Loc, str]]:
             )
     for k, name in enumerate(truth.outside):
         if name not in truth.effects:
-            yield (("outside", k), "not among effects; list it there too, with {} if need be")
+            yield (("outside", k), "not among effects; add the name to effects, with {} if need be")
         elif name in ENTRIES:
             yield (("outside", k), "is an effect of the catalogue; remove it from this list")
     for k, name in enumerate(truth.not_scored):
         effect, _, key = name.partition(".")
         listed = effect in truth.effects or (not key and effect in {*truth.parameters, *ENTRIES})
         if not listed:
-            yield (("not_scored", k), "neither an effect, effect.parameter, nor a constant here")
+            yield (
+                ("not_scored", k),
+                "neither an effect, nor effect.parameter, nor a nominal parameter",
+            )

@@ -41,7 +41,8 @@ class Duration:
 
     Attributes:
         under_power_s: Time under power, in motion and at rest, s.
-        moves_s: Time of the moves to the starts, s; the first from 0 deg.
+        moves_s: Time of the moves to the starts of the excitations, s; the first move is from
+            0 deg.
         prompts: Number of prompts that an operator must answer.
     """
 
@@ -79,7 +80,7 @@ class DryRun:
         plan: The plan.
         model: Friction and inertia used to predict the peaks.
         peaks: Predicted peaks in the order of the run.
-        watcher: Watchdog or guardian that stops the drive if this program does not.
+        watcher: Watchdog or guardian that stops the drive when this program dies.
         duration: Expected duration.
     """
 
@@ -92,7 +93,7 @@ class DryRun:
 
     @property
     def problems(self) -> list[str]:
-        """Messages on peaks above their limits, predicted from measured friction."""
+        """Messages on peaks that are predicted from measured friction and exceed their limits."""
         return [
             text
             for peak in self.peaks
@@ -102,8 +103,8 @@ class DryRun:
 
     @property
     def warnings(self) -> list[str]:
-        """Messages on peaks near their limits, and on peaks above them if predicted from the
-        paper's friction.
+        """Messages on peaks near their limits, and on peaks that are predicted from the paper's
+        friction and exceed their limits.
         """
         found: list[str] = []
         for peak in self.peaks:

@@ -11,7 +11,8 @@ from rig.runs.run_record import Ending, RunRecord
 from rig.wiring.preflight import RESET_HINT
 
 NOT_READ_BACK = (
-    "switch the main supply off, or make sure that the drive is off: that was not read back"
+    "the state of the drive was not read back: switch the main supply off, or make sure that the "
+    "drive is off"
 )
 NEW_RUN = (
     "if the bench or sequence file is changed for this, start a new run: a run can continue "
@@ -71,7 +72,9 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
 
 
 def _in_fault(record: RunRecord) -> bool:
-    """Return whether the drive was left in a fault, which a run clears only on request."""
+    """Return whether the drive was left in a fault, which a run clears only with
+    ``--reset-fault``.
+    """
     return record.drive_state in _FAULTS or RESET_HINT in record.message
 
 

@@ -55,14 +55,14 @@ _STYLE = (
 
 
 def write_run_report(folder: Path, record: RunRecord) -> Path:
-    """Write ``run.html`` into a run folder. A message replaces a part of the page that cannot be
-    made.
+    """Write ``run.html`` into a run folder. A part of the page that cannot be made is replaced by a
+    message.
 
     The page is written without template engine and plotting library, whose import would take longer
     than the rest of a run's end.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The page cannot be written.
     """
     path = folder / REPORT_FILE
     write_text(path, "\n".join(_page(folder, record)) + "\n")
@@ -108,16 +108,16 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
-    """Return one part of the page; a message if the part cannot be made.
+    """Return one part of the page, or a message if the part cannot be made.
 
     The page is read after failures and made from files that may be damaged or edited, so an error
-    in one part must not prevent the others.
+    in one part must not prevent the other parts.
     """
     try:
         return list(made())
     except Exception as error:  # noqa: BLE001 - see above; nothing but the page depends on it
         return [
-            f'<p class="warning">Here {what} should be, but: '
+            f'<p class="warning">This part, {what}, could not be made: '
             f"{escape(f'{type(error).__name__}: {error}')}</p>"
         ]
 
@@ -145,7 +145,7 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
     yield (
         f'<div class="ending{" done" if done else ""}"><p><b>{escape(record.state.upper())}</b></p>'
     )
-    yield f"<p>{escape(record.message) or 'No ending was recorded.'}</p>"
+    yield f"<p>{escape(record.message) or 'The end of the run was not recorded.'}</p>"
     if not done:
         for words in first_words(record):
             yield f"<p><b>First:</b> {escape(words)}</p>"

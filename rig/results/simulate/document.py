@@ -60,14 +60,14 @@ def _explanations(found: Simulation) -> Iterator[str]:
     yield from _left_out(found)
     if found.cases:
         yield (
-            "The loop is simulated from the first sample on: only the command, the supply and "
-            "declared loads enter."
+            "The loop is simulated from the first sample on; its inputs are only the command, the "
+            "supply and the declared loads."
         )
         yield f"Errors of angle are over all samples; those of torque {at}."
 
 
 def _left_out(found: Simulation) -> list[str]:
-    """Return a remark on what the closed-loop simulation omits."""
+    """Return a remark if the closed loop is not simulated, or is simulated without the effects."""
     if not found.cases:
         return [
             "no closed loop: the controller of these recordings is not declared (`controller:` in "
@@ -75,8 +75,8 @@ def _left_out(found: Simulation) -> list[str]:
         ]
     if any(case.model.corrected.effects for case in found.cases):
         return [
-            "the closed loop is simulated without the effects; a simulated bench made of the "
-            "result has them"
+            "the closed loop is simulated without the effects; a simulated bench made from the "
+            "result contains the effects"
         ]
     return []
 

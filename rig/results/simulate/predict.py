@@ -39,7 +39,7 @@ class Prediction:
 def predict(
     dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
 ) -> list[Prediction]:
-    """Predict every recording with every model; a model with effects also predicts without its
+    """Predict every recording with every model, and again without effects if the model has
     effects.
 
     Raises:

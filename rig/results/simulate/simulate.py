@@ -68,8 +68,8 @@ class Simulation:
         models: Models in the requested order.
         predictions: Equation errors of every model, with its effects and without.
         prepared: The recordings at the bandwidth of the torque errors, in their order.
-        cases: Every model with every share of friction, in closed loop, without effects; empty if a
-            recording's controller is unknown.
+        cases: Every model with every share of friction, in closed loop, without effects; empty if
+            the controller of a recording is unknown.
         responses: Responses of the first model with full friction, in the order of the recordings.
         bandwidth_Hz: Bandwidth of the torque errors.
         provenance: Inputs, time.
@@ -105,8 +105,8 @@ def simulate_source(
     bandwidth_Hz: float | None,
     progress: Callable[[str, float], None],
 ) -> Simulation:
-    """Predict every recording of a source with the model of each result file, in closed loop if the
-    loop is known.
+    """Predict every recording of a source with the model of each result file, and simulate the
+    closed loop if the controller is known.
 
     Args:
         source: Campaign file or run folder.

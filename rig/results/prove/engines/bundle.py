@@ -16,7 +16,7 @@ from rig.common.places import replacing
 from rig.config.campaign import load_campaign
 
 Files = Mapping[str, bytes]
-"""Path relative to a folder, with slashes, to the content of the file."""
+"""Contents of files by their paths relative to a folder, with slashes."""
 
 
 class Bundle(NamedTuple):
@@ -24,8 +24,8 @@ class Bundle(NamedTuple):
 
     Attributes:
         folder: Name of the folder.
-        campaign: Name of the campaign file in it.
-        files: All files in it.
+        campaign: Name of the campaign file in the folder.
+        files: All files in the folder.
     """
 
     folder: str
@@ -37,17 +37,17 @@ def read_folder(folder: Path) -> dict[str, bytes]:
     """Return all files of a folder and of the folders in it, in order of their names.
 
     Raises:
-        OSError: One cannot be read.
+        OSError: A file cannot be read.
     """
     found = sorted(f for f in folder.rglob("*") if is_file(f))
     return {f.relative_to(folder).as_posix(): read_bytes(f) for f in found}
 
 
 def write_folder(folder: Path, files: Files) -> None:
-    """Write files into a folder, in their order, each in one step.
+    """Write files into a folder, in their order, each by one rename.
 
     Raises:
-        OSError: One cannot be written.
+        OSError: A file cannot be written.
     """
     for name, content in files.items():
         path = folder / name
@@ -60,18 +60,19 @@ def bundle(campaign: Path) -> Bundle:
     """Return a campaign in the form in which it is sent to a worker on another machine.
 
     Raises:
-        InputError: It names files outside its folder, or a file cannot be read.
+        InputError: The campaign names files outside its folder, or a file cannot be read.
     """
     folder = campaign.parent
     try:
         named = [name for r in load_campaign(campaign).value.recordings for name in r.patterns]
     except InputError:
-        named = []  # The worker reports the mistake as the result of this rig.
+        named = []  # The worker reports the error as the result of this rig.
     astray = [n for n in named if Path(n).is_absolute() or ".." in Path(n).parts]
     if astray:
         raise InputError(
             f"{campaign}: {', '.join(astray)}: outside the campaign's folder, so that a worker "
-            f"on another machine cannot read them; move these files into {folder}, or use --jobs"
+            f"on another machine cannot read the files; move these files into {folder}, or use "
+            f"--jobs"
         )
     try:
         return Bundle(folder.name, campaign.name, read_folder(folder))
@@ -85,7 +86,7 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
     folder.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     if isinstance(given, Path):
         yield given
@@ -98,7 +99,7 @@ def unpacked(given: Path | Bundle) -> Iterator[Path]:
 
 def without_place(record: Any, folder: Path) -> Any:
     """Return a record in which paths begin with the name of the folder, so that the bytes of the
-    record depend neither on the place of the folder nor on that of this program.
+    record depend neither on the place of the folder nor on the place of this program.
 
     Args:
         record: Record of plain values.

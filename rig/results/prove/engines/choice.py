@@ -12,8 +12,8 @@ from rig.results.prove.engines.processes import Processes
 
 @contextmanager
 def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[Engine]:
-    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; its workers end with the
-    context.
+    """Yield the engine of ``--jobs``, ``--cluster`` or ``--scheduler``; the workers of the engine
+    end with the context.
 
     Args:
         jobs: Processes of this command.
@@ -21,7 +21,7 @@ def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[En
         scheduler: Address of a scheduler, or None.
 
     Raises:
-        InputError: More than one is given, or the cluster cannot be used.
+        InputError: More than one of the options is given, or the cluster cannot be used.
     """
     if sum((jobs > 1, workers is not None, scheduler is not None)) > 1:
         raise InputError(
@@ -31,7 +31,7 @@ def engine(jobs: int, workers: int | None, scheduler: str | None) -> Iterator[En
     if workers is None and scheduler is None:
         yield Processes(jobs)
         return
-    # Imported late: dask takes a second, which only these two need.
+    # Imported late: the import of dask takes a second, and only these two options need dask.
     from rig.results.prove.engines.cluster import local_cluster, remote_cluster
 
     if workers is not None:

@@ -42,9 +42,9 @@ LOOPBACK = "127.0.0.1"
 AHEAD = 2
 """Number of tasks per worker that the scheduler holds at once."""
 WAIT_S = 60.0
-"""Time in which a scheduler must answer, and have a worker."""
+"""Time, s, within which a scheduler must answer, and must have a worker."""
 IDLE = 3
-"""Number of these times after which a cluster without workers ends the command."""
+"""Number of periods of ``WAIT_S`` after which a cluster without workers ends the command."""
 PACKAGES = ("loadrig", "numpy", "scipy", "numba", "mujoco")
 """Packages that must have the same version on all workers, or the results may differ."""
 OWN = ("rig", "drivers", "identification")
@@ -54,12 +54,12 @@ SETTINGS: Mapping[str, Any] = {
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
     "distributed.worker.profile.enabled": False,
-    # On a busy machine a worker answers late, and one that was killed takes long to start again.
+    # On a busy machine a worker answers late, and a killed worker takes long to start again.
     "distributed.deploy.lost-worker-timeout": "10 minutes",
     "distributed.scheduler.worker-ttl": "30 minutes",
     "distributed.comm.timeouts.connect": "5 minutes",
     "distributed.comm.timeouts.tcp": "10 minutes",
-    # Files of a trial travel inside its task.
+    # A task contains the files of its trial.
     "distributed.admin.large-graph-warning-threshold": "1TB",
 }
 
@@ -100,7 +100,7 @@ class DaskCluster:
                     yield self._result(future)
                     future.release()
         finally:
-            # A scheduler that is gone has nothing to cancel, and its error has been raised.
+            # Without a scheduler there is nothing to cancel, and its error has been raised.
             with suppress(*self._lost):
                 self._client.cancel(list(waiting), force=True)
 
@@ -108,7 +108,7 @@ class DaskCluster:
         """Wait until a task is finished; return all tasks that are finished.
 
         Raises:
-            InputError: No worker is left for a while, or the scheduler is gone.
+            InputError: No worker is present for ``IDLE * WAIT_S``, or the scheduler is gone.
         """
         without = 0
         while without < IDLE:
@@ -119,11 +119,11 @@ class DaskCluster:
             except self._lost as error:
                 raise self._gone() from error
             except TimeoutError:
-                # A worker that died takes its time to start again.
+                # A worker that died needs time to start again.
                 without = 0 if self._workers() else without + 1
         raise InputError(
             f"{self._where}: no worker for {IDLE * WAIT_S:g} s; all finished work is kept: start "
-            "workers and continue with the same --out"
+            "workers and repeat the command with this --out"
         )
 
     def _workers(self) -> int:
@@ -144,15 +144,16 @@ class DaskCluster:
 
     def _gone(self) -> InputError:
         return InputError(
-            f"{self._where}: the scheduler is gone; all finished work is kept: start it again "
-            f"and continue with the same --out"
+            f"{self._where}: the scheduler is gone; all finished work is kept: start the "
+            f"scheduler again and repeat the command with this --out"
         )
 
     def _result(self, future: Any) -> Any:
         """Return the result of a finished task.
 
         Raises:
-            InputError: Its workers died, the cluster is gone, or a worker lacks this package.
+            InputError: Workers died on the task, the scheduler is gone, or a worker lacks this
+                package.
         """
         try:
             return future.result()
@@ -172,7 +173,7 @@ def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task:
     process.
 
     Raises:
-        InputError: They are not.
+        InputError: The package versions differ.
     """
     _set_up()
     found = _fingerprint()
@@ -184,14 +185,14 @@ def _on_worker(one: Callable[[Task], Result], expected: Mapping[str, str], task:
     if other:
         raise InputError(
             f"worker on {platform.node()}: {'; '.join(other)}: the results of this worker could "
-            "differ; install the same versions on it"
+            "differ; install the versions of this process on that machine"
         )
     return one(task)
 
 
 @cache
 def _set_up() -> None:
-    """Set up a worker once, as the command line sets up its own process."""
+    """Set up a worker process once, with the settings that the command line gives its process."""
     keep_freed_memory()
 
 
@@ -215,10 +216,10 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
     """Start worker processes on this machine, and end them with the context.
 
     Args:
-        workers: Their number.
+        workers: Number of worker processes.
 
     Raises:
-        InputError: The extra is not installed.
+        InputError: The extra ``dask`` is not installed.
     """
     _require()
     with (
@@ -229,7 +230,7 @@ def local_cluster(workers: int) -> Iterator[DaskCluster]:
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            # With None the page is off, but its server would still take the port 8787.
+            # With None, dask serves no dashboard, but its server would still take the port 8787.
             dashboard_address=f"{LOOPBACK}:0",
             scheduler_kwargs={"dashboard": False},
             memory_limit=None,
@@ -247,16 +248,16 @@ def remote_cluster(address: str) -> Iterator[DaskCluster]:
     """Connect to a scheduler that the user started; keys for TLS are those of dask's configuration.
 
     Args:
-        address: Its address, such as ``tls://10.0.0.5:8786``.
+        address: Address of the scheduler, such as ``tls://10.0.0.5:8786``.
 
     Raises:
-        InputError: The extra is not installed, nothing answers at the address, or the scheduler has
-            no workers.
+        InputError: The extra ``dask`` is not installed, nothing answers at the address, or the
+            scheduler has no workers.
     """
     _require()
     if unprotected(address):
         complain(
-            f"warning: {address}: without TLS, whoever reaches this port can run any code as you; "
+            f"warning: {address}: without TLS, anyone who can reach this port can run code as you; "
             f"use tls:// (docs/guides/worlds.md)"
         )
     with dask.config.set(SETTINGS), distributed.utils.silence_logging_cmgr(logging.CRITICAL):

@@ -1,4 +1,4 @@
-"""Interface of all engines, and the error if their workers die."""
+"""Interface of all engines, and the error that is raised if workers die."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ DEATHS = 3
 
 
 class Engine(Protocol):
-    """Calls functions on tasks.
+    """Calls a function with each of many tasks, in worker processes.
 
     Attributes:
         shares_files: Whether workers read the files of this process at the same paths.
@@ -27,11 +27,11 @@ class Engine(Protocol):
     def each(self, one: Callable[[Task], Result], todo: Iterable[Task]) -> Iterator[Result]:
         """Yield results in the order in which they arrive.
 
-        A task whose worker dies is done again.
+        A task whose worker dies is given to another worker.
 
         Args:
-            one: The work on one task; it must be importable.
-            todo: The tasks; taken as workers become free.
+            one: Function that does one task; it must be importable.
+            todo: The tasks; each is taken when a worker is free.
 
         Raises:
             InputError: Workers die repeatedly on the tasks.
@@ -46,6 +46,6 @@ def died(what: str) -> InputError:
         what: What died, and how often.
     """
     return InputError(
-        f"{what}, perhaps for lack of memory; all finished work is kept: continue with the same "
-        f"--out, with fewer --jobs or workers"
+        f"{what}, perhaps for lack of memory; all finished work is kept: repeat the command with "
+        f"this --out and with fewer --jobs or workers"
     )

@@ -1,4 +1,4 @@
-"""Shares work among processes that end when the process that started them ends."""
+"""Divides work among processes that end when their parent process ends."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from rig.results.prove.engines.engine import DEATHS, Result, Task, died
 ORPHANED = 1
 """Exit status of a worker whose parent has died."""
 AHEAD = 2
-"""Number of tasks per worker that are handed out at once."""
+"""Number of tasks per worker that are submitted at once."""
 
 
 class Processes(NamedTuple):
     """Engine of processes on this machine.
 
     Attributes:
-        jobs: Number of processes; one does the work in this process.
+        jobs: Number of processes; with 1 the work is done in this process.
     """
 
     jobs: int
@@ -63,10 +63,10 @@ class Processes(NamedTuple):
         """Yield results until all tasks are done.
 
         Args:
-            one: The work on one task.
-            tasks: Tasks that were never handed out.
-            again: Tasks to hand out first, which this function removes from the list.
-            waiting: Filled with the tasks that are handed out and have no result.
+            one: Function that does one task.
+            tasks: Tasks that were never submitted.
+            again: Tasks to submit first, which this function removes from the list.
+            waiting: Filled with the tasks that are submitted and have no result.
 
         Raises:
             BrokenProcessPool: A worker died.
@@ -94,7 +94,7 @@ class Processes(NamedTuple):
 
 
 def begin_worker() -> None:
-    """Set up a worker process as the command line sets up its own process."""
+    """Set up a worker process with the settings that the command line gives its process."""
     keep_freed_memory()
     follow_parent()
 
@@ -102,7 +102,8 @@ def begin_worker() -> None:
 def follow_parent() -> None:
     """End this worker when its parent ends, whatever signal ends the parent.
 
-    A worker that waits for work holds both ends of its queue, so it never reads an end of file.
+    A worker that waits for work holds both ends of its queue, and therefore reads no end of file
+    when its parent ends.
     """
     Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 

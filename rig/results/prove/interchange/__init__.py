@@ -1,3 +1,3 @@
-"""Sealed rigs as plain files: any simulator can write them, and this package diagnoses, opens and
-scores them.
+"""Sealed rigs as plain files: any simulator can write sealed rigs; this package diagnoses the rigs,
+opens their truths and scores the diagnoses.
 """

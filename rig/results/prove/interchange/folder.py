@@ -1,7 +1,7 @@
 """Reads and writes a folder of sealed rigs: ``NAME/campaign.yaml`` with its recordings, and the
 truth in ``sealed/NAME.yaml`` or ``sealed/NAME.json``.
 
-The optional ``sealed/NAME.reference/campaign.yaml`` is the same rig without its effects. The
+The optional ``sealed/NAME.reference/campaign.yaml`` is the rig ``NAME`` without its effects. The
 optional ``SHA256SUMS`` lists the digest of every file in the format of ``sha256sum``.
 """
 
@@ -22,8 +22,8 @@ SEALED = "sealed"
 REFERENCE = ".reference"
 SUFFIXES = (".yaml", ".yml", ".json")
 PREFIX = "rig-"
-"""Name of the folder of a rig whose truth has only a number as its name, as written by ``rig
-prove``.
+"""Name of a rig's folder if the file of its truth is named by a number, as ``rig prove`` writes
+it.
 """
 
 
@@ -31,10 +31,10 @@ class SealedRig(NamedTuple):
     """One rig of a folder of sealed rigs.
 
     Attributes:
-        name: Name of its folder.
-        campaign: Its campaign file.
-        truth: File of its truth.
-        reference: Campaign file of the same rig without effects; it need not exist.
+        name: Name of the rig's folder.
+        campaign: Campaign file.
+        truth: File of the truth.
+        reference: Campaign file of the rig without its effects; this file need not exist.
         digest: SHA-256 of the truth's file.
     """
 
@@ -60,13 +60,13 @@ def sealed_rigs(home: Path) -> list[SealedRig]:
     """Return the rigs of a folder in order of their names, with the digests of their truths.
 
     Raises:
-        InputError: There are none, or a truth cannot be read.
+        InputError: The folder has no rigs, or a truth cannot be read.
     """
     found = list(_found(home))
     if not found:
         raise InputError(
-            f"{home}: no NAME/{CAMPAIGN_FILE} with a {SEALED}/NAME.yaml or .json beside it; give "
-            f"--from a folder with such files (docs/guides/worlds.md)"
+            f"{home}: no NAME/{CAMPAIGN_FILE} with a {SEALED}/NAME.yaml or {SEALED}/NAME.json; "
+            f"give --from a folder of sealed rigs (docs/guides/worlds.md)"
         )
     return found
 
@@ -89,7 +89,7 @@ def write_truth(where: SealedRig, truth: Mapping[str, Any], salt: str) -> None:
     """Write the truth of a rig with a salt.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: The truth cannot be written.
     """
     where.truth.parent.mkdir(parents=True, exist_ok=True)
     content = {"truth": 1, "rig": where.name, "outside": strangers(truth["effects"]), **truth}

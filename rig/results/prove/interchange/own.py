@@ -28,12 +28,12 @@ def seal_own(
         home: Folder of the sealed rigs.
         rigs: Number of trials.
         seed: Seed of the draws.
-        engine: Shares the trials out.
+        engine: Engine that does the work on the trials.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
         InputError: Workers die repeatedly.
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     drawn = list(enumerate(assignment(rigs, seed), start=1))
     return seal_all(home, drawn, partial(_seal, seed=seed), engine, progress)

@@ -33,9 +33,11 @@ from rig.results.prove.truth import Truth
 
 JUDGEMENTS = "judgements"
 Oracle = Callable[[Path, Sequence[str]], Mapping[str, Any] | None]
-"""(campaign file, true names) to the errors with the true structure, or None."""
+"""Function of campaign file and true names; returns the errors with the true structure, or None."""
 Floors = Callable[[Path], Mapping[str, float]]
-"""Campaign file of a rig without effects to the nominal model's residual in each equation."""
+"""Function of the campaign file of a rig without effects; returns the residual of the nominal model
+in each equation.
+"""
 Progress = Callable[[str, float], None]
 
 
@@ -43,7 +45,7 @@ class FromProof(NamedTuple):
     """State of a proof of sealed rigs.
 
     Attributes:
-        out: Its folder.
+        out: Folder of the proof.
         seed: Seed of the diagnoses.
         rigs: The rigs, in order.
     """
@@ -63,7 +65,7 @@ def begin_from(out: Path, rigs: int, seed: int, source: Path) -> FromProof:
     Raises:
         InputError: The folder has no sealed rigs, or files that were changed; or ``out`` holds a
             proof with other settings or seals.
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     given = sealed_rigs(source)[:rigs]
     check_sums(source)
@@ -105,7 +107,7 @@ def diagnose_all(proof: FromProof, judge: Judge, engine: Engine, progress: Progr
     Args:
         proof: The proof as begun.
         judge: Judges a campaign; with more than one worker it must be importable.
-        engine: Shares the rigs out.
+        engine: Engine that does the work on the rigs.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
@@ -139,7 +141,7 @@ class Diagnosed(NamedTuple):
     """One diagnosed rig.
 
     Attributes:
-        name: Its name.
+        name: Name of the rig.
         diagnosis: The record of ``rig diagnose --json`` without date and duration.
         beside: Results of the baseline methods, and the residual of the nominal model.
         times: Date and durations.
@@ -155,7 +157,7 @@ def given(campaign: Path, engine: Engine) -> Path | Bundle:
     """Return a campaign in the form in which a worker of the engine can read it.
 
     Raises:
-        InputError: It has files outside its folder, which another machine cannot read.
+        InputError: The campaign has files outside its folder, which another machine cannot read.
     """
     return campaign if engine.shares_files else bundle(campaign)
 
@@ -167,7 +169,7 @@ def diagnosed(task: ToDiagnose, judge: Judge) -> Diagnosed:
             judgement = judge(campaign, task.seed)
         except InputError as error:
             judgement = _refusal("; ".join(error.problems))
-        except Exception as error:  # noqa: BLE001 - a breakdown on one rig is a result, the others go on
+        except Exception as error:  # noqa: BLE001 - a failure on one rig is a result of the proof
             trace = traceback.format_exc()
             judgement = _refusal(f"broke down: {type(error).__name__}: {error}", trace)
         diagnosis, times = without_times(without_place(judgement.diagnosis, campaign.parent))
@@ -202,10 +204,11 @@ def score_all(
     """Open the truths and score the judgements; return all rows in order.
 
     Args:
-        proof: The proof, every rig of it diagnosed.
+        proof: The proof, in which every rig is diagnosed.
         oracle: Fits the true structure; with more than one worker it must be importable.
-        floors: Computes the residual of the nominal model on a rig without effects; likewise.
-        engine: Shares the fits out.
+        floors: Computes the residual of the nominal model on a rig without effects; with more than
+            one worker it must be importable.
+        engine: Engine that makes the fits.
         progress: Called with the label of a step and the share that is done.
 
     Raises:
@@ -236,10 +239,10 @@ class ToScore(NamedTuple):
     """One rig to score.
 
     Attributes:
-        name: Its name.
-        campaign: Its campaign, where the true structure is fitted to it.
-        names: Its true effects.
-        reference: Campaign of the same rig without effects, where it exists.
+        name: Name of the rig.
+        campaign: Campaign of the rig if the true structure is fitted to it, else None.
+        names: True effects of the rig.
+        reference: Campaign of the rig without its effects, or None if there is none.
     """
 
     name: str
@@ -249,8 +252,8 @@ class ToScore(NamedTuple):
 
 
 class Fits(NamedTuple):
-    """Fits with the truth of a rig: of the true structure, and of the nominal model to the rig
-    without effects; the latter is None if there is no such rig.
+    """Fits with the truth of a rig: errors of the true structure, and residuals of the nominal
+    model on the rig without effects; None if the fit is not made.
     """
 
     name: str
@@ -271,7 +274,7 @@ def _to_score(proof: FromProof, rig: SealedRig, truth: Truth, engine: Engine) ->
 
 
 def fitted(task: ToScore, oracle: Oracle, floors: Floors) -> Fits:
-    """Fit the true structure to a rig, and the nominal model to the same rig without effects."""
+    """Fit the true structure to a rig, and the nominal model to that rig without its effects."""
     held = floor = None
     if task.campaign is not None:
         with unpacked(task.campaign) as campaign:

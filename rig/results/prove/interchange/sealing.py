@@ -27,9 +27,9 @@ class Task(NamedTuple):
     """One rig to make.
 
     Attributes:
-        number: Its number, from 1.
+        number: Number of the rig, from 1.
         assigned: Kind and effects.
-        salt: Salt of its seal.
+        salt: Salt of the seal.
     """
 
     number: int
@@ -41,8 +41,8 @@ class Made(NamedTuple):
     """One rig that was made.
 
     Attributes:
-        name: Its name.
-        files: Its files, relative to the folder of sealed rigs; the truth is the last.
+        name: Name of the rig.
+        files: Files of the rig, by paths relative to the folder of sealed rigs; the truth is last.
     """
 
     name: str
@@ -61,11 +61,11 @@ def seal_all(
 
     Args:
         home: Folder of the sealed rigs.
-        drawn: Number, kind and effects of each.
+        drawn: Number, kind and effects of each rig.
         one: Makes one rig; with more than one worker it must be importable.
-        engine: Shares the rigs out.
+        engine: Engine that makes the rigs.
         progress: Called with the label of a step and the share that is done.
-        salt: Salt of the rig with a number; at random unless given.
+        salt: Function that returns the salt of the rig with a number; random by default.
 
     Raises:
         InputError: Workers die repeatedly.

@@ -1,3 +1,3 @@
-"""Plant from an independent simulator: MuJoCo's joint, friction, motor and tendons, in the loops of
-a drive.
+"""Plant in an independent simulator: joint, friction, motor and tendons of MuJoCo, controlled by
+the loops of a drive.
 """

@@ -64,7 +64,7 @@ def asked(p: Array, s: Array, sent: Array, angle: float, current: float) -> floa
     s[LAST] = seen
     command, speed, given = sent[0], sent[1], sent[2]
     if p[HOST] > 0.0:
-        # The drive holds the torque until the host sends the next one.
+        # The drive holds the torque until the host sends the next torque.
         if sent[3] > 0.0:
             s[HELD] = given + p[POSITION] * (command - seen) - p[VELOCITY] * s[SPEED]
         torque = s[HELD]

@@ -14,13 +14,13 @@ from rig.results.prove.worlds.world import Array, World
 
 F_REF_N = 3000.0
 RESTING = 2e-5
-"""Share of a speed scale below which a joint counts as resting, because MuJoCo's friction creeps
-(see the tests).
+"""Ratio of the joint speed to the speed scale below which a joint counts as resting, because a
+joint held by MuJoCo's friction creeps.
 """
 UNIT_SPEED = {"rotary": 1.0, "linear": 0.1}
-"""Scale of the speeds of each kind of machine, rad/s or m/s."""
+"""Speed scale of each kind of machine: rad/s for rotary, m/s for linear."""
 AGED_OFF = 3.0
-"""Number of Stribeck speeds above which the time at rest is set to zero."""
+"""Ratio of the joint speed to the Stribeck speed above which the time at rest is set to zero."""
 (
     MC, MS, W_SF, ALPHA, ARM, MU_C, MU_S, W_SL, MU_2, SHARE,
     FORCE, SLOPE, SWING, SWING_HZ, SWING_S, PIVOT, PER_LOAD, HUNG, ZERO,
@@ -94,8 +94,8 @@ def dry(f: Array, s: Array, t: float, q: float, w: float, push: float, dt: float
         s: States: level with memory, time at rest.
         t: Time of the session, s.
         q: Angle of the joint, rad.
-        w: Its speed, rad/s.
-        push: Torque that drives it, N m; its sign is the direction at rest.
+        w: Speed of the joint, rad/s.
+        push: Torque that drives the joint, N m; its sign is the direction of a joint at rest.
         dt: Time step, s.
     """
     since = t - f[BEGAN]
@@ -142,7 +142,7 @@ def damping(f: Array, t: float, q: float) -> float:
 def further(
     f: Array, s: Array, since: float, phi: float, w: float, current: float, dt: float
 ) -> float:
-    """Return the torque at the motor's side that MuJoCo's motor does not model, N m at the joint.
+    """Return the torque on the motor's side that MuJoCo's motor does not model, N m at the joint.
 
     Args:
         f: Values.

@@ -28,8 +28,8 @@ AMBIENT_C = 25.0
 TINY = 1e-9
 FAR_RAD = 50.0
 IMPEDANCE = 0.9999
-"""Greatest constraint impedance that MuJoCo accepts; a test of stiction shows how firmly its
-friction then holds.
+"""Greatest constraint impedance that MuJoCo accepts; a test measures the creep of a stuck joint at
+this impedance.
 """
 
 
@@ -100,8 +100,8 @@ def _joint(name: str, world: World, k: int, step_s: float) -> str:
 
 
 def _masses(world: World, k: int) -> str:
-    """Return the weight on the joint, a mass that is lifted, and an unbalanced mass, as point
-    masses.
+    """Return those of weight on the joint, lifted mass and unbalanced mass that recording ``k``
+    has, as point masses.
     """
     points = []
     lifted = world.recordings[k].hoisted_kg

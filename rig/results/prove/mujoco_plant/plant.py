@@ -1,11 +1,11 @@
-"""Simulates worlds with MuJoCo's machine in the loops of a drive, and returns the signals.
+"""Simulates worlds with a machine in MuJoCo and the loops of a drive, and returns the signals.
 
 MuJoCo's friction is a constraint that its solver keeps approximately. With the impedance and the
 time constant chosen in :mod:`rig.results.prove.mujoco_plant.model` a stuck joint creeps by less
-than 2e-6 of its speed scale, and breaks away within 0.5 % of the set level; the level itself is one
-step late. A step of MuJoCo accelerates the joint with the current at the end of the step, and moves
-it with the speed at the end of the step. The angle before a step is therefore logged one time stamp
-later, so that it agrees with the current that caused the motion.
+than 2e-6 of its speed scale, and breaks away within 0.5 % of the set level of friction; this level
+is computed one step late. A step of MuJoCo accelerates the joint with the current at the end of the
+step, and moves the joint with the speed at the end of the step. The angle before a step is logged
+one time stamp later, so that the angle agrees with the current that caused the motion.
 """
 
 from __future__ import annotations
@@ -63,13 +63,13 @@ class Views(NamedTuple):
     """Views of MuJoCo's state and settings, which change in place.
 
     Attributes:
-        angle: Angles of the joints, rad; the motor's first where it has a body of its own.
-        speed: Their speeds, rad/s.
-        states: States of the motor; its current last.
+        angle: Angles of the joints, rad; that of the motor is first if it is a separate body.
+        speed: Speeds of the joints, rad/s.
+        states: States of the motor; the current is last.
         voltage: Voltage at the motor, V, shape (1,).
         applied: Further torques on the joints, N m.
-        friction: Level of their dry friction, N m.
-        viscous: Their linear damping, N m s/rad.
+        friction: Level of dry friction of the joints, N m.
+        viscous: Linear damping of the joints, N m s/rad.
     """
 
     angle: Array
@@ -136,7 +136,7 @@ def require_mujoco() -> None:
     """Check that MuJoCo is installed.
 
     Raises:
-        InputError: It is not installed; the message says how to install it.
+        InputError: MuJoCo is not installed; the message says how to install it.
     """
     if mujoco is None:
         raise InputError(MISSING)
@@ -149,7 +149,7 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
     planned, rate = world.recordings[k], world.drive.rate_Hz
     model = mujoco.MjModel.from_xml_string(xml(world, k, 1.0 / rate))
     data = mujoco.MjData(model)
-    # States of MuJoCo's motor: the winding's temperature over the ambient one, then its current.
+    # States of MuJoCo's motor: temperature rise of the winding over ambient, then its current.
     heated = "winding_heating" in world.effects
     states = data.act[model.actuator_actadr[0] :][: model.actuator_actnum[0]]
     if heated:
@@ -203,7 +203,7 @@ def _played(world: World, k: int, session_s: float, heat: float) -> tuple[Signal
 
 
 def _hold(given: Given, states: Array) -> None:
-    """Begin with the current that holds the known steady load."""
+    """Set the initial current to the value that holds the known steady load."""
     needed = -given.law[STEADY]
     states[-1] = needed / given.law[PER_A]
     if given.loop[CASCADE] > 0.0:
@@ -237,10 +237,10 @@ def tick(row: int, views: Views, given: Given, inputs: Array, out: Array) -> Non
 
     Args:
         row: Number of the step.
-        views: MuJoCo's state; voltage, friction, damping and further torques are set in it.
+        views: MuJoCo's state, in which voltage, friction, damping and further torques are set.
         given: Settings and states.
-        inputs: Angle sent, its speed, torque sent, whether the host sends, noise of current and
-            encoder, shape (6, n).
+        inputs: Angle sent, speed of this angle, torque sent, whether the host sends, noise of
+            current and encoder, shape (6, n).
         out: Signals of every step, shape (COLUMNS, n).
     """
     p, f, stage = given.loop, given.law, given.stage

@@ -24,14 +24,14 @@ SENSED = frozenset(
 )
 """Effects that the logger of a world applies."""
 OF_THE_WORLD = SENSED | {"wrong_weight"}
-"""Effects that are no property of the machine: the true weight is a load."""
+"""Effects that are no property of the machine; a wrong weight is part of the load."""
 ELASTIC = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 STIFF_HZ = 700.0
-"""Natural frequency of rotor and joint on the teeth of a gear that is not compliant itself, as on
-the practical bench.
+"""Natural frequency of rotor and joint on the stiffness of the gear teeth, for a machine without a
+compliant gear; the value is that of the practical bench.
 """
 STEP_S = 2.5e-5
-"""Longest step of the integration."""
+"""Longest step of the integration, s."""
 
 
 def machine_of(world: World) -> constants.Machine:
@@ -71,7 +71,9 @@ def machine_of(world: World) -> constants.Machine:
 
 
 def _loops(world: World) -> constants.Loops:
-    """Return the loops of the drive; all but the current loop are open where a host closes them."""
+    """Return the loops of the drive; if a host computes the torque, only the current loop is
+    closed.
+    """
     drive, motor, gain = world.drive, world.motor, gains(world)
     hosted, cascade = drive.host_Hz > 0, drive.kind == "cascade"
     position, velocity = gain.position, gain.velocity
@@ -100,7 +102,7 @@ def _effects(world: World) -> dict[str, dict[str, float]]:
         found["compliance"] = {"stiffness_Nm_rad": stiffness}
     stop = found.get("end_stop", {})
     if "other_rad" in stop:
-        # The machine's first stop is the upper one.
+        # The first stop of the simulated machine is the upper stop.
         ends = stop["angle_rad"], stop["other_rad"]
         stop["angle_rad"], stop["other_rad"] = max(ends), min(ends)
     return found

@@ -20,7 +20,8 @@ NOISE_STREAM, FLICKER_STREAM = 6, 10
 class OwnPlant:
     """The project's own plant; see :class:`rig.results.prove.worlds.seal.Plant`.
 
-    All friction is at the joint; where motor and joint turn apart, the motor's side has none.
+    All friction is at the joint; if motor and joint are two bodies, the motor's side has no
+    friction.
     """
 
     effects: Collection[str] = frozenset(n for n in SIZES if not n.startswith("x_"))
@@ -30,8 +31,8 @@ class OwnPlant:
     def play(self, world: World) -> Iterator[Signals]:
         """Yield the signals of the machine in each recording, which begins at rest at zero.
 
-        On a clock that runs through the session, drifts go on and the winding cools in the pauses;
-        else every recording begins cold.
+        If the log has session times, drifts continue and the winding cools during the pauses
+        between recordings; else every recording begins cold.
         """
         session_s = heat_K = 0.0
         cooling_s = world.effects.get("winding_heating", {}).get("time_s", 1.0)

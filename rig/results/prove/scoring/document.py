@@ -45,7 +45,7 @@ _TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "spa
 _PLACES = {
     "equation": "in the equation where the effect shows",
     "coordinate": "over the catalogue's coordinate",
-    "place": "over that or an equivalent one, or in its recording",
+    "place": "over this or an equivalent coordinate, or in the effect's recording",
 }
 
 
@@ -77,9 +77,9 @@ def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Sec
     yield Section("", tuple(map(Note, _remarks(result))))
     yield Section("Rates", (_rates(result), *_power(result)))
     yield Section("Against the baselines", (_methods(result),))
-    yield Section("Where it was found", (_places(result),))
-    yield Section("What was called what", (_confusion(result), *_confused(result)))
-    yield Section("Confidence against being right", (_reliability(result),))
+    yield Section("Location of the mismatch", (_places(result),))
+    yield Section("Injected and named effects", (_confusion(result), *_confused(result)))
+    yield Section("Confidence and share of right names", (_reliability(result),))
     yield Section("Wrong names, and trials not diagnosed", (_wrong(result), _refused(result)))
     if result["by_axis"]:
         yield Section("By the world's axes", (_axes(result),))
@@ -120,7 +120,9 @@ def _methods(result: Mapping[str, Any]) -> Table:
 
 
 def _places(result: Mapping[str, Any]) -> Table:
-    """Return how often the diagnosis found the mismatch where the effect shows."""
+    """Return the shares of trials in which the diagnosis located the mismatch where the catalogue
+    locates the effect.
+    """
     rows = []
     for key, words in _PLACES.items():
         found = result["location"][key]
@@ -184,8 +186,8 @@ def _axes(result: Mapping[str, Any]) -> Table:
 def _remarks(result: Mapping[str, Any]) -> list[str]:
     """Return remarks on the rates."""
     lines = [
-        f"{result['outside']['named_confidently']} trials outside the catalogue had an effect "
-        f"named with confidence."
+        f"On {result['outside']['named_confidently']} trials outside the catalogue, an effect was "
+        f"named with high confidence."
     ]
     for key, words in (
         ("oracle_fraction", "the decrease with the true effects"),
@@ -205,8 +207,8 @@ def _remarks(result: Mapping[str, Any]) -> list[str]:
         )
     if result["most_frequent_class"] is not None:
         lines.append(
-            f"Always naming the most frequent effect would be right on "
-            f"{100 * result['most_frequent_class']:.1f} %."
+            f"If the most frequent effect were named on every trial, "
+            f"{100 * result['most_frequent_class']:.1f} % of the names would be right."
         )
     return lines
 
@@ -233,7 +235,7 @@ def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
 def _confused(result: Mapping[str, Any]) -> Iterator[Picture]:
     if result["power"]:
         matrix = confusion_matrix(result["confusion"])
-        yield Picture.of("confusion", "What each effect was called", matrix)
+        yield Picture.of("confusion", "Names given to each injected effect", matrix)
 
 
 def _confusion(result: Mapping[str, Any]) -> Table:

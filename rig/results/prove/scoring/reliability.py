@@ -21,11 +21,11 @@ FEW = 5
 
 
 def names_given(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return every name that a diagnosis gave: trial, name, confidence, and whether the name is
+    """Return every effect that a diagnosis named: trial, name, confidence, and whether the name is
     right.
 
-    A name is right if the named effect, or another effect of its alias group, is injected and does
-    not belong to an earlier name.
+    ``right``: the named effect is injected; ``right_group``: the named effect or another effect of
+    its alias group is injected.
     """
     given = []
     for row in rows:
@@ -70,8 +70,8 @@ def wrong_names(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def right(row: Row) -> bool:
     """Return whether a trial's verdict is right: the first identified effects are the injected
-    effects, or nothing is identified where nothing is injected, or the verdict is outside the
-    catalogue where the injected effect is not in the catalogue.
+    effects; without an injected effect, the verdict is "nothing missing"; for an injected effect
+    that is not in the catalogue, the verdict is "outside the catalogue".
     """
     if row["kind"] == "outside":
         return bool(row["verdict"] == "outside_catalogue")

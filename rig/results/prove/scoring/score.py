@@ -17,13 +17,13 @@ from rig.results.prove.scoring.reliability import by_axis, reliability, right, w
 PROVE_SCHEMA = "loadrig.prove/3"
 RESULT_FILE = "prove.json"
 STRONG = 3.0
-"""Least strength of an effect that must be identified: rms change over noise, in the channel that
-shows the effect best.
+"""Least strength of an effect that a diagnosis must identify: rms change over noise, in the channel
+in which this ratio is greatest.
 """
 TORQUE = "current"
 """Channel in which the torque of an effect is measured: the motor current during motion."""
 NONE: Row = {"named": [], "alarm": False, "top1": False, "alias": False, "exact": False}
-"""Score of a baseline method on a trial that could not be diagnosed."""
+"""Score that a baseline method gets on a trial that could not be diagnosed."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
@@ -95,7 +95,9 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _beside(row: Row) -> float:
-    """Return the smaller remaining strength of two effects, each with the other effect known."""
+    """Return the smaller of the remaining strengths of two effects, each computed with the other
+    effect known.
+    """
     return (
         0.0 if row["oracle"] is None else float(min(row["oracle"]["remaining_strength"].values()))
     )
@@ -138,8 +140,8 @@ def _method(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return how often the diagnosis found the mismatch where the effect shows, over the trials
-    with a found mismatch.
+    """Return the shares, of the trials with a located mismatch, in which the diagnosis located the
+    mismatch where the catalogue locates the effect.
     """
     found = [
         row["location"]
@@ -150,14 +152,16 @@ def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
 
 
 def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
-    """Return the median of the known values of the rows, and their number."""
+    """Return the median of the values under ``key`` that are not null, and the number of these
+    values.
+    """
     known = [row[key] for row in rows if row[key] is not None]
     return {"median": statistics.median(known) if known else None, "of": len(known)}
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return true effect -> first identified effect (or the verdict if no effect was identified) ->
-    number of trials.
+    """Return the number of trials by true effect and by first identified effect (or by verdict if
+    no effect was identified).
     """
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
@@ -181,7 +185,9 @@ def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the number of trials on which the held-out error rose by more than the noise floor."""
+    """Return the number of trials on which the correction increased the held-out error by more than
+    the noise floor.
+    """
     known = [
         row
         for row in rows

@@ -1,1 +1,1 @@
-"""Worlds: draws machine, drive, encoders, logger and motions of a trial, for any plant."""
+"""Draws worlds: machine, drive, encoders, logger and motions of a trial, for any plant."""

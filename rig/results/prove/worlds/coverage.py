@@ -42,14 +42,14 @@ WORDS: Mapping[str, Parts] = {
     "size of a joint's machine": frozenset({"small", "large"}),
     "size of a carriage's machine": frozenset({"small", "large"}),
 }
-"""Axis to its parts."""
+"""Parts of each axis."""
 
 
 def parts_of(axes: Mapping[str, Axis]) -> dict[str, set[Axis]]:
     """Return the parts of the axes that one world covers.
 
     Args:
-        axes: The ``axes`` of its truth.
+        axes: The ``axes`` in the truth of the world.
     """
     found: dict[str, set[Axis]] = {
         name: {value} & WORDS[name] for name, value in axes.items() if name in WORDS

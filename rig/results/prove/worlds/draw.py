@@ -38,22 +38,24 @@ MOST_ROWS = 300_000
 recordings, not shorter ones.
 """
 SHARES: dict[Kind, float] = {"one": 60.0, "nothing": 25.0, "two": 10.0, "outside": 5.0}
-"""Number of trials of each kind in a hundred; proofs of other sizes have the same proportions."""
+"""Number of trials of each kind in a proof of a hundred trials; other proofs have equal shares."""
 LOADS: dict[Motion, dict[str, float]] = {
     "rotary": {"none": 0.25, "lever": 0.5, "pendulum": 0.25},
     "linear": {"none": 0.2, "lever": 0.3, "carriage": 0.2, "hoisted": 0.2, "force": 0.1},
 }
 """Loads of each kind of machine and their shares. ``lever``: weights that press on the joint by a
 lever; ``pendulum``: a weight that turns with the joint; ``carriage``: masses on a level carriage;
-``hoisted``: masses that it lifts; ``force``: constant forces.
+``hoisted``: masses that a carriage lifts; ``force``: constant forces.
 """
 LINEAR_SHARE = 0.35
 HUNG_SHARES = (0.3, 0.6, 0.45)
-"""Torques of three weights on the joint over 0.6 of the greatest torque of the machine."""
+"""Torques of three weights on the joint, in units of 0.6 times the machine's greatest torque."""
 STEADY_SHARES = (0.0, 0.35, 0.2, -0.25)
-"""Steady forces over the greatest force of the machine; a lifted mass has their magnitudes."""
+"""Ratios of the constant forces to the greatest force of the machine; the weights of lifted masses
+have the magnitudes of these ratios.
+"""
 CARRIED = (0.0, 1.0, 0.5, 0.25)
-"""Masses on a carriage over the heaviest one, which is as heavy as the machine."""
+"""Ratios of the masses on a carriage to the heaviest mass, which equals the mass of the machine."""
 
 
 def worlds_assignment(
@@ -64,7 +66,7 @@ def worlds_assignment(
     Args:
         rigs: Number of worlds.
         seed: Seed of the draws.
-        effects: Effects of the catalogue that the plant can have; drawn in turn.
+        effects: Effects of the catalogue that the plant can have, which are taken in turn.
         outside: Effects outside the catalogue that the plant can have.
     """
     rng = np.random.default_rng([seed, 0])
@@ -172,7 +174,7 @@ def _recordings(
     (kind, loads), (drive, log_) = load, electronics
     count = round(log(FEWEST - 0.4, MOST + 0.4)(chain))
     affordable = int(MOST_ROWS / (0.5 * (SHORTEST_S + LONGEST_S) * log_.rate_Hz))
-    # Each load once in the fit; except for a weight on the joint, also no load.
+    # The fit has each load once and, unless the loads are weights on the joint, no load once.
     each = loads if kind in ("pendulum", "none") else loads + 1
     count = max(min(count, affordable), each + (kind == "lever"), FEWEST)
     used = list(chain.permutation(list(MOTIONS))[: int(chain.integers(1, 4))])
@@ -203,7 +205,7 @@ def _recordings(
 def _commanded(
     rng: np.random.Generator, planned: Planned, duration_s: float, body: Body, drive: Drive
 ) -> Planned:
-    """Draw what is sent in a recording, and the pause before it."""
+    """Draw the angle or torque that is sent in a recording, and the pause before the recording."""
     reach, times = _reach(body, planned), (duration_s, planned.lead_s)
     if drive.kind == "torque":
         machine = (body.constants, body.peak_N_m, reach, drive.centring_N_m_rad)
@@ -236,7 +238,7 @@ def _loaded(k: int, kind: str, loads: int, body: Body, sends_torque: bool) -> Pl
     if kind == "force":
         return replace(empty, pull_N_m=round(steady, 3))
     if kind == "carriage":
-        # The guide bears its weight: friction and inertia, but no force.
+        # The guide bears the weight, which adds friction and inertia but no force along the axis.
         mass = round(CARRIED[k % (loads + 1)] * body.heaviest_kg, 4)
         return replace(empty, weight_kg=mass, hoisted_kg=mass, pull_N_m=mass * GRAVITY_M_S2)
     return empty

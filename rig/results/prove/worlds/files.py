@@ -1,7 +1,7 @@
-"""Writes a world to disk: campaign file and recordings in the form that an engineer would use, and
-the truth.
+"""Writes a world to disk: campaign file and recordings as an engineer would write them, and the
+truth.
 
-The campaign contains no trace of the effects.
+Nothing in the campaign file or in the names of files shows the effects.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ FORMATS: Mapping[str, str] = {
     "supply_voltage": "%.6g",
 }
 ANGLES = "%.9g"
-"""Format of all other columns; a step of a 24-bit encoder is 4e-7 rad, or 6e-8 m."""
+"""Format of all columns but the time; one count of a 24-bit encoder is 4e-7 rad, or 6e-8 m."""
 
 
 def write_world(folder: Path, world: World, logged: Sequence[Columns]) -> Path:
     """Write campaign and recordings; return the campaign file.
 
     Raises:
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     for planned, columns in zip(world.recordings, logged, strict=True):
@@ -53,7 +53,7 @@ def campaign(world: World, columns: Columns) -> dict[str, Any]:
 
     Args:
         world: The world.
-        columns: Columns of any of its recordings.
+        columns: Columns of any recording of the world.
     """
     motor, lever = world.motor, any(r.weight_kg for r in world.recordings)
     bench: dict[str, Any] = {
@@ -110,8 +110,8 @@ def truth_of_world(
 
     Args:
         world: The world.
-        not_scored: Values that mean something else on its plant.
-        strength: Channel to change over noise.
+        not_scored: Values that have another meaning on the plant.
+        strength: Change by the effects over the noise, by channel.
     """
     constants = asdict(world.constants)
     if not any(r.weight_kg for r in world.recordings):

@@ -1,4 +1,6 @@
-"""Computes the gains of a world's drive, for plants that have the drive's usual loops."""
+"""Computes the gains of a world's drive, for plants whose drive has position, velocity and current
+loops.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +12,21 @@ from rig.results.prove.worlds.world import World
 SOFT_DAMPING = 0.8
 """Damping ratio of a ``pd`` loop."""
 RESET = 5.0
-"""Bandwidth of the velocity loop over the corner of its integral."""
+"""Ratio of the velocity loop's bandwidth to the corner frequency of its integral part."""
 FILTER = 4.0
-"""Corner of the filter of the measured speed over the bandwidth of the velocity loop."""
+"""Ratio of the corner frequency of the speed filter to the bandwidth of the velocity loop."""
 
 
 class Gains(NamedTuple):
     """Gains of the loops, at the joint.
 
     Attributes:
-        position: Of a cascade, speed over position error, 1/s; else stiffness, N m/rad.
-        velocity: Torque over speed error, or damping, N m s/rad.
-        integral: Rate of the torque over speed error of a cascade, N m/rad.
-        filter_rad_s: Corner of the filter of the measured speed.
-        current: Voltage over current error, V/A.
-        current_integral: Rate of that voltage, V/(A s).
+        position: For a cascade, speed per position error, 1/s; else stiffness, N m/rad.
+        velocity: Torque per speed error, or damping, N m s/rad.
+        integral: For a cascade, rate of change of the torque per speed error, N m/rad.
+        filter_rad_s: Corner frequency of the filter of the measured speed.
+        current: Voltage per current error, V/A.
+        current_integral: Rate of change of the voltage per current error, V/(A s).
     """
 
     position: float
@@ -36,11 +38,11 @@ class Gains(NamedTuple):
 
 
 def gains(world: World) -> Gains:
-    """Return the gains of the drive, or of the host that computes its torque.
+    """Return the gains of the drive, or of the host that computes the drive's torque.
 
     A ``pd`` loop needs an angle error to overcome the static friction. This angle error is
-    inversely proportional to the gain, and is a third of the amplitude of the smallest motion with
-    a position loop of 1 Hz.
+    inversely proportional to the gain; the gain is chosen so that the error is a third of the
+    amplitude of the smallest motion if the bandwidth of the position loop is 1 Hz.
     """
     drive, motor, J = world.drive, world.motor, world.constants.J
     omega = 2.0 * math.pi * drive.velocity_Hz

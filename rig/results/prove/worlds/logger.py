@@ -1,6 +1,7 @@
 """Logger of a world: converts signals at the rate of the loops to columns at the rate of the log.
 
-Effects of the sensing are applied here, because they change the logged values and not the motion.
+Effects of sensors and logger are applied here, because they change the logged values and not the
+motion.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ def _joint(world: World, k: int, signals: Signals, rows: Rows) -> Array:
 
 
 def _counted(angle: Array, count: float, flicker: float, rng: np.random.Generator) -> Array:
-    """Return an angle in whole counts; an angle between two counts flickers."""
+    """Return an angle in whole counts; noise makes an angle near the edge of a count flicker."""
     noise = flicker * rng.standard_normal(len(angle))
     return np.asarray(np.round(angle / count + noise) * count)
 
@@ -115,8 +116,8 @@ def _counted(angle: Array, count: float, flicker: float, rng: np.random.Generato
 def _late(world: World, signal: Array, channel: str, further_s: float = 0.0) -> Array:
     """Return a signal delayed by the sampling delay of its channel.
 
-    A positive ``time_skew`` means a current that is late against the angles, a negative one means
-    angles that are late against current and voltage.
+    With a positive ``time_skew``, the current is late relative to the angles; with a negative
+    ``time_skew``, the angles are late relative to current and voltage.
     """
     skew = world.effects.get("time_skew", {}).get("time_s", 0.0)
     late_s = further_s + (max(skew, 0.0) if channel == "current" else max(-skew, 0.0))

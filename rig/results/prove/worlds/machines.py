@@ -1,6 +1,6 @@
-"""Draws the machine of a world with its drive, encoders and logger: a rotary machine from a hobby
-servo to the valve, or a linear machine from a small actuator to a ball screw that carries hundreds
-of kilograms.
+"""Draws the machine of a world with its drive, encoders and logger: a rotary machine of a size
+between a hobby servo and the valve, or a linear machine between a small actuator and a ball screw
+that carries hundreds of kilograms.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ GRAVITY_M_S2 = 9.80665
 SMALLEST_N_M, LARGEST_N_M = 0.2, 40.0
 """Greatest torque of the smallest and of the largest machine, N m."""
 LINEAR_N, LINEAR_TRAVEL_M, LINEAR_SPEED_M_S = (20.0, 2000.0), (0.05, 0.6), (0.05, 0.8)
-"""Range of the greatest force, the travel to either side and the speed of a linear machine."""
+"""Ranges of greatest force, N, travel to either side, m, and speed, m/s, of linear machines."""
 SCREW_LEAD_M, BELT_M = (0.002, 0.02), (0.06, 0.2)
-"""Range of the travel per motor turn of a ball screw, and per turn of the pulley of a belt."""
+"""Ranges of the travel per motor turn of a ball screw, and per turn of the pulley of a belt, m."""
 BELT_GEARS = (1.0, 3.0, 5.0, 10.0)
 ARM = 1.0
 """Ratio of the friction force on a carriage to the friction of the contact force."""
 LOOP_RATES_HZ = (2000, 4000, 8000)
 LOG_RATES_HZ = (100, 200, 250, 500, 1000, 2000, 4000)
 LEAST_GAIN_HZ, MOST_GAIN_HZ = 1.0, 16.0
-"""Range of the bandwidth of the position loop."""
+"""Range of the bandwidth of the position loop, Hz."""
 LOOPS: dict[LoopKind, float] = {"cascade": 0.5, "pd": 0.2, "torque": 0.15, "host": 0.15}
 """Share of each kind of loop."""
 HOST_RATES_HZ = (200, 500, 1000)
@@ -65,8 +65,9 @@ def draw_body(rng: np.random.Generator, falls: bool, motion: Motion = "rotary") 
 
     Args:
         rng: Generator.
-        falls: Whether friction must fall from rest to motion; else one in five does not fall.
-        motion: Its kind.
+        falls: Whether static friction must exceed Coulomb friction; if not, the two are equal in
+            one of five machines.
+        motion: Kind of motion of the machine.
     """
     linear = motion == "linear"
     peak = log(*(LINEAR_N if linear else (SMALLEST_N_M, LARGEST_N_M)))(rng)
@@ -101,8 +102,8 @@ def _rad_per_m(rng: np.random.Generator) -> float:
 
 
 def _motor(rng: np.random.Generator, peak: float, speed: float, rad_per_m: float | None) -> Motor:
-    """Draw a motor that reaches the peak torque, and that reaches the speed with half of its supply
-    voltage.
+    """Draw a motor that reaches the peak torque, and that needs half of its supply voltage for the
+    greatest speed.
     """
     supply = float(rng.choice((6.0, 12.0, 24.0, 48.0, 60.0)))
     limit = 2.0 * peak * speed / supply * log(1.3, 5.0)(rng)
@@ -144,13 +145,13 @@ def draw_sensing(
     Args:
         rng: Generator.
         motor: Motor of the machine.
-        motion: Kind of the machine; the scale of a linear one has 2^17 to 2^24 counts per m.
-        needs: ``two encoders``, ``motor encoder``: what there must be.
+        motion: Kind of motion; the scale of a linear machine has 2^17 to 2^24 counts per m.
+        needs: What the effects require: ``two encoders``, ``motor encoder``.
     """
     both, at_motor = rng.uniform() < 0.5, rng.uniform() < 0.6
     both, at_motor = both or "two encoders" in needs, at_motor or "motor encoder" in needs
     motor_bits = int(rng.integers(12, 17)) if both or at_motor else None
-    # A drive that has nothing but a coarse encoder on the joint cannot close a velocity loop.
+    # A drive whose only encoder is a coarse one on the joint cannot close a velocity loop.
     fewest = 12 if motor_bits is not None and motion == "rotary" else 17
     joint_bits = int(rng.integers(fewest, 25)) if both or not at_motor else None
     return Sensing(
@@ -169,7 +170,7 @@ def draw_log(rng: np.random.Generator, drive: Drive, voltages: Sequence[str]) ->
 
     Args:
         rng: Generator.
-        drive: The drive, which is no slower than its log.
+        drive: The drive, whose loops are at least as fast as the log.
         voltages: Ways in which the voltage may be known.
     """
     way: Any = str(rng.choice(("sampled", "averaged", "filtered"), p=(0.4, 0.4, 0.2)))

@@ -41,7 +41,7 @@ def command(
         motion: Name of a shape.
         duration_s: Length of the log.
         lead_s: Time before the log begins.
-        reach: Its limits; the drawn scale uses 55 to 100 % of the one that binds.
+        reach: Limits of the command; the drawn scale uses 55 to 100 % of the tightest limit.
     """
     t: Array = np.arange(round((duration_s + lead_s) / COMMAND_S), dtype=np.float64) * COMMAND_S
     seed, share = int(rng.integers(1 << 62)), rng.uniform(0.55, 1.0)
@@ -52,7 +52,7 @@ def command(
         speed = np.gradient(path, COMMAND_S)
         most = (np.abs(x).max() for x in (path, speed, np.gradient(speed, COMMAND_S)))
         scale = min(limit / max(m, 1e-12) for limit, m in zip(reach, most, strict=True))
-        # Slowed steps may all lie after the end of the recording.
+        # At a low speed factor, all steps may lie after the end of the recording.
         if (far := float(scale * np.abs(path).max())) > farthest:
             best, farthest = path * scale * share, far
         if farthest > WORTH * reach.travel:
@@ -144,4 +144,4 @@ MOTIONS: Mapping[str, Shape] = {
     "pick and place": _pick_and_place,
     "random": _random,
 }
-"""Name to shape."""
+"""Shapes of motions by name."""

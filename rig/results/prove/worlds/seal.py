@@ -21,15 +21,15 @@ from rig.results.prove.worlds.logger import Columns, columns
 from rig.results.prove.worlds.world import Array, Signals, World
 
 MOVING = 0.05
-"""Share of a recording's greatest speed above which the joint counts as moving."""
+"""Share of the greatest speed in a recording above which the joint counts as moving."""
 
 
 class Plant(Protocol):
     """A simulated machine that simulates the recordings of worlds.
 
     Attributes:
-        effects: Effects of the catalogue that it can have.
-        outside: Effects outside the catalogue that it can have.
+        effects: Effects of the catalogue that the machine can have.
+        outside: Effects outside the catalogue that the machine can have.
         not_scored: Values with another meaning on this machine: a constant, or
             ``effect.parameter``.
     """
@@ -66,13 +66,13 @@ def seal_worlds(
         plant: The plant; with more than one worker it must be importable.
         rigs: Number of worlds.
         seed: Seed of the draws.
-        engine: Shares the worlds out.
+        engine: Engine that simulates the worlds.
         progress: Called with the label of a step and the share that is done.
-        salt: Salt of the seal of the world with a number; at random unless given.
+        salt: Function that returns the salt of the world with a number; random by default.
 
     Raises:
         InputError: Workers die repeatedly.
-        OSError: It cannot be written.
+        OSError: A file cannot be written.
     """
     drawn = list(enumerate(worlds_assignment(rigs, seed, plant.effects, plant.outside), start=1))
     return seal_all(
@@ -109,9 +109,9 @@ def strength_of(
 ) -> dict[str, float]:
     """Return the rms change by the effects in each channel, relative to the channel's noise.
 
-    The noise is that of the sensor and of its quantisation. Current and voltage are compared only
-    where both machines move: the torque that holds a joint at rest depends on the motion before the
-    rest.
+    The noise consists of the noise and the quantisation of the sensor. Current and voltage are
+    compared only while the joint moves both with and without the effects, because the torque that
+    holds a joint at rest depends on the motion before the rest.
     """
     sensing = world.sensing
     averaged = np.sqrt(world.drive.rate_Hz / world.log.rate_Hz)
@@ -131,7 +131,7 @@ def strength_of(
         },
     }
     found = {}
-    # In a fixed order: that of a set differs by process.
+    # In a fixed order, because the order of a set differs between processes.
     for name in (n for n in noise if n in logged[0]):
         parts = [
             (a[name] - b[name])[_both_move(a, b) if name in ("current", "voltage") else slice(None)]

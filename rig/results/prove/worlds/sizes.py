@@ -219,8 +219,8 @@ SIZES: Mapping[str, Draw] = {
     },
     "x_acceleration_drag": lambda r, s: {"coefficient_Nms2_rad": either(0.08, 0.4)(r) * s.J},
 }
-"""Effect to the function that draws its parameters; names that begin with x_ are not in the
-catalogue.
+"""Functions that draw the parameters of effects, by effect; effects whose names begin with x_ are
+not in the catalogue.
 """
 
 NEEDS: Mapping[str, frozenset[str]] = {
@@ -244,4 +244,4 @@ NEEDS: Mapping[str, frozenset[str]] = {
     "stribeck_shape": frozenset({"fall"}),
     "friction_memory": frozenset({"fall"}),
 }
-"""Effect to the properties that a world needs for the effect to show."""
+"""Properties that a world needs for an effect to show, by effect."""

@@ -1,8 +1,8 @@
 """Draws the torques that a host sends, open loop, and predicts the motion that these torques cause.
 
-A weak spring that the host computes keeps the joint near zero; the friction of the joint alone
-decides how far a torque moves the joint. The prediction is that of the nominal machine, so that an
-amplitude can be found that moves the machine well within its travel and speed.
+The host adds the torque of a weak spring, which keeps the joint near zero; how far a torque moves
+the joint depends almost only on friction. The motion is predicted with the nominal machine, so that
+an amplitude can be found that moves the machine well within its travel and speed.
 """
 
 from __future__ import annotations
@@ -18,22 +18,25 @@ from rig.results.prove.worlds.motion import Reach, command
 from rig.results.prove.worlds.world import CENTRING_DAMPING, COMMAND_S, Array, Constants
 
 OVER_STATIC = (1.15, 4.0)
-"""Range of the greatest torque sent over the static friction."""
+"""Range of the ratio of the greatest torque sent to the static friction."""
 LARGEST_SHARE = 0.85
-"""Greatest torque sent beside that of a steady load, over the greatest torque of the machine."""
+"""Ratio of the greatest torque sent, without the torque of a steady load, to the greatest torque of
+the machine.
+"""
 CENTRED = (0.6, 2.0)
-"""Range of the torque of the spring at the end of the travel, over the static friction."""
+"""Range of the ratio of the spring's torque at the end of the travel to the static friction."""
 MOVED = 0.15
-"""Least share of the travel that is worth recording; below it the torque is raised."""
+"""Least share of the travel that a recorded motion has; for less, the torque is increased."""
 FASTER = (1.0, 2.0, 4.0, 8.0)
-"""Factors on the speed of a course that are tried until the joint moves for a useful time: a slow
-torque rests below the static friction, and throws the joint to the end of its travel above it.
+"""Factors on the speed of a course that are tried until the joint moves for a useful time: under a
+slowly varying torque, the joint rests while the torque is below the static friction, and moves to
+the end of its travel when the torque exceeds it.
 """
 MOVING = 0.3
 """Least share of the time in motion that is useful."""
 TRIES = 24
 CHANGE = 1.12
-"""Number of amplitudes that are tried, and the ratio of one to the next."""
+"""Number of amplitudes that are tried, and the ratio of successive amplitudes."""
 SUBSTEPS = 4
 FAR = 1e9
 (
@@ -49,8 +52,8 @@ class Load(NamedTuple):
         moment: Moment of the contact force, N m.
         inertia: Inertia of known masses, kg m^2.
         hung: Greatest torque of a weight that turns with the joint, N m.
-        zero: Angle at which it hangs straight down, rad.
-        steady: Torque that is the same at every angle, N m.
+        zero: Angle at which this weight hangs straight down, rad.
+        steady: Torque that does not depend on the angle, N m.
     """
 
     moment: float = 0.0
@@ -95,7 +98,7 @@ def course(
     Args:
         rng: Generator.
         motion: Name of a shape.
-        times: Length of the log and time before it begins, s.
+        times: Length of the log, and time before the log begins, s.
         machine: Constants, greatest torque, limits of travel and speed, stiffness of the spring.
         load: The known load.
     """
@@ -127,8 +130,8 @@ def _shape(
 
 
 def _within(values: Array, shape: Array, sizes: tuple[float, float], reach: Reach) -> Course:
-    """Return the course scaled so that the motion stays within travel and speed, or moves the joint
-    enough.
+    """Return the course, scaled down until the motion stays within travel and speed, or scaled up
+    until the joint moves far enough.
 
     Args:
         values: Values of the nominal machine.
@@ -179,8 +182,8 @@ def _values(constants: Constants, load: Load, stiffness: float) -> Array:
 def _predicted(p: Array, torque: Array) -> Array:
     """Return the angle of the nominal machine at each sample of the torque.
 
-    Dry friction reduces the speed to zero at most, so that a joint that is stopped by friction
-    stays at rest.
+    In one step, dry friction does not reverse the speed but reduces it to zero at most, so that a
+    joint stopped by friction stays at rest.
     """
     out = np.zeros(len(torque))
     q, w, dt = 0.0, 0.0, COMMAND_S / SUBSTEPS

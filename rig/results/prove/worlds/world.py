@@ -1,5 +1,4 @@
-"""Describes one drawn world: a machine, the drive, encoders and logger around it, and its
-recordings.
+"""Describes one drawn world: machine, drive, encoders, logger and recordings.
 
 Angles and torques are at the joint unless a name says otherwise. All units are those of a rotary
 machine. On a linear machine the joint is a carriage: m replaces rad, N replaces N m, kg replaces
@@ -24,22 +23,25 @@ COMMAND_S = 1e-3
 LoopKind = Literal["cascade", "pd", "torque", "host"]
 Motion = Literal["rotary", "linear"]
 LINES_PER_TURN, LINE_M = 4096, 2e-5
-"""Lines of an interpolating encoder: number in a turn of a rotary one, distance in a linear one."""
+"""Lines of an interpolating encoder: lines per turn of a rotary encoder, and distance between the
+lines of a linear encoder, m.
+"""
 SCALE_M = 1.0
-"""Length that the counts of a linear encoder divide, m."""
+"""Length to which the number of counts of a linear encoder refers, m."""
 HOST_JITTER = 0.3
-"""Greatest deviation of an interval between two torques of the host, share of the mean one: a
-computer without real time, whose torques are in no fixed phase to the samples of the log.
+"""Greatest deviation of the interval between two torques of the host, as a share of the mean
+interval: the host is a computer without real time, and its torques have no fixed phase to the
+samples of the log.
 """
 HOST_SAMPLES = 25.0
 """Least number of the host's samples in one oscillation of its position loop."""
 HOST_DAMPING, CENTRING_DAMPING = 0.8, 0.5
-"""Damping ratios of a host's position loop, and of its weak spring."""
+"""Damping ratios of a host's position loop, and of a host's weak spring."""
 
 
 @dataclass(frozen=True)
 class Constants:
-    """The nine constants of the nominal model, by the paper's symbols, SI."""
+    """The nine parameters of the nominal model, by the paper's symbols, SI units."""
 
     J: float
     Mc: float
@@ -59,13 +61,14 @@ class Motor:
     Attributes:
         resistance_ohm: Resistance of the winding.
         inductance_H: Inductance of the winding.
-        constant: Torque constant in N m/A and back-EMF constant in V s/rad, which are one in SI.
+        constant: Torque constant in N m/A, and back-EMF constant in V s/rad, which has the same
+            value.
         gear_ratio: Motor turns per joint turn; on a linear machine rad per m, 2 pi over the lead of
             the screw or over the travel of the belt per turn.
         supply_V: Supply voltage of the power stage, which limits the motor voltage.
         limit_A: Current limit of the drive.
-        rotor_share: Share of the inertia J that is the rotor's.
-        friction_share: Share of Mc, Ms and sigma_2 that rubs on the motor's side of the gear.
+        rotor_share: Share of the rotor in the inertia J.
+        friction_share: Share of Mc, Ms and sigma_2 that acts on the motor's side of the gear.
     """
 
     resistance_ohm: float
@@ -89,14 +92,14 @@ class Drive:
 
     Attributes:
         kind: ``cascade``: position P, velocity PI, current PI; ``pd``: position P and velocity D
-            straight to the current; ``host``: the drive is sent a torque by a slow host, which
-            computes position P and velocity D; ``torque``: the drive is sent a torque of a given
-            course by the host, which adds a weak spring about zero and its damping.
+            give the current; ``host``: a slow host computes position P and velocity D, and sends a
+            torque to the drive; ``torque``: the host sends a torque of a given course, to which it
+            adds a weak spring about zero and a damping.
         rate_Hz: Rate of all loops of the drive.
         position_Hz: Bandwidth of the position loop.
         velocity_Hz: Bandwidth of the velocity loop, or of the damping of ``pd``.
         current_Hz: Bandwidth of the current loop.
-        feedforward: Share of the command's speed that is fed forward.
+        feedforward: Share of the command's speed that is added to the speed command.
         host_Hz: Mean rate at which the host sends torques; 0 without a host.
         centring_N_m_rad: Stiffness of the spring of ``torque``.
     """
@@ -140,15 +143,16 @@ class Log:
     """Sampling and channels of the logger.
 
     Attributes:
-        rate_Hz: Rate of its rows.
+        rate_Hz: Rate of the rows of the log.
         current: ``sampled``, ``averaged`` over the period that ends at the stamp, or ``filtered``
             by a first-order low-pass and then sampled.
-        filter_Hz: Corner of that filter.
+        filter_Hz: Corner frequency of the low-pass filter of the current.
         voltage: ``commanded`` at the stamp, ``measured`` at the motor as a mean over the period, or
             ``absent``.
-        supply: Whether the supply's voltage is logged.
+        supply: Whether the supply voltage is logged.
         jitter: Error of the stamps, rms, share of the period.
-        clock: Whether stamps run through the session; else each recording begins at zero, cold.
+        clock: Whether the stamps are session times; if not, each recording begins at zero with a
+            cold machine.
         packed: Whether recordings are written as NPZ; else as gzipped CSV.
     """
 
@@ -176,15 +180,15 @@ class Planned:
     """Plan of one recording.
 
     Attributes:
-        name: Name of its file.
-        role: As in a campaign file.
-        motion: Kind of its excitation.
-        command: Joint angle sent, rad, every :data:`COMMAND_S`; where a torque is sent, the angle
+        name: Name of the recording's file.
+        role: Role of the recording, as in a campaign file.
+        motion: Kind of the excitation.
+        command: Joint angle sent, rad, every :data:`COMMAND_S`; if a torque is sent, the angle
             that is expected of the machine without effects.
-        lead_s: Part of the command that passes before the log begins: it begins in motion.
+        lead_s: Duration of the command before the log begins, s; the log begins in motion.
         weight_kg: Label of the weight on the lever.
         pendulum: The weight on the joint, or None.
-        pause_s: Time without power before it.
+        pause_s: Time without power before the recording.
         hoisted_kg: Known mass that the carriage of a linear machine lifts: force -m g, inertia m.
         pull_N_m: Known constant torque on the joint, positive if it drives the joint forward.
         torque: Torque sent, N m, every :data:`COMMAND_S`, or None if an angle is sent.
@@ -210,7 +214,7 @@ class Planned:
         return np.zeros(len(at_s)), np.interp(at_s, times, self.torque)
 
     def steady_N_m(self, gravity_m_s2: float) -> float:
-        """Return the known torque that is the same at every angle."""
+        """Return the known torque that does not depend on the angle, N m."""
         return self.pull_N_m - self.hoisted_kg * gravity_m_s2
 
     @property
@@ -228,14 +232,14 @@ class World:
         effects: Injected effects by the catalogue's names, or names of effects outside it.
         constants: True constants of the nominal model.
         motor: Motor and gear.
-        drive: Its loops.
+        drive: Loops of the drive.
         sensing: Encoders and current sensor.
         log: The logger.
-        recordings: In the order in which they are made.
+        recordings: Recordings in the order in which they are made.
         moment_arm_m: Radius L1 of the contact force.
         lever_ratio: L3/L4 of the lever.
         gravity_m_s2: Local gravity.
-        axes: The place in the world, axis to value.
+        axes: Value of the world on each axis.
         seed: Entropy of all noise.
         motion: Whether the joint turns or is a carriage on a linear axis.
     """
@@ -278,8 +282,9 @@ class World:
         """Return stiffness, N m/rad, and damping, N m s/rad, of the law that the host computes.
 
         A position loop needs an angle error to overcome the static friction. This angle error is
-        inversely proportional to the gain, and is a third of the amplitude of the smallest motion
-        with a loop of 1 Hz. The rate of the host limits the gain.
+        inversely proportional to the gain; the gain is chosen so that the error is a third of the
+        amplitude of the smallest motion if the bandwidth of the loop is 1 Hz. The rate of the host
+        limits the gain.
         """
         drive, J = self.drive, self.constants.J
         if drive.kind == "torque":
@@ -305,13 +310,13 @@ class World:
 
     @property
     def motor_count_rad(self) -> float | None:
-        """Return the step of the motor encoder; None without one."""
+        """Return the step of the motor encoder, rad, or None without a motor encoder."""
         bits = self.sensing.motor_bits
         return None if bits is None else 2.0 * np.pi / 2.0**bits
 
     @property
     def joint_count_rad(self) -> float | None:
-        """Return the step of the joint encoder; None without one."""
+        """Return the step of the joint encoder, rad, or None without a joint encoder."""
         bits, whole = self.sensing.joint_bits, 2.0 * np.pi if self.motion == "rotary" else SCALE_M
         return None if bits is None else whole / 2.0**bits
 
@@ -327,8 +332,8 @@ class World:
         return joint
 
     def contact_N(self, k: int) -> float:
-        """Return the contact force of recording ``k``; its true weight may differ from the
-        label.
+        """Return the contact force of recording ``k``, N, from the true weight, which may differ
+        from the label.
         """
         mass = self.recordings[k].weight_kg
         wrong = self.effects.get("wrong_weight")
@@ -350,8 +355,8 @@ class Signals:
         angle: True angle of the joint, rad.
         command: Joint angle sent, rad; zero where a torque is sent.
         start_s: Time of the first sample since the session began.
-        mean_current: Mean current from each sample to the next, A; None where the current is a line
-            between two samples.
+        mean_current: Mean current from each sample to the next, A; None if the current varies
+            linearly between samples.
     """
 
     current: Array

@@ -43,12 +43,13 @@ NAMES = (
 )
 """Columns of the values, in SI units.
 
-``motor`` is the joint angle by the motor's encoder, ``error`` command less joint angle,
-``disagreement`` motor less joint encoder, ``torque`` Km i I, ``force`` the contact force that
-follows from the pressure. ``age`` is the time since the last fresh sample, ``answer`` the time from
-a cycle's start until its answer had been collected, ``late`` how late a cycle started where that
-was more than a period; the clocks are a device's time less the host's, since the start of the
-stage.
+``motor`` is the joint angle by the motor's encoder, ``error`` the command less the joint angle,
+``disagreement`` the joint angle by the motor's encoder less that by the joint encoder, ``torque``
+Km i I, ``force`` the contact force computed from the pressure. ``age`` is the time since the last
+fresh sample, ``answer`` the time from a cycle's start until its answers had been collected,
+``late`` the lateness of a cycle, or zero if it was less than about a period. ``drive_clock`` and
+``encoder_clock`` are the times of these devices less the host's, relative to the difference at the
+start of the stage.
 """
 STATES = ("off", "fault", "quick stop", "enabled")
 """State names of the drive, by the number in ``state``."""
@@ -200,8 +201,10 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return the values less their value at the latest start, and that value for the last sample;
-    ``starts`` marks the starts, and ``before`` is the value at the last start before the block.
+    """Return each value of a block less the value at the latest start before or at its sample, and
+    the value at the last start up to the end of the block.
+
+    ``starts`` marks the starts; ``before`` is the value at the last start before the block.
     """
     if math.isnan(before):
         before = float(values[0])

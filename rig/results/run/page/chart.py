@@ -19,7 +19,7 @@ from rig.results.run.page.time_axis import TimeAxis, nice, tick_label
 COLUMNS = 1000
 """Number of columns of a curve; each shows the minimum and maximum of its samples."""
 _SIZE = 1000.0
-"""Width and height of a drawing in its own units."""
+"""Width and height of a drawing in units of its SVG."""
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
 """Colours by Okabe and Ito, which colour-blind readers can distinguish; every curve also has its
 own dash pattern.
@@ -30,7 +30,7 @@ _FEW = 150
 """Number of samples up to which a dot marks each sample."""
 _MARGIN = 0.06
 _LEAST_LABELLED = 0.25
-"""Share of the width above which a limit is labelled with its value."""
+"""Least share of the chart's width that a constant part of a limit needs for a label."""
 _LEAST_NAMED = 1.5
 """Width in percent above which a time interval is labelled with its name."""
 STYLE = (
@@ -241,8 +241,8 @@ def _names(shades: Sequence[Shade], axis: TimeAxis) -> Iterator[str]:
 def _bound_labels(
     bound: Bound, chart: Chart, axis: TimeAxis, up: Callable[[float], float], on_left: bool
 ) -> Iterator[str]:
-    """Yield the values of a limit with positions of their labels inside the limit and away from the
-    mark, if there is room.
+    """Yield the labels of the constant parts of a limit, on the permitted side of the limit and at
+    the left or right end of each part; short parts have no label.
     """
     below = "transform:translateY(100%);" if bound.upper else ""
     for left, right, value in _stairs(bound, axis):

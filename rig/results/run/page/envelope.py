@@ -12,7 +12,7 @@ from identification.recording import Array
 
 Flags = NDArray[np.bool_]
 MOST_BINS = 8192
-"""Smallest number of bins after a reduction; it exceeds the number of columns of a screen."""
+"""Smallest number of bins after a reduction, which exceeds the number of columns of a screen."""
 
 
 class Bins(NamedTuple):

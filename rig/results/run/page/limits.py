@@ -40,7 +40,7 @@ class Attachments:
             read.
         plan: The plan, with the first passes of each stage, or None if a file is missing or cannot
             be read.
-        problem: Message why one of them is None.
+        problem: The reason why ``bench`` or ``plan`` is None.
     """
 
     bench: Bench | None
@@ -65,8 +65,8 @@ def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
 
 
 def _unwatched(attachments: Mapping[str, bytes]) -> bool:
-    """Return whether the run warned of a drive without watchdog; the EDS file, which is not
-    attached, may be the source of this warning.
+    """Return whether the record of the run has the warning of a drive without watchdog, which may
+    follow from the EDS file, which is not attached to the recording.
     """
     try:
         warned = json.loads(attachments.get(RUN_ATTACHMENT, b"{}")).get("warnings", [])
@@ -79,7 +79,7 @@ def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema])
     """Validate one attachment.
 
     Raises:
-        InputError: It is missing, or not valid.
+        InputError: The attachment is missing, or not valid.
     """
     if name not in attachments:
         raise InputError(f"{name} is not attached to the recording")

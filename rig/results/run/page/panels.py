@@ -30,10 +30,10 @@ class Panel:
         title: What it shows.
         unit: Unit of the chart.
         scale: Scale from SI to that unit.
-        channels: Column to the name of its curve; the limits are those of the first.
-        checks: Checks whose trips it shows.
+        channels: Names of the curves by their columns; the limits are those of the first curve.
+        checks: Checks whose trips the chart shows.
         upper: Upper limit.
-        lower: Lower limit; ``symmetric`` makes it the upper one with its sign changed.
+        lower: Lower limit; with ``symmetric``, the upper limit with its sign changed.
         symmetric: Whether the limit is on the magnitude.
         categories: Names of the values if they are categories.
         least: Smallest range of the value axis, in ``unit``.
@@ -207,7 +207,8 @@ def chart(
         panel: The panel.
         bins: Samples of the interval.
         steps: Limits over time; empty if unknown.
-        tripped: The trip, if on this panel; its limit is drawn if no other is known.
+        tripped: The trip, if this panel shows it; the limit of the trip is drawn if ``steps`` is
+            empty.
         tall: Whether it is the most important chart, drawn taller.
     """
     curves = [

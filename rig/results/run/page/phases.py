@@ -20,8 +20,8 @@ from rig.runs.run_record import Ending, RunRecord, SegmentRecord
 
 BRAKING = "braking"
 MOVING = f"{Phase.APPROACH.value}, {Phase.SETTLE.value}"
-"""Label of the move to the start of an excitation and of the rest there; the recording does not
-contain the boundary between both.
+"""Label of the move to the start of an excitation and of the rest after the move; the recording
+does not contain the boundary between move and rest.
 """
 _ENDINGS = frozenset(ending.value for ending in Ending)
 _OFF = frozenset(
@@ -89,7 +89,7 @@ _OPENS: Mapping[str, str] = {
     "weight check": MOVING,
     "segment": Phase.EXCITE.value,
 }
-"""Event to the phase that it begins."""
+"""Phases by the events that begin them."""
 _TURNS = frozenset({*_OPENS, *_ENDINGS, "stage end", "prompt"})
 
 

@@ -31,7 +31,7 @@ NEVER_MOVED = "No control cycle was recorded: the drive was never under power, a
 
 
 class Recorded:
-    """One recording of a run that was read for drawing.
+    """One recording of a run, read in order to draw it.
 
     Args:
         folder: The run folder.
@@ -39,7 +39,7 @@ class Recorded:
         number: Number of the recording, from 1.
 
     Raises:
-        InputError: It cannot be opened or is not a recording.
+        InputError: The file cannot be opened, or is not a recording.
     """
 
     def __init__(self, folder: Path, record: RunRecord, number: int) -> None:
@@ -124,7 +124,10 @@ def _about(recorded: Recorded, moment: Moment) -> str:
 def _limits_words(recorded: Recorded) -> str:
     if recorded.steps:
         return "Dashed red: the limit in force, tighter in a first pass."
-    return f"The limits are not known ({recorded.attached.problem}); only that of a trip is drawn."
+    return (
+        f"The limits are not known ({recorded.attached.problem}); only the limit of a trip is "
+        "drawn."
+    )
 
 
 def _closer(

@@ -68,7 +68,7 @@ class TimeAxis:
 
 
 def nice(rough: float) -> float:
-    """Return the next of 1, 2, 5 times a power of ten."""
+    """Return the next number that is 1, 2 or 5 times a power of ten."""
     if not rough > 0.0 or not math.isfinite(rough):
         return 1.0
     power = 10.0 ** math.floor(math.log10(rough))

@@ -33,7 +33,8 @@ class Traces:
 
     Attributes:
         bins: All samples, reduced, or None if no cycle was recorded.
-        tail: Its last :data:`TAIL_S`, sample by sample, or None if no cycle was recorded.
+        tail: The last :data:`TAIL_S` of the recording, sample by sample, or None if no cycle was
+            recorded.
         events: Events in order; each has ``time`` and ``event``.
         attachments: Name to content.
         starts: Time, s, and command, rad, of the first sample of each stage under power.
@@ -69,7 +70,7 @@ def read_traces(path: Path, bench: Bench, cycle_s: float) -> Traces:
         cycle_s: Control cycle, s.
 
     Raises:
-        InputError: It cannot be opened or is not a recording.
+        InputError: The file cannot be opened, or is not a recording.
     """
     try:
         return _gathered(run_items(path, Sample._fields), bench, cycle_s)
