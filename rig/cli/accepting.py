@@ -23,7 +23,7 @@ def accept_run(
     """Judge a run, print the outcome, and write the JUnit file if one is requested.
 
     Raises:
-        InputError: The folder is no run, or a file cannot be written.
+        InputError: The folder is not a run folder, or a file cannot be written.
     """
     from rig.results.acceptance.accept import accept, acceptance_document, write_bytes
     from rig.results.terminal import text

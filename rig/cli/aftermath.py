@@ -57,7 +57,7 @@ def conclude(
     if wrong:
         with suppress(
             StorageError
-        ):  # The warnings are shown even if this fails; the run has ended.
+        ):  # The run has ended, and the warnings are shown even if they cannot be stored.
             folder.save()
     _tell(folder, screen)
     screen.drain()
@@ -119,7 +119,7 @@ def seal_folder(folder: Path, record: RunRecord, say: Callable[[str, bool], None
     """Write the digests of the run's record and recordings, or print the reason why that is not
     possible.
 
-    Never raises.
+    This function never raises an exception.
     """
     try:
         seal_run(folder, record)
@@ -132,7 +132,7 @@ def seal_folder(folder: Path, record: RunRecord, say: Callable[[str, bool], None
 def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
     """Write the run page and print its path, or the reason why it cannot be written.
 
-    Never raises.
+    This function never raises an exception.
     """
     try:
         say(f"page: {write_run_report(folder, record)}", True)

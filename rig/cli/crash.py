@@ -1,8 +1,8 @@
 """Reports a defect of this program: message to the operator, and file with the traceback.
 
-The necessary information for the operator is attached to the exception as notes: the code that made
-the drive safe adds the final state of the drive, and the code that opened the run folder adds its
-path.
+Information for the operator is attached to the exception as notes: the code that made the drive
+safe adds the final state of the drive, and the code that opened the run folder adds the path of
+the folder.
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ from typing import Final
 from rig.common.provenance import utc_now, versions
 
 RUN_FILE: Final = "run.json"
-"""Same value as in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by 0.1 s."""
+"""Copy of the value in :mod:`rig.runs.run_record`, whose import would delay ``rig --help`` by
+0.1 s.
+"""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog", "commission"})
@@ -30,8 +32,8 @@ message.
 """
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _NOT_KNOWN: Final = (
-    "how the drive was left is not known; switch the main supply of a real bench "
-    "off before approaching it"
+    "the state of the drive is not known; switch the main supply of a real bench off "
+    "before approaching the bench"
 )
 
 
@@ -84,7 +86,7 @@ def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
     Args:
         error: The unexpected exception.
         arguments: Arguments of the command line.
-        command: The subcommand; empty if none was reached.
+        command: The subcommand; empty if no subcommand was called.
     """
     drive = drive_words(error)
     if drive is None and command in _MOVES:
@@ -98,7 +100,7 @@ def report(error: BaseException, arguments: Sequence[str], command: str) -> str:
         lines += ["the traceback, which could not be written to a file:", found.rstrip()]
     else:
         place = _quietly(lambda: os.path.abspath(kept)) or str(kept)
-        lines.append(f"its traceback is in {place}; report the defect with that file")
+        lines.append(f"the traceback is in {place}; report the defect with that file")
     return "\n".join(lines)
 
 
@@ -139,7 +141,7 @@ def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
         "versions": _quietly(
             lambda: ", ".join(f"{name} {number}" for name, number in versions().items())
         ),
-        "drive": drive or "this command does not move it",
+        "drive": drive or "this command does not move the drive",
     }
     return "".join(f"{name}: {value}\n" for name, value in head.items()) + f"\n{found}"
 
@@ -150,7 +152,7 @@ def _quietly(ask: Callable[[], str]) -> str:
     """
     try:
         return ask()
-    except Exception:  # noqa: BLE001 - the defect may affect this as well
+    except Exception:  # noqa: BLE001 - the defect may affect this function as well
         return ""
 
 

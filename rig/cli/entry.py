@@ -39,7 +39,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "check": (
         "rig.cli.commands.check:command",
-        "Connect to a bench and read it back; nothing moves.",
+        "Connect to a bench and read its values; nothing moves.",
     ),
     "identify": (
         "rig.cli.commands.identify:command",
@@ -51,9 +51,9 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     ),
     "diagnose": (
         "rig.cli.commands.diagnose:command",
-        "Find the physics that the model lacks, and model it.",
+        "Find physics that the model lacks, and add it to the model.",
     ),
-    "effects": ("rig.cli.commands.effects:command", "List the effects that a diagnosis can name."),
+    "effects": ("rig.cli.commands.effects:command", "List the effects of a diagnosis."),
     "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
     "prove": (
         "rig.cli.commands.prove:command",
@@ -75,14 +75,14 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
         "Write JSON Schemas, by which editors complete and check files.",
     ),
 }
-"""Name to module, attribute, and the line shown by ``rig --help`` without an import."""
+"""Module, attribute and help line of each command; ``rig --help`` imports none of the modules."""
 
 _SILENCE = logging.NullHandler()
 GARBAGE_THRESHOLD = 200_000
-"""Allocations between two garbage collections.
+"""Number of allocations between two garbage collections.
 
-Imported objects are never freed, and with the default of 700 the collector would scan them
-repeatedly: a tenth of a second in every command.
+Imported objects are never freed; with the default of 700, repeated scans of these objects would
+take a tenth of a second in every command.
 """
 
 DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
@@ -90,7 +90,7 @@ DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
 
 
 class _HiddenError(Exception):
-    """Carries an error past click, which would otherwise handle the error itself."""
+    """Wraps an error that click would otherwise handle, so that the error reaches the caller."""
 
     def __init__(self, hidden: Exception) -> None:
         super().__init__(str(hidden))
@@ -127,8 +127,8 @@ class LazyGroup(click.Group):
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def invoke(self, ctx: click.Context) -> object:
-        """Run the subcommand. click treats any EOFError as Ctrl-C and any broken pipe as a closed
-        output; this method passes these errors on unchanged.
+        """Run the subcommand. click would treat every EOFError as Ctrl-C and every broken pipe as a
+        closed output; this method passes these errors on unchanged.
         """
         try:
             return super().invoke(ctx)
@@ -155,9 +155,9 @@ def cli(verbose: bool) -> None:
     if verbose:
         logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     else:
-        # Everything important is reported as an error of this program; without a handler the log
-        # would be printed. matplotlib warns of folders that cannot be written and continues without
-        # them.
+        # This program reports every important problem as its own error; without a handler, the logs
+        # of the libraries would be printed. matplotlib warns of folders that cannot be written and
+        # continues without these folders.
         for name in ("can", "canopen", "foxglove", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
 
@@ -180,7 +180,7 @@ def main() -> None:
         try:
             code = status(arguments)
         except KeyboardInterrupt:
-            # Pressed again while the first message was printed.
+            # Ctrl-C was pressed again while the first message was printed.
             code = STOPPED
         if code == STOPPED:
             ignore_stops()
@@ -221,7 +221,7 @@ def status(arguments: list[str]) -> int:
         raise
     except _HiddenError as error:
         return _broke_down(error.hidden, arguments)
-    except BaseException as error:  # noqa: BLE001 - the last handler: beyond it an operator would see a traceback
+    except BaseException as error:  # noqa: BLE001 - without it, an operator would see a traceback
         return _broke_down(error, arguments)
     return result if isinstance(result, int) else DONE
 

@@ -97,8 +97,8 @@ def identification(command: Any) -> Any:
     return click.option(
         "--identification",
         type=click.Path(path_type=Path),
-        help="Accepted result of `rig identify --json` on this bench; the weight check uses "
-        "its friction.",
+        help="Accepted result of `rig identify --json` on this bench; the weight check uses the "
+        "friction of this result.",
     )(command)
 
 
@@ -106,7 +106,7 @@ def acceptance(default: str) -> Decorator:
     """Return a decorator that adds ``--acceptance`` for a file of limits.
 
     Args:
-        default: Limits that count without the option, for its help.
+        default: Text on the limits that apply without the option.
     """
     return click.option(
         "--acceptance",
@@ -141,7 +141,7 @@ def reset_fault(more: str = "") -> Decorator:
     """Return a decorator that adds ``--reset-fault``.
 
     Args:
-        more: Text added to its help.
+        more: Text added to the help of the option.
     """
     return click.option(
         "--reset-fault",

@@ -38,8 +38,8 @@ from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus
 from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
 
 NOT_REPORTED = (
-    "the drive reports no such value (servo.inputs), so that this limit would never be checked; "
-    "remove the limit, or add the signal to servo.inputs"
+    "servo.inputs has no signal of this quantity, so that this limit would never be checked; if "
+    "the drive sends the quantity, add its signal to servo.inputs, otherwise remove the limit"
 )
 
 
@@ -117,14 +117,14 @@ class Bench(Schema):
         bench: Version of the file format.
         name: Name of the bench in reports.
         machine: Nominal constants of the machine.
-        bus: The bus of the drive; null for the literal bench, which has none.
+        bus: The bus of the drive; null for the literal bench, which has no bus.
         servo: The drive.
         encoder: The joint encoder.
         pressure: The pressure transmitter of hot firings.
         gas_generator: Nominal constants of the gas generator of hot firings.
         cycle_Hz: Control cycles per second. The period must be a whole number of milliseconds.
         limits: Limits of the bench.
-        weights_kg: Masses that can be hung on the lever; a planned experiment chooses from them.
+        weights_kg: Masses that can be hung on the lever; a planned experiment uses only these.
         weight_tolerance: Greatest relative difference between the mass that the operator types and
             the planned mass.
         weights_hung_by: `hoist` states that a machine hangs the weights and that the hung mass is
@@ -207,15 +207,15 @@ class Bench(Schema):
             )
         if self.gas_generator is None:
             raise ValueError(
-                "`pressure` needs `gas_generator` too, because the contact force follows from its "
-                "valve"
+                "`pressure` needs `gas_generator`, because the contact force is computed from the "
+                "pressure and the valve of the gas generator; add `gas_generator`"
             )
         limit = self.limits.pressure_MPa
         if limit is None or limit > self.pressure.range_MPa:
             raise ValueError(
-                f"`pressure` needs limits.pressure_MPa, at most its range_MPa "
+                f"`pressure` needs limits.pressure_MPa, at most pressure.range_MPa "
                 f"{self.pressure.range_MPa:g} "
-                f"(got {'none' if limit is None else f'{limit:g}'}); set the limit"
+                f"(got {'none' if limit is None else f'{limit:g}'}); set limits.pressure_MPa"
             )
         return self
 
@@ -223,8 +223,8 @@ class Bench(Schema):
     def _mock_is_described(self) -> Self:
         if self.simulated and self.mock is None:
             raise ValueError(
-                "bus.interface is mock but there is no 'mock' section; add the simulated "
-                "machine's constants"
+                "bus.interface is mock but there is no section `mock`; add this section with the "
+                "constants of the simulated machine"
             )
         return self
 
@@ -234,7 +234,7 @@ class Bench(Schema):
             if isinstance(self.servo, DbcServoSection):
                 raise ValueError(
                     "a servo of kind dbc needs a CAN bus, but bus.interface is epos_serial; "
-                    "change one"
+                    "change bus.interface or servo.kind"
                 )
             if isinstance(self.encoder, EncoderSection):
                 raise ValueError(
@@ -251,7 +251,8 @@ class Bench(Schema):
             and (self.encoder.port == MOCK) is not self.simulated
         ):
             raise ValueError(
-                "bus and encoder must both be simulated (mock) or both real; change one"
+                "bus and encoder must both be simulated (mock) or both real; change bus.interface "
+                "or the encoder"
             )
         if (
             isinstance(self.encoder, Amt21Section)
@@ -259,7 +260,8 @@ class Bench(Schema):
             and self.simulated
         ):
             raise ValueError(
-                "with a simulated servo of kind dbc the encoder must be of kind cia406; change one"
+                "with a simulated servo of kind dbc the encoder must be of kind cia406; change "
+                "encoder.kind"
             )
         return self
 
@@ -272,7 +274,7 @@ class Bench(Schema):
 
     @property
     def watched(self) -> bool:
-        """Whether the drive stops by itself when the control loop stops."""
+        """Whether a watchdog in the drive stops the drive when the control loop stops."""
         if isinstance(self.servo, DbcServoSection):
             return self.servo.watchdog_ms is not None
         if self.servo.stops_alone is False:
@@ -313,7 +315,7 @@ def bench_from_text(text: str, path: Path) -> Document[Bench]:
     ``path``.
 
     Raises:
-        InputError: It is not valid; every problem with its place in the text.
+        InputError: The text is not valid; the message has every problem with its place.
     """
     return _in_use(located_text(path, text, Bench, follow_bench))
 
@@ -338,11 +340,11 @@ def _in_use(document: Document[Bench]) -> Document[Bench]:
 
 
 def _with_watch(document: Document[Bench]) -> Document[Bench]:
-    """Determine from the EDS file whether the drive stops by itself, if the bench file does not
+    """Determine from the EDS file whether the drive has a watchdog, if the bench file does not
     state this.
 
-    A later check rejects an EDS file that cannot be read or is not the EDS file of a drive, and
-    reports all its faults.
+    An EDS file that cannot be read, or is not the EDS file of a drive, is rejected by a later
+    check, which reports all errors of the file.
     """
     bench = document.value
     servo = bench.servo
@@ -359,7 +361,7 @@ def _with_watch(document: Document[Bench]) -> Document[Bench]:
 
 
 def without_watch(document: Document[Bench]) -> Document[Bench]:
-    """Return a bench whose drive does not stop by itself."""
+    """Return the bench with a drive without watchdog."""
     bench = document.value
     if not isinstance(bench.servo, ServoSection):
         return document
@@ -385,9 +387,7 @@ def in_force(document: Document[Bench]) -> Document[Bench]:
 
 
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
-    """Yield a problem if a control cycle with these frames of the drive exceeds the bus
-    capacity.
-    """
+    """Yield a problem if the frames of a control cycle exceed the capacity of the bus."""
     bitrate, cycle_s = bus.bitrate, bench.cycle_s
     bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))
     share = bits / (bitrate * cycle_s)

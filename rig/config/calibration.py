@@ -38,8 +38,8 @@ def overdue_problems(document: Document[Bench], today: date) -> list[str]:
     return [
         document.problem(
             ("calibrations", index, "due"),
-            f"calibration {item.id} of {item.device} is overdue since this day, and "
-            "overdue_calibration is `refuse`; have the device calibrated",
+            f"calibration {item.id} of {item.device} is overdue, and overdue_calibration is "
+            "`refuse`; have the device calibrated",
         )
         for index, item in enumerate(bench.calibrations)
         if item.due < today

@@ -29,8 +29,7 @@ class Campaign(Schema):
         campaign: Version of the file format.
         bench: Constants of the machine.
         model: Declared physics.
-        defaults: Keys of `recordings` that apply to every recording that does not state them
-            itself.
+        defaults: Keys of `recordings` with values for all recordings that do not state the keys.
         recordings: The recordings. An entry with the key `table` represents one recording for each
             row of a CSV file, or of a list of lists, whose header contains keys such as `file` or
             `gravity.mass`; the other keys of the entry apply to every row. `{table: files.csv}`
@@ -79,7 +78,7 @@ def _rows(root: Node, path: Path) -> Node:
         try:
             rows = _table(table, path.parent)
         except DocumentError as error:
-            # A mark without a file belongs to the campaign, or to a table that was not read.
+            # A mark without a file is a place in the campaign, or in a table that was not read.
             mark = error.mark if error.mark.file else table.mark
             place = f"{mark.file or path}:{mark.line}:{mark.column}"
             raise InputError(f"{place}: recordings.table: {error.message}") from error
@@ -92,7 +91,7 @@ def _table(table: Node, folder: Path) -> list[Node]:
     """Return one mapping for each row of a CSV file or of an inline list of lists.
 
     Raises:
-        DocumentError: The table is neither, or is not valid.
+        DocumentError: The table is neither a CSV file nor a list of lists, or is not valid.
     """
     if isinstance(table.value, str):
         file = folder / stored_path(table.value)
@@ -106,8 +105,8 @@ def _table(table: Node, folder: Path) -> list[Node]:
     rows = [line.value for line in lines if isinstance(line.value, list)]
     if len(rows) < 2 or len(rows) != len(lines):
         raise DocumentError(
-            "a table is the name of a CSV file, or a list of lists of which the first names the "
-            "columns"
+            "a table must be the name of a CSV file, or a list of lists, of which the first list "
+            "names the columns"
         )
     header, *_ = rows
     return [row(header, rows[n], lines[n].mark) for n in range(1, len(lines))]
@@ -144,16 +143,16 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if "Mc" in fixed and "Ms" in fixed and fixed["Ms"] < fixed["Mc"]:
         yield (
             ("model", "fixed", "Ms"),
-            f"static friction below Coulomb friction Mc = {fixed['Mc']:g}; Ms >= Mc",
+            f"static friction Ms must be at least Coulomb friction Mc = {fixed['Mc']:g}",
         )
     if not rises(campaign.model.rung):
         for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
             yield (
                 ("model", "fixed", name),
-                f"the friction model {campaign.model.rung} has no rise toward rest and so no "
+                f"the friction model {campaign.model.rung} has no static friction and therefore no "
                 f"parameter {name}; remove {name}",
             )
-    # A term may be declared without a declared load, because a diagnosis may find a load.
+    # Such a term is permitted without a known load, because a diagnosis may find a load.
     if bears_load(campaign.model.friction) and not any(
         (r.known_load or r.exported) and r.role == "fit" for r in campaign.recordings
     ):
@@ -200,8 +199,8 @@ def _check_clock(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         if order is not None and order in orders[:index]:
             yield (
                 ("recordings", index, "order"),
-                f"{order} is the order of recordings[{orders.index(order)}] as well; give each "
-                "recording its own order",
+                f"{order} is also the order of recordings[{orders.index(order)}]; give each "
+                "recording another order",
             )
 
 
@@ -231,8 +230,9 @@ def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         if recording.role == "validate" and recording.stage == "loaded":
             yield (
                 ("recordings", index, "role"),
-                "a loaded recording to validate, but none to fit, so that its working load would "
-                f"be unknown; fit a loaded recording, or fix {', '.join(LOAD_PARAMETERS)}",
+                "a loaded recording has role validate, but no loaded recording has role fit, so "
+                "that the working load would be unknown; fit a loaded recording, or fix "
+                f"{', '.join(LOAD_PARAMETERS)}",
             )
 
 
@@ -250,12 +250,13 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
         for name in sorted(recording.model_fields_set - _BESIDE_EXPORT):
             yield (
                 (name,),
-                "without `channels` the file must be one of `rig export`, which states its "
-                f"{name} itself; add `channels`, or remove `{name}`",
+                "a recording without `channels` must be a file of `rig export`, and such a file "
+                f"states its {name} itself; for a file of `rig export` remove `{name}`, for "
+                "another file add `channels`",
             )
         return
     if "time" not in channels and recording.rate is None:
-        yield ("channels",), "no `time` channel and no `rate`; state one of them"
+        yield ("channels",), "no `time` channel and no `rate`; state the channel or the rate"
     if "time" in channels and recording.rate is not None:
         yield (
             ("rate",),
@@ -283,8 +284,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     if bench.motion == "linear" and recording.gravity is not None:
         yield (
             ("gravity",),
-            "a weight that turns with the joint on a linear bench; remove `gravity`, or set "
-            "bench.motion: rotary",
+            "`gravity` is a weight that turns with the joint, which a linear bench cannot have; "
+            "remove `gravity` or, if the bench is rotary, set bench.motion: rotary",
         )
     yield from _check_known_load(recording, bench)
     yield from _check_load(recording, bench)
@@ -294,14 +295,14 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
 
 
 _BESIDE_EXPORT = {"file", "role", "channels"}
-"""Keys that a recording may state for a file of `rig export`."""
+"""Keys that a recording from a file of `rig export` may state."""
 _UNSIGNED_OTHER = "a magnitude without its sign cannot be used; remove the channel"
 _UNSIGNED: Mapping[str, str] = {
     "current": (
         "a magnitude of the current has no sign, so that driving and braking cannot be "
-        "distinguished; remove `current` and add `voltage` with bench.resistance and "
-        "bench.back_emf_constant, from "
-        "which I = (U - Ke omega_motor)/R follows with its sign, or add a signed `torque`"
+        "distinguished; remove `current` and add either a signed `torque`, or `voltage` with "
+        "bench.resistance and bench.back_emf_constant, from which the signed current "
+        "I = (U - Ke omega_motor)/R is computed"
     ),
 }
 
@@ -318,13 +319,13 @@ def _check_known_load(
                 "on a linear bench the force of a hanging mass is -m g; remove `radius`",
             )
         if not linear and hoisted.radius is None:
-            yield ("hoisted",), "no `radius` of the drum or pulley, m; state it"
+            yield ("hoisted",), "no `radius` of the drum or pulley; state the radius, m"
     amperes = _torque_unit(recording, bench) == "amperes"
     for name in ("hoisted", "constant_torque"):
         if amperes and getattr(recording, name):
             yield (
                 (name,),
-                "a known torque, in N m, has no use in a fit in amperes; add bench.torque_constant",
+                "a known torque in N m has no use in a fit in amperes; add bench.torque_constant",
             )
 
 
@@ -343,9 +344,8 @@ def _check_burn(
     elif bench.gas_generator is None:
         yield (
             ("channels", "pressure"),
-            "`pressure` without torque, current or voltage needs the constants of its source; add "
-            "bench.gas_generator"
-            " ({} for the constants of the paper)",
+            "`pressure` without torque, current or voltage needs the constants of a gas generator; "
+            "add bench.gas_generator ({} for the constants of the paper)",
         )
     elif "angle" not in channels:
         yield (
@@ -366,8 +366,8 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
         yield (
             ("stage",),
             "the stage is loaded, but weight_mass is 0 kg and there is no `load_force` "
-            "channel; state one of "
-            "them, or for a hot firing `pressure` and bench.gas_generator",
+            "channel; state weight_mass or `load_force`, or for a hot firing `pressure` and "
+            "bench.gas_generator",
         )
     if loaded and bench.moment_arm is None and recording.moment_arm is None:
         yield (
@@ -378,10 +378,11 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
         yield (
             ("weight_mass",),
             "a weight on the lever needs bench.lever_ratio (L3/L4), the ratio of contact force to "
-            "weight; 1 if the weight acts directly on the joint's arm",
+            "weight; state 1 if the weight acts directly on the joint's arm",
         )
     if not loaded and recording.weight_mass > 0:
         yield (
             ("weight_mass",),
-            "a weight in an unloaded stage; set stage: loaded, or weight_mass: 0",
+            "the stage is unloaded, but weight_mass is not 0; if a weight hung on the lever, set "
+            "stage: loaded, otherwise weight_mass: 0",
         )

@@ -21,7 +21,8 @@ class ReadSection(Schema):
     """How to read a delimited text file or CAN traffic; other formats need no options.
 
     Attributes:
-        delimiter: Delimiter of the columns, one character; found from the first line if not stated.
+        delimiter: Delimiter of the columns, one character; detected from the first lines if left
+            out.
         skip_rows: Number of lines before the header, or before the first row of numbers if there is
             no header.
         decimal: Decimal separator.
@@ -29,8 +30,8 @@ class ReadSection(Schema):
         bench: Bench file in place of `dbc`, relative to the campaign file, or the name of a
             packaged bench. The bench's map of drive and encoder frames is used, and the columns are
             channels in SI units.
-        bus: The bus whose frames are used, as the file names it (`can0`, `1`); all buses if it is
-            left out.
+        bus: Name in the file of the bus whose frames are used (`can0`, `1`); all buses if left
+            out.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
@@ -46,7 +47,7 @@ class ReadSection(Schema):
         return (self.dbc,) if isinstance(self.dbc, str) else self.dbc or ()
 
     def beside(self, folder: Path) -> ReadSection:
-        """Return a copy of the options in which the names of files are relative to a folder."""
+        """Return a copy of the options in which file names are resolved from a folder."""
         named = tuple(str(folder / stored_path(name)) for name in self.dbc_files)
         bench = self.bench
         if bench is not None and Path(bench).suffix:
@@ -62,10 +63,10 @@ class ReadSection(Schema):
     @model_validator(mode="after")
     def _told_apart(self) -> ReadSection:
         if self.delimiter == self.decimal == ",":
-            raise ValueError("delimiter and decimal are both a comma; numbers cannot be separated")
+            raise ValueError("delimiter and decimal are both a comma; change one of the two")
         if self.dbc is not None and self.bench is not None:
             raise ValueError(
-                "dbc and bench are both given, but a bench has its own map; remove one of them"
+                "dbc and bench are both given, but a bench replaces a DBC file; remove dbc or bench"
             )
         return self
 

@@ -21,7 +21,9 @@ from rig.config.configuration import Schema
 
 def _buildable(value: float) -> float:
     if not 1e-9 < value < 1e9:
-        raise ValueError("not in the plausible range 1e-9 to 1e9; check exponent and unit")
+        raise ValueError(
+            "the value is outside the plausible range 1e-9 to 1e9; check its exponent and unit"
+        )
     return value
 
 
@@ -50,7 +52,7 @@ class UncertainConstant(Schema):
 
     Attributes:
         value: The constant, in the unit of its key.
-        std: Standard deviation of the value, in the same unit.
+        std: Standard deviation of the value, in the unit of the key.
     """
 
     heading: ClassVar[str] = "uncertain constant"
@@ -72,7 +74,7 @@ class UncertainNumber(Schema):
 
     Attributes:
         value: The number, in the unit of its key.
-        std: Standard deviation of the value, in the same unit.
+        std: Standard deviation of the value, in the unit of the key.
     """
 
     heading: ClassVar[str] = "uncertain number"
@@ -131,8 +133,8 @@ else:
 
 
 class ValveSection(Schema):
-    """Dimensions of Fig. 3; the defaults are those of the paper. The hole swings on the bench's
-    moment arm, L1.
+    """Dimensions of the valve (Fig. 3); the defaults are those of the paper. The hole in the plate
+    turns at the radius L1, the bench's `moment_arm`.
 
     Attributes:
         hole_diameter: Diameter of the hole in the plate, m.
@@ -150,7 +152,7 @@ class ValveSection(Schema):
         return self
 
     def geometry(self, arm: float) -> ValveGeometry:
-        """Return the record the numerics use."""
+        """Return the record that the numerics use."""
         return ValveGeometry(self.hole_diameter, self.opening_diameter, self.plate_width, arm)
 
 
@@ -181,7 +183,7 @@ class GasGeneratorSection(Schema):
     valve: ValveSection = ValveSection()
 
     def generator(self, arm: float) -> GasGenerator:
-        """Return the record the numerics use."""
+        """Return the record that the numerics use."""
         return GasGenerator(
             rho_b=self.propellant_density,
             D_P=self.grain_diameter,

@@ -29,14 +29,13 @@ CATALOGUE: Mapping[str, tuple[str, ...]] = {
     group: tuple(e.name for e in ENTRIES.values() if e.group == group)
     for group in dict.fromkeys(e.group for e in ENTRIES.values())
 }
-"""Group to names of the physical effects that a bench may be declared to have, or be diagnosed
-with.
+"""Names of the physical effects that a campaign may declare or a diagnosis may identify, by group.
 """
 EFFECTS: tuple[str, ...] = tuple(name for names in CATALOGUE.values() for name in names)
 FITTED_TERMS = ("offset", "load_dependent_friction")
-"""Additional terms that the estimators of this version can fit."""
+"""Effects that the estimators can fit in addition to the nominal model."""
 _BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
-"""For each rung, the rung with `load_dependent_friction` in addition."""
+"""Rung that results from each rung if `load_dependent_friction` is added."""
 PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
 
 
@@ -50,14 +49,13 @@ def _known_term(name: str) -> str:
             else ""
         )
         raise ValueError(
-            f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}"
+            f"the effect {name!r} cannot be fitted; terms may be {', '.join(FITTED_TERMS)}{remedy}"
         )
     raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
 
 
 ANGLE_TIME = "angle_time"
-"""Channel with the time stamps of the joint encoder, s; the reader uses the channel and then
-removes it.
+"""Channel with the time stamps of the joint encoder, s, which the reader uses and then removes.
 """
 
 
@@ -82,7 +80,7 @@ def _known_channel(name: str) -> str:
 def _not_nothing(value: float) -> float:
     if not 1e-9 < abs(value) < 1e9:
         raise ValueError(
-            "the magnitude is not in the plausible range 1e-9 to 1e9 m; check exponent and unit"
+            "the magnitude is outside the plausible range 1e-9 to 1e9; check its exponent and unit"
         )
     return value
 
@@ -161,7 +159,7 @@ class ModelSection(Schema):
     def _once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
         repeated = sorted({name for name in terms if terms.count(name) > 1})
         if repeated:
-            raise ValueError(f"{', '.join(repeated)} listed more than once; remove the repetition")
+            raise ValueError(f"{', '.join(repeated)} is listed twice or more; remove repetitions")
         return terms
 
     @field_validator("fixed")
@@ -171,7 +169,7 @@ class ModelSection(Schema):
             f"{name} = {value:g}" for name, value in fixed.items() if value < 0 and name != "offset"
         ]
         if negative:
-            raise ValueError(f"must not be negative: {', '.join(negative)}")
+            raise ValueError(f"a fixed value must not be negative: {', '.join(negative)}")
         return fixed
 
     def model(self) -> Model:
@@ -186,7 +184,7 @@ class ModelSection(Schema):
 
     @property
     def rung(self) -> str:
-        """The rung of the ladder after `terms`."""
+        """The rung of the ladder that `friction` and `terms` select together."""
         if "load_dependent_friction" in self.terms:
             return _BEARING_LOAD.get(self.friction, self.friction)
         return self.friction
@@ -215,8 +213,8 @@ class HoistSection(Schema):
 
     Attributes:
         mass: Mass m, kg.
-        radius: Radius r of drum or pulley, m; negative if forward motion lowers the mass. Not
-            allowed on a linear bench, where the force is -m g.
+        radius: Radius r of drum or pulley, m; negative if forward motion lowers the mass. A linear
+            bench must have no radius, because the force is -m g.
     """
 
     mass: Known
@@ -233,10 +231,10 @@ class HoistSection(Schema):
 
 
 class WindowSection(Schema):
-    """The part of a file that is used, in the time of the file; the short form is `[from, to]`.
+    """The part of a file that is used, by the time of the file; short form: `[from, to]`.
 
     Attributes:
-        from: First time used, s.
+        from: Time at which the part begins, s.
         to: Time at which the part ends, s; a sample at this time is not used.
     """
 
@@ -301,12 +299,12 @@ class RecordingSection(Schema):
             out.
         gravity: A known weight that turns with the joint.
         hoisted: A known mass that hangs on the joint by a rope.
-        constant_torque: Known torque on the joint that is the same at every angle, N m; a positive
-            torque drives the joint forward.
+        constant_torque: Known torque on the joint that does not depend on the angle, N m; a
+            positive torque drives the joint forward.
         start: Start time of the file: an ISO time, or seconds since the machine was switched on
-            cold. Either all recordings state it or none does.
-        order: Place of the file in the session, instead of `start`, if only the order is known; the
-            pauses between files then count as zero.
+            cold. Either all recordings state a start time, or no recording does.
+        order: Position of the file in the session, instead of `start`, if only the order is known;
+            the pauses between files then count as zero.
         window: The part of the file that is used.
         controller: The position loop during the recording, for simulations.
         role: `validate` excludes the recording from every fit; at the end the recording is scored,
@@ -314,8 +312,9 @@ class RecordingSection(Schema):
         rate: Sampling rate, Hz; only if there is no `time` channel.
         read: How to read a text file.
         channels: Column of each canonical channel. A name or index alone is the short form of
-            `{column: ...}`. May be left out for a file of `rig export` (csv, mat, mcap, parquet),
-            because such a file states channels, stage, masses, loads and constants itself.
+            `{column: ...}`. For a file of `rig export` (csv, mat, mcap, parquet) this key may be
+            left out, because such a file states channels, stage, masses, loads and constants
+            itself.
     """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]

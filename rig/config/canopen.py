@@ -18,7 +18,7 @@ from rig.config.configuration import Positive, Schema, nearest
 NodeId = Annotated[int, Field(ge=1, le=127)]
 Sign = Literal[1, -1]
 NO_DEVICE: Final = "none"
-"""Value of ``device`` that selects no maker's data."""
+"""Value of ``device`` with which no data of a drive's maker are used."""
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 
@@ -28,8 +28,8 @@ class Bus(Schema):
     Attributes:
         interface: `mock` is the simulated bus; any other name is an interface of python-can, such
             as `socketcan`, `slcan` or `pcan`.
-        channel: Name of the bus for that interface, such as `can0` or `/dev/ttyACM0`.
-        bitrate: Bits per second, the same as in the devices.
+        channel: Name of the bus for the interface, such as `can0` or `/dev/ttyACM0`.
+        bitrate: Bits per second, equal to the setting of the devices.
     """
 
     interface: str = "mock"
@@ -40,12 +40,12 @@ class Bus(Schema):
 class PositionLoopSection(Schema):
     """The position loop of this program, for drives that accept a speed (`csv`) or torque (`cst`).
 
-    Gains that are null follow from the cycle and, for a torque, from the inertia.
+    Gains that are null are computed from the control cycle and, for a torque, from the inertia.
 
     Attributes:
         position_gain_1_s: Speed command per position error.
-        speed_gain_N_m_s_rad: Torque command per speed error, at the joint; for `cst`.
-        reset_1_s: Inverse reset time of the speed loop; for `cst`.
+        speed_gain_N_m_s_rad: Torque command per speed error, at the joint; used with `cst` only.
+        reset_1_s: Inverse reset time of the speed loop; used with `cst` only.
         inertia_kg_m2: Inertia at the joint, identified or from the drawings; `cst` needs it.
         drive_limits_speed: Whether the drive itself limits the speed in torque mode, to
             `limits.speed_deg_s` or less, as set with the maker's tool (for example 6080h). `cst`
@@ -65,7 +65,7 @@ class ServoSection(Schema):
     section against the device before it starts.
 
     Keys that are null are taken from the [data of the drive's maker](devices.md). If the program
-    has no such data, the values of CiA 402 apply.
+    has no data of this maker, the values of CiA 402 apply.
 
     Attributes:
         kind: The protocol of the drive.
@@ -159,7 +159,7 @@ class ServoSection(Schema):
         if self.velocity_unit is not None and self.velocity_unit_rad_s is not None:
             raise ValueError(
                 f"velocity_unit {self.velocity_unit} and velocity_unit_rad_s "
-                f"{self.velocity_unit_rad_s:g} are both set; remove one"
+                f"{self.velocity_unit_rad_s:g} are both set; remove one of these two keys"
             )
         return self
 
@@ -168,8 +168,8 @@ class ServoSection(Schema):
         loop = self.position_loop
         if self.mode == "cst" and (loop.inertia_kg_m2 is None or not loop.drive_limits_speed):
             raise ValueError(
-                "mode cst needs position_loop.inertia_kg_m2, and a drive that limits the speed by "
-                "itself: position_loop.drive_limits_speed: true"
+                "mode cst needs position_loop.inertia_kg_m2, and a drive that itself limits the "
+                "speed, stated by position_loop.drive_limits_speed: true"
             )
         return self
 
@@ -178,13 +178,13 @@ class ServoSection(Schema):
     def _known(cls, name: str | None) -> str | None:
         names = [NO_DEVICE, *devices()]
         if name is not None and name not in names:
-            raise ValueError(f"the program has no device data of this name; {nearest(name, names)}")
+            raise ValueError(f"no data of a drive's maker have this name; {nearest(name, names)}")
         return name
 
     def device_data(self, folder: Path) -> DeviceData | None:
         """Return the maker's data of the drive, or None if the program has no data of this drive.
 
-        The result for an unreadable EDS file is None; another check refuses such a file.
+        The result for an unreadable EDS file is None; another check refuses an unreadable file.
 
         Args:
             folder: Folder of the bench file.
@@ -203,10 +203,11 @@ class ServoSection(Schema):
         return self.mode or (data.mode if data is not None else None) or "csp"
 
     def motor_speed_unit_rad_s(self, data: DeviceData | None) -> float | None:
-        """Return the motor speed of one unit of 606Ch, rad/s, or None for one count per second.
+        """Return the motor speed of one unit of 606Ch, rad/s, or None if the unit is one count per
+        second.
 
         Args:
-            data: What is known of the drive.
+            data: The maker's data of the drive, or None.
         """
         if self.velocity_unit is not None or self.velocity_unit_rad_s is not None:
             return RPM if self.velocity_unit == "rpm" else self.velocity_unit_rad_s
@@ -222,7 +223,7 @@ class ServoSection(Schema):
         unit is one speed unit per second.
 
         Args:
-            data: What is known of the drive.
+            data: The maker's data of the drive, or None.
         """
         if self.acceleration_unit_rad_s2 is not None or data is None:
             return self.acceleration_unit_rad_s2

@@ -55,10 +55,10 @@ class Document(Generic[M]):
 
         Args:
             loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. If the
-                file does not contain it (a default was used), the message points to the nearest
-                enclosing value.
+                file does not contain this place (a default was used), the message points to the
+                nearest enclosing value.
             message: Text with the problem, the limit and the remedy.
-            value: Wrong value; if omitted, the value in the file is shown.
+            value: Wrong value for the message; if omitted, the message shows the value in the file.
         """
         node, mark, path, _ = _resolve(self._root, loc)
         if value is _ABSENT and path == loc:
@@ -85,7 +85,7 @@ class Document(Generic[M]):
         """Raise an error if there are problems, each a location and a message.
 
         Raises:
-            InputError: There are problems; the message lists all of them.
+            InputError: At least one problem exists; the message lists all of them.
         """
         lines = [self.problem(loc, message) for loc, message in problems]
         if lines:
@@ -96,8 +96,8 @@ def load(path: Path, schema: type[M]) -> M:
     """Read and validate a configuration file.
 
     Raises:
-        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at
-            once.
+        InputError: The file cannot be read, is not YAML, or violates the schema; the message has
+            every error.
     """
     return load_located(path, schema).value
 
@@ -114,8 +114,8 @@ def load_located(
             moved nodes keep their place in the file.
 
     Raises:
-        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at
-            once.
+        InputError: The file cannot be read, is not YAML, or violates the schema; the message has
+            every error.
     """
     try:
         text = read_text(path)
@@ -143,7 +143,7 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
     Args:
         path: The file, for messages.
-        root: Its content.
+        root: Content of the file.
         schema: The record to validate into.
         found: Problems from the reading of the file, which are reported together with those of the
             schema.
@@ -189,7 +189,7 @@ def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> li
 
 
 def _json_tree(path: Path, text: str) -> Node:
-    """Read JSON, which is a subset of YAML, as YAML, with the places of its values."""
+    """Return JSON, which is a subset of YAML, as a tree with the places of the values."""
     try:
         return parse(text)[0]
     except DocumentError as error:
@@ -207,8 +207,8 @@ def _lines(path: Path, found: list[_Found]) -> list[str]:
 
 
 def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Iterator[_Found]:
-    """Convert pydantic's errors to places in the file; errors of several branches of a union at one
-    place are joined.
+    """Convert pydantic's errors to messages with places in the file; the errors of several branches
+    of a union at one place become one message.
     """
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
@@ -294,8 +294,8 @@ def nearest(name: str, known: list[str]) -> str:
 
 
 def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
-    """Return the models and dataclasses of a location; elements that name a branch of a union are
-    skipped.
+    """Return the models and dataclasses at a location; elements of the location that name a branch
+    of a union are skipped.
     """
     for element in loc:
         branches = [branch for annotation in annotations for branch in _branches(annotation)]
@@ -344,10 +344,10 @@ _Place = tuple[Node, Mark, Loc, Mark | None]
 
 
 def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
-    """Follow a location as far as the tree contains it.
+    """Follow the keys and indices of a location as far as the tree contains them.
 
-    pydantic puts names of union branches between keys; such elements are skipped. If such an
-    element equals a key, the interpretation that follows more of the location is used.
+    pydantic puts names of union branches between keys; these names are skipped. If the name of a
+    branch equals a key, the interpretation that follows more of the location is used.
 
     Returns:
         The node, its mark, the keys and indices followed, and the mark of the last key (None for an

@@ -34,7 +34,8 @@ from rig.config.configuration import Loc, Positive, Schema
 
 _Natural = Annotated[int, Field(ge=0)]
 _EXTENDED_BYTES = 3
-"""The 20 additional bits of an extended frame, with bit stuffing, in bytes of data."""
+"""Bytes of data that take as long as the 20 additional bits of an extended frame with bit stuffing.
+"""
 Problem = Callable[[Loc, str], str]
 """Function that formats a problem found after validation:
 :meth:`rig.config.configuration.Document.problem`.
@@ -70,8 +71,8 @@ class DbcServoSection(Schema):
     Attributes:
         kind: The protocol of the drive.
         file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
-        simulated_drive: The drive on the simulated bus: one with the frames of ODrive's CAN
-            protocol, or a motor with MIT-style packed frames; if it is left out, the drive of
+        simulated_drive: The drive on the simulated bus: a drive with the frames of ODrive's CAN
+            protocol, or a motor with MIT-style packed frames; if left out, the drive of the bench
             `practical_dbc`.
         name: Name of the drive in reports.
         vendor_id: Number of the maker, kept with the recording.
@@ -173,7 +174,7 @@ class DbcServoSection(Schema):
 
 
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
-    """Return the path of the drive's DBC file; ``path`` is that of the bench file.
+    """Return the path of the drive's DBC file; ``path`` is the path of the bench file.
 
     A simulated drive has a packaged DBC file.
     """
@@ -184,7 +185,7 @@ def dbc_path(section: DbcServoSection, path: Path) -> Path:
 
 
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
-    """Read the drive's DBC file and bind the map to it.
+    """Read the drive's DBC file, and assign its signals to the entries of the map.
 
     Args:
         section: The validated section.
@@ -193,13 +194,13 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
         problem: Function that formats a problem with its place in the bench file.
 
     Raises:
-        InputError: The DBC file is missing or not valid, or the map does not fit it; the message
-            lists every problem with its place.
+        InputError: The DBC file is missing or not valid, or the map does not fit the file; the
+            message lists every problem with its place.
     """
     place: Loc = ("servo", "file")
     if section.file is None and not simulated:
         raise InputError(
-            problem(place, "missing; a real drive needs its DBC file, relative to this file")
+            problem(place, "missing; state the DBC file of the real drive, relative to this file")
         )
     try:
         layouts = read_dbc(dbc_path(section, path))
@@ -212,8 +213,8 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
 
 
 def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
-    """Return data bytes and period in cycles of each message; an identifier of 29 bits counts as
-    three more bytes, and a remote frame as a frame without data.
+    """Return the number of data bytes and the period in cycles of each message; an identifier of 29
+    bits counts as three more bytes, and a remote frame as a frame without data.
     """
     frames = [
         (

@@ -49,9 +49,9 @@ SUFFIXES: Mapping[str, str] = {
     "m": "m",
     "s": "s",
 }
-"""Unit of each suffix of a name, longest suffix first."""
+"""Unit for each suffix of a field's name, the longest suffix first."""
 _NO_UNIT = frozenset({"mu_s"})
-"""Names from the paper with an ending that looks like a unit but is not one."""
+"""Names from the paper with an ending that looks like a unit but is not a unit."""
 UNITS = frozenset(
     {*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"}
 )
@@ -118,7 +118,7 @@ def _meaning(name: str, text: str) -> Meaning:
 
 
 def unit_of(name: str) -> str:
-    """Return the unit from the suffix of a name; empty if there is none."""
+    """Return the unit from the suffix of a name; empty if the name states no unit."""
     if name in _NO_UNIT:
         return ""
     return next((unit for ending, unit in SUFFIXES.items() if name.endswith(f"_{ending}")), "")

@@ -41,7 +41,7 @@ class Kind:
 
     Attributes:
         meaning: Description of the fault.
-        unit: Unit of ``value``; empty if it has none.
+        unit: Unit of ``value``; empty if the value has no unit.
         default: Default of ``value``.
         counted: Whether ``count`` applies.
         integer: Whether ``value`` must be an integer.
@@ -69,7 +69,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
         "the last byte is missing, which the checksum does not detect", counted=True
     ),
     ("bus", "bus_off"): Kind(
-        "the host's controller is bus-off; permanently if there is no value", "s"
+        "the host's CAN controller is bus-off; permanently if there is no value", "s"
     ),
     ("bus", "error_frames"): Kind("the host receives error frames", counted=True),
     ("line", "lost"): Kind("messages of the drive's serial line are lost", counted=True),
@@ -120,7 +120,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("disk", "full"): Kind("writing to files fails, as on a full disk"),
     ("operator", "stop"): Kind("Ctrl-C"),
     ("operator", "unanswered"): Kind(
-        "the prompt's input ends without an answer, after this long", "s", 0.0
+        "the prompt's input ends without an answer after this time", "s", 0.0
     ),
     ("operator", "wrong_weight"): Kind(
         "the operator hangs this mass and types the planned mass", "kg", 60.0
@@ -138,7 +138,7 @@ COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sdo_request": (0x600,),
     "sdo_answer": (0x580,),
 }
-"""Function codes (identifier without the node number) by the names that ``frames`` may use."""
+"""Function codes (identifier without the node number) by the names that ``function`` may have."""
 
 
 class Frames(Schema):
@@ -189,17 +189,17 @@ class FaultRow(Schema):
     """One fault of the schedule.
 
     The fault occurs at a bench time, or after the start of a phase or of a state of the drive;
-    exactly one of these is stated.
+    exactly one of `time_s`, `phase` and `state` is stated.
 
     Attributes:
         time_s: Bench time at which the fault occurs.
         phase: Phase of a stage from whose start `after_s` is counted.
         state: State of the drive from whose start `after_s` is counted.
         after_s: Delay after `time_s`, `phase` or `state`.
-        stage: The stage whose phase is meant; if it is left out, the first stage.
+        stage: The stage of `phase`; if left out, the first stage.
         target: The part that fails.
         fault: Name of the fault, from the table of the target's faults.
-        value: Size of the fault, in the unit of its table.
+        value: Size of the fault, in the unit that the table states.
         count: Number of frames, requests or readings that the fault affects; 0 for a permanent
             fault.
         frames: The frames that a fault of a bus or line affects.
@@ -243,9 +243,9 @@ class FaultRow(Schema):
                 f"{self.value:g}"
             )
         if self.frames != Frames() and self.target not in ("bus", "line", "encoder_line"):
-            raise ValueError("'frames' is allowed for faults of a bus or line only; remove it")
+            raise ValueError("only faults of a bus or line have 'frames'; remove 'frames'")
         if self.frames.function is not None and self.target != "bus":
-            raise ValueError("'function' is allowed for faults of a CAN bus only; remove it")
+            raise ValueError("only faults of a CAN bus have a 'function'; remove 'function'")
         return self
 
     @property
@@ -255,7 +255,7 @@ class FaultRow(Schema):
 
     @property
     def amount(self) -> float | None:
-        """The value, or its default."""
+        """The value of the fault, or the default of its kind."""
         return self.kind.default if self.value is None else self.value
 
     @property
@@ -283,8 +283,8 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     """Read a fault schedule: CSV if the name ends in ``.csv``, else YAML.
 
     In CSV the first line names the columns, which are the keys of a row; the columns ``device`` and
-    ``function`` are the keys of ``frames``, and ``deenergised_within_s``, ``exit_status`` and
-    ``words`` are those of ``expect``.
+    ``function`` are the keys of ``frames``, and the columns ``deenergised_within_s``,
+    ``exit_status`` and ``words`` are the keys of ``expect``.
 
     Raises:
         InputError: The file is missing or not valid; the message lists every problem with its place

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 
 class FlowStep(Schema):
-    """A flow that is commanded from a time on.
+    """A gas flow that is commanded from a stated time on.
 
     Attributes:
         at_s: Time since the start of the excitation; the first step is at 0.
@@ -30,12 +30,12 @@ class FlowController(Schema):
     """PI controller of the logarithm of the ratio of measured to desired pressure (Fig. 5, 11). The
     default gains are assumptions, because the paper gives no gains.
 
-    The valve does not leave its range and does not exceed its speed; at these limits the integral
-    does not change.
+    The commanded valve angle stays within the range, and its rate within the speed limit; while one
+    of these limits acts, the integral part does not change.
 
     Attributes:
-        gain_deg: Valve angle per unit of the logarithm; a deviation of the pressure by one percent
-            is about 0.01.
+        gain_deg: Valve angle per unit of the logarithm; a pressure deviation of one percent is
+            about 0.01 units.
         integral_1_s: Inverse reset time.
         filter_Hz: Cut-off of the low-pass on the measured pressure.
         angle_min_deg: Lowest valve angle.
@@ -55,7 +55,7 @@ class FlowController(Schema):
         if not self.angle_min_deg < self.angle_max_deg:
             raise ValueError(
                 f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
-                f"{self.angle_max_deg:g}; swap them"
+                f"{self.angle_max_deg:g}; exchange the two values"
             )
         return self
 
@@ -86,7 +86,7 @@ class FlowSection(Schema):
                 raise ValueError(
                     f"the step at {later:g} s begins before the step at {earlier:g} s ends "
                     f"(ramp_s {self.ramp_s:g}); "
-                    "list steps in order, further apart than ramp_s"
+                    "list the steps in order of time, further apart than ramp_s"
                 )
         return self
 

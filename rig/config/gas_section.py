@@ -70,13 +70,13 @@ class GasGeneratorSection(Schema):
     free_volume_m3: Positive
 
     def valve(self, arm_m: float) -> ValveGeometry:
-        """Return the valve; it swings on the moment arm L1."""
+        """Return the geometry of the valve, whose plate turns at the radius L1, ``arm_m``."""
         return ValveGeometry(
             self.hole_diameter_m, self.opening_diameter_m, self.plate_width_m, arm_m
         )
 
     def generator(self, arm_m: float) -> GasGenerator:
-        """Return the record the numerics use."""
+        """Return the record that the numerics use."""
         return GasGenerator(
             rho_b=self.propellant_density_kg_m3,
             D_P=self.chamber_diameter_m,

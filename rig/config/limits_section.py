@@ -11,8 +11,8 @@ from rig.config.configuration import NonNegative, Positive, Schema
 
 
 class LimitsSection(Schema):
-    """Limits that the program checks on every sample, and the drive as well if it has an object for
-    the limit.
+    """Limits that the program checks on every sample; a limit for which the drive has an object is
+    also checked by the drive.
 
     Attributes:
         angle_min_deg: Lowest joint angle, commanded or measured.
@@ -30,8 +30,8 @@ class LimitsSection(Schema):
         supply_min_V: Lowest supply voltage.
         supply_max_V: Highest supply voltage.
         sample_age_ms: Greatest age of a sample with which a cycle may continue.
-        lateness_ms: Greatest delay of the start of a cycle; at most half of the time without
-            heartbeat after which the drive stops by itself.
+        lateness_ms: Greatest delay of the start of a cycle; at most half of the time after which
+            the drive's watchdog acts.
     """
 
     angle_min_deg: float
@@ -60,11 +60,11 @@ class LimitsSection(Schema):
         if not self.supply_min_V < self.supply_max_V:
             raise ValueError(
                 f"supply_min_V {self.supply_min_V:g} must be below supply_max_V "
-                f"{self.supply_max_V:g}; swap them"
+                f"{self.supply_max_V:g}; exchange the two values"
             )
         if not self.angle_min_deg < self.angle_max_deg:
             raise ValueError(
                 f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
-                f"{self.angle_max_deg:g}; swap them"
+                f"{self.angle_max_deg:g}; exchange the two values"
             )
         return self

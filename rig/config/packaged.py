@@ -24,11 +24,11 @@ def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
-    """Return the file for a name: the path itself if it exists, else the packaged file of this
-    name.
+    """Return the file for a name: the file at this path if it exists, else the packaged file of
+    this name.
 
     Raises:
-        InputError: Neither exists, or the path is not a file; the message suggests the nearest
+        InputError: Neither file exists, or the path is not a file; the message suggests the nearest
             packaged names.
     """
     path = Path(name)

@@ -29,7 +29,7 @@ _KNOWN: Mapping[str, frozenset[str] | None] = {
 
 Friction, inertia, noise, warming and effects are removed, because they are unknown on a real bench.
 """
-# libyaml writes the same text faster; PyYAML may be built without it.
+# libyaml writes the text faster than PyYAML, but PyYAML may be built without libyaml.
 _DUMPER = yaml.CSafeDumper if yaml.__with_libyaml__ else yaml.SafeDumper
 _HEAD = (
     "# The true constants of the simulated machine, which are unknown on a real "

@@ -1,4 +1,4 @@
-"""Schema of the sequence file: stages with their excitations, and the joint angles they command."""
+"""Schema of the sequence file: stages with their excitations, and the commanded joint angles."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Ramp(Schema):
     Attributes:
         travel_deg: Distance from the centre; the sign is the direction.
         speed_deg_s: Speed out and back.
-        rest_s: Commanded rest at the far end. The remaining time of `duration_s` is rest at the
-            centre.
+        rest_s: Commanded rest at the far end. For the remaining time of `duration_s`, the joint
+            rests at the centre.
         times: Number of repetitions out and back, without a rest at the centre between them.
     """
 
@@ -68,7 +68,7 @@ class StageSection(Schema):
 
     Attributes:
         name: Name of the stage, without spaces and different from all other stages.
-        stage: The load condition. `unloaded`: the empty lever; `loaded`: a weight on it;
+        stage: The load condition. `unloaded`: the empty lever; `loaded`: a weight on the lever;
             `hot_fire`: the gas generator.
         weight_kg: Mass on the lever of a loaded stage.
         tones: Sines, which are added.
@@ -80,8 +80,7 @@ class StageSection(Schema):
         repeats: Number of times that the excitation is run; each repeat becomes one recording.
         center_deg: Joint angle at the centre of the excitation.
         settle_s: Rest at the starting angle before each repeat.
-        time_limit_s: Longest time with power on in this stage; if it is left out, a bound computed
-            from the plan.
+        time_limit_s: Longest time with power on in this stage; if left out, computed from the plan.
         role: `validate` excludes the stage's recordings from the fit; the identification scores
             them once at the end.
     """
@@ -104,10 +103,11 @@ class StageSection(Schema):
     @model_validator(mode="after")
     def _one_excitation(self) -> Self:
         if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
-            raise ValueError("a stage needs exactly one of tones, ramp and flow")
+            raise ValueError("a stage needs exactly one excitation: tones, ramp or flow")
         if self.flow is not None and self.stage != "hot_fire":
             raise ValueError(
-                f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire"
+                f"a flow command needs a gas generator, but the stage is {self.stage}; use stage: "
+                "hot_fire"
             )
         if self.ramp is None:
             return self
@@ -128,22 +128,22 @@ class StageSection(Schema):
         if self.tones and self.ramp_in_s + self.ramp_out_s > self.duration_s:
             raise ValueError(
                 f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than "
-                f"duration_s "
-                f"{self.duration_s:g} s; the duration must contain both ramps"
+                f"duration_s {self.duration_s:g} s; increase duration_s"
             )
         if self.stage == "unloaded" and self.weight_kg != 0:
             raise ValueError(
-                f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use "
-                f"stage: loaded"
+                f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; remove "
+                f"weight_kg or, if a weight hangs on the lever, use stage: loaded"
             )
         if self.stage == "loaded" and self.weight_kg == 0:
             raise ValueError(
-                "a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever"
+                "a loaded stage needs weight_kg above 0; state the mass or, for the empty lever, "
+                "use stage: unloaded"
             )
         if self.stage == "hot_fire" and self.weight_kg != 0:
             raise ValueError(
                 f"a hot firing is loaded by the gas generator and not by a weight, but weight_kg "
-                f"is {self.weight_kg:g}; remove it"
+                f"is {self.weight_kg:g}; remove weight_kg"
             )
         return self
 
@@ -184,14 +184,14 @@ class SequenceLimits(Schema):
 class FirstPass(Schema):
     """A short pass at low amplitude before each stage, under tighter limits.
 
-    As long as the joint does not move, passes with twice the former amplitude follow.
+    If the joint does not move, a pass with twice the amplitude follows, until the joint moves.
 
     Attributes:
         amplitude: Amplitude of the pass, as a share of the stage's amplitude.
-        duration_s: Length of the pass; if it is left out, one period of the slowest tone and the
-            fades.
+        duration_s: Length of the pass; if left out, one period of the slowest tone, fade-in and
+            fade-out.
         limit_share: Share of the speed limit that is allowed in the pass. The shares of the limits
-            on torque, current and following error are half way between this share and one.
+            on torque, current and following error are the mean of this share and one.
     """
 
     amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1
@@ -208,7 +208,7 @@ class Sequence(Schema):
         stages: The stages, in the order in which they are run.
         limits: Limits of this sequence.
         first_pass: `auto`: a first pass on a real bench and none on a simulated bench.
-        acceptance: Limits that a complete run must keep to be accepted, such as `Mc: 6.5..7.1`,
+        acceptance: Limits that a complete run must meet to be accepted, such as `Mc: 6.5..7.1`,
             `nothing missing`, `weight check passed`, `p99 lateness < 1 ms` or
             `tracking error rms < 0.05 deg`.
     """
@@ -227,7 +227,7 @@ class Sequence(Schema):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ValueError(
-                f"stage names must differ; {', '.join(repeated)} is used more than once"
+                f"stage names must differ, but {', '.join(repeated)} is used more than once"
             )
         return stages
 
@@ -235,7 +235,7 @@ class Sequence(Schema):
     def _something_is_fitted(self) -> Self:
         fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
         if not fitted:
-            raise ValueError("every stage has role validate; at least one must have role fit")
+            raise ValueError("every stage has role validate; give at least one stage role fit")
         aside = [
             stage.name
             for stage in self.stages
@@ -244,8 +244,7 @@ class Sequence(Schema):
         if aside and not any(fitted):
             raise ValueError(
                 f"{', '.join(aside)} is loaded and has role validate, but no loaded stage has "
-                "role fit, so that its working load would be unknown; give one loaded stage role "
-                "fit"
+                "role fit, so that the working load would be unknown; give a loaded stage role fit"
             )
         return self
 
@@ -266,7 +265,7 @@ def load_acceptance(path: Path) -> Document[AcceptanceFile]:
     """Read a file of limits.
 
     Raises:
-        InputError: It is missing or not valid; every problem with its place in the file.
+        InputError: The file is missing or not valid; the message has every problem with its place.
     """
     return load_located(path, AcceptanceFile)
 
@@ -319,10 +318,11 @@ def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Arr
         cycle_s: Control cycle, s.
 
     Returns:
-        Angles in rad, shape (n,), the last one equal to ``end``; empty if ``start`` equals ``end``.
+        Angles in rad, shape (n,), of which the last equals ``end``; empty if ``start`` equals
+        ``end``.
     """
     distance = abs(end - start)
-    # The peak speed of a raised cosine over T is pi/2 times its mean speed distance / T.
+    # The peak speed of a raised cosine of duration T is pi/2 times its mean speed, distance / T.
     n = math.ceil(0.5 * math.pi * distance / peak_speed / cycle_s)
     if n == 0:
         return np.empty(0)
@@ -331,8 +331,8 @@ def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Arr
 
 
 def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
-    """Return a function that rises smoothly from 0 at t = 0 to 1 at t = ``duration`` and stays at
-    1; 1 at all times if ``duration`` is 0.
+    """Return the values of a function that rises smoothly from 0 at t = 0 to 1 at t = ``duration``
+    and then stays at 1; the values are 1 at all times if ``duration`` is 0.
     """
     if duration <= 0:
         return np.ones_like(t)

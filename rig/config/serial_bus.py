@@ -16,7 +16,8 @@ from rig.config.configuration import Positive, Schema
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
-"""Factor on the bench's limits of torque, current and speed for a drive without a watchdog."""
+"""Factor by which the limits of torque, current and speed are reduced for a drive without watchdog.
+"""
 _ALONE: Final = (
     "the drive holds its last target with power on, and only the main switch or the emergency "
     "stop switches the power off. Stay beside the bench. Torque, current and speed limits are "
@@ -42,7 +43,8 @@ class SerialBus(Schema):
         port: `mock`, or a serial device of this computer such as `/dev/ttyUSB0`.
         baud: Bits per second.
         round_trip_ms: Time that adapter and drive add to every request and its answer, in addition
-            to the time of the bytes; measure it. FTDI adapters add 16, in low-latency mode 6.
+            to the time of the bytes; to be measured. FTDI adapters add 16 ms, in low-latency mode
+            6 ms.
     """
 
     interface: Literal["epos_serial"]
@@ -79,7 +81,7 @@ class Amt21Section(Schema):
 
 
 def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
-    """Yield a problem if a control cycle exceeds the line's capacity."""
+    """Yield a problem if the messages of a control cycle take more time than the line permits."""
     writes, reads = epos_serial_node.CYCLE_WRITES, epos_serial_node.CYCLE_READS
     bits = epos_serial.cycle_bits(writes, reads)
     needed_s = bits / bus.baud + (writes + reads) * bus.round_trip_ms * 1e-3

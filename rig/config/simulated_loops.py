@@ -1,7 +1,7 @@
 """Checks that the current loop of a simulated drive is stable with its motor.
 
-The effects of an unstable current loop are like those of a jammed joint: the current oscillates at
-its limit, and the run stops with a violated limit of torque or current.
+An unstable current loop looks like a jammed joint: the current oscillates at its limit, and the run
+stops with a violated limit of torque or current.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from drivers.mock.plant.parts import constants
 
 _BISECTIONS = 60
 _ADVISED_SHARE = 0.5
-"""Share of the gain at the stability limit: a gain margin of 6 dB."""
+"""Recommended gain as a share of the gain at the stability limit: a gain margin of 6 dB."""
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
-    """Return a text if the current loop gain of a simulated drive is unstable, with a stable value.
+    """Return a message with a stable gain if the current loop of a simulated drive is unstable.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
     (eq. 1). The loop is linear, so that its eigenvalues determine its stability; the supply voltage
@@ -28,7 +28,7 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
         machine: The simulated machine.
 
     Returns:
-        The problem with the key ``current_gain_V_A``, or None.
+        The message on the key ``current_gain_V_A``, or None if the loop is stable.
     """
     gain = machine.loops.current_gain_V_A
     radius = _radius(machine, gain)
@@ -55,7 +55,7 @@ def _radius(machine: constants.Machine, gain: float) -> float:
     constant_s = motor.inductance_H / motor.resistance_ohm
     kept = math.exp(-period / constant_s) if constant_s > 0.0 else 0.0
     rise = (1.0 - kept) / motor.resistance_ohm
-    # State: current, and the integrator's voltage, which includes this period's error.
+    # State: current, and voltage of the integrator including the error of the present period.
     loop = np.array([[kept - rise * (gain + integral), rise], [-integral, 1.0]])
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 

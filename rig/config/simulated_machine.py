@@ -19,14 +19,14 @@ from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sen
 from rig.common.yaml_tree import Mark, Node
 
 _PAPER_TORQUE_N_M: Final = 75.0
-"""Torque limit of the bench for which the default friction is not scaled."""
+"""Torque limit, N m, of a bench whose default friction is the paper's, without scaling."""
 _FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
 _ANY_SIGN: Final = frozenset({"temperature_C"})
 _SMALLEST: Final = 1e-12
 """Smallest permitted constant of the simulated machine, SI units; the largest is its inverse."""
 _LOOPS_HZ: Final = (100.0, 1e8)
-"""Permitted rates of the simulated drive's loops; faster loops represent a drive in continuous
-time.
+"""Permitted range of the rate of the simulated drive's loops, Hz; very fast loops represent a drive
+in continuous time.
 """
 _MAY_BE_ZERO: Final = frozenset(
     {
@@ -55,8 +55,8 @@ Section = dict[str, float]
 def follow_bench(root: Node) -> Node:
     """Complete the ``mock`` section of a bench file; existing keys keep their values.
 
-    A simulated bench without the section gets a complete section. A value that cannot be computed
-    because the file is incomplete or wrong is left out; the checks of the file report the error.
+    A simulated bench without the section gets a complete section. A value that cannot be computed,
+    because the file is incomplete or wrong, is left out; the checks of the file report the cause.
     """
     top = root.value
     if not isinstance(top, dict):
@@ -118,7 +118,7 @@ def _joint(bench: Mapping[str, Any]) -> Section:
 def _loops(
     bench: Mapping[str, Any], motor: Section, inertia_share: float, supply_V: float | None
 ) -> Section:
-    """Return gains for the same bandwidths as the practical bench, for any motor."""
+    """Return the gains with which any motor has the bandwidths of the practical bench."""
 
     def of_motor(name: str) -> float:
         return float(_number(bench, "mock", "motor", name) or motor.get(name, getattr(Motor, name)))
@@ -171,7 +171,7 @@ def _simulated(bench: Mapping[str, Any]) -> bool:
 
 
 def _number(tree: Mapping[str, Any], *path: str) -> Any:
-    """Return a positive number of the file, or None if there is none."""
+    """Return the number at a path of keys, or None if the value is missing or not positive."""
     value: Any = tree
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None
@@ -223,8 +223,8 @@ def require_buildable(machine: Machine) -> None:
             raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
         if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
             raise ValueError(
-                f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}, which is "
-                "not plausible; check exponent and unit"
+                f"{path} is {value:g}, outside the plausible range {_SMALLEST:g} to "
+                f"{1.0 / _SMALLEST:g}; check its exponent and unit"
             )
     if not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
         raise ValueError(
@@ -235,7 +235,7 @@ def require_buildable(machine: Machine) -> None:
     if not generator.pressure_exponent < 1.0:
         raise ValueError(
             f"gas.pressure_exponent is {generator.pressure_exponent:g}; it must be below 1, "
-            "because no pressure is stable at 1 or more"
+            "because with an exponent of 1 or more no chamber pressure is stable"
         )
     if not generator.valve.hole_diameter_m < min(
         generator.valve.plate_width_m, generator.valve.opening_diameter_m

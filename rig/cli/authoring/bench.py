@@ -27,7 +27,7 @@ _OVER_RATED: Final = 5.0 / 3.0
 _OVER_WEIGHT: Final = 1.2
 _HARD_SHARE: Final = 0.8
 _PERIODS_MS: Final = (2, 4, 5, 8, 10, 20, 25, 40, 50, 100, 125, 200, 250, 500)
-"""Control cycles that are offered on a serial line, s; their rates are round numbers."""
+"""Control cycles, ms, from which one is chosen for a serial line; all rates in Hz are round."""
 _SUPPLY_SHARE: Final = 0.2
 _ROTOR_SHARE: Final = 0.8
 """Largest share of the rotor's inertia in the joint's inertia of a simulated bench."""
@@ -47,7 +47,7 @@ def _real_can(answers: Mapping[str, Any]) -> bool:
 
 
 def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
-    """Return the default speed limit, deg/s: what the supply permits, up to a useful value."""
+    """Return the default speed limit, deg/s: a share of the no-load speed, at most 120 deg/s."""
     free = answers["supply"] / (answers["back_emf_constant"] * answers["gear_ratio"])
     return min(_GREATEST_SPEED_DEG_S, float(f"{_SPEED_SHARE * math.degrees(free):.2g}"))
 
@@ -108,8 +108,8 @@ QUESTIONS: Final = (
     ),
     Question(
         "round_trip",
-        "Time that adapter and drive add to a request and its answer; 16 for an FTDI adapter, "
-        "6 in low-latency mode",
+        "Time that adapter (FTDI: 16 ms, in low-latency mode 6 ms) and drive add to a request and "
+        "its answer",
         "ms",
         kind=Number(at_least=0.0),
         default=1.0,
@@ -122,7 +122,7 @@ QUESTIONS: Final = (
     Question("torque_constant", "Torque constant of the motor", "N m/A", default=0.03),
     Question(
         "back_emf_constant",
-        "Back-EMF constant of the motor, the same number in SI units",
+        "Back-EMF constant of the motor (in SI units equal to the torque constant)",
         "V s/rad",
         default=lambda a: a["torque_constant"],
     ),
@@ -152,7 +152,7 @@ QUESTIONS: Final = (
     ),
     Question(
         "motor_counts",
-        "Counts of the motor encoder per turn, edges counted",
+        "Counts of the motor encoder per turn of the motor, all edges counted",
         kind=click.IntRange(1),
         default=4096,
     ),
@@ -167,7 +167,7 @@ QUESTIONS: Final = (
     Question(
         "lever_ratio",
         "Lever ratio, contact force over weight; 1 if the weight itself is the contact force",
-        why="it scales every working load; 1 if the weight itself is the contact force",
+        why="the ratio scales every working load; 1 if the weight itself is the contact force",
     ),
     Question(
         "weights", "Weights that can be hung, or none", "kg", kind=Numbers(), default=(2.0, 5.0)
@@ -224,8 +224,8 @@ def remarks(answers: Answers) -> list[str]:
         )
     if answers["drive"] == "dbc":
         found.append(
-            "note: signals, states and orders are those of the simulated drive; put your DBC file "
-            "and its names there"
+            "note: signals, states and orders in the file are those of the simulated drive; "
+            "replace DBC file and names by those of your drive"
         )
     return found
 
@@ -288,7 +288,7 @@ def _servo(answers: Answers) -> Block | Raw:
 
 
 def _dbc_servo(answers: Answers) -> Raw:
-    """Return the section of the packaged bench for the simulated drive, with these limits."""
+    """Return the section of the packaged bench with a DBC drive, with the limits of the answers."""
     text = packaged("practical_dbc", "benches").read_text(encoding="utf-8")
     servo = parse(text)[0].plain()["servo"]
     servo["held"].update(
@@ -301,9 +301,9 @@ def _dbc_servo(answers: Answers) -> Raw:
     )
     dumped = yaml.safe_dump(servo, sort_keys=False, default_flow_style=None, width=90)
     return Raw(
-        "# DBC file of the drive, and what its signals mean: docs/reference/bench.md. Those below "
-        "are\n"
-        "# the simulated drive's. `held` are the limits set in the drive with its maker's tool.\n"
+        "# DBC file of the drive, and what its signals mean: docs/reference/bench.md. The signals "
+        "below are\n"
+        "# of the simulated drive. `held`: limits set in the drive with its maker's tool.\n"
         f"{dumped}"
     )
 
@@ -391,8 +391,8 @@ def _mock(sections: Mapping[str, Any], rotor_inertia_kg_m2: float) -> Block:
     }
     scaled = dict.fromkeys(
         ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad"),
-        "Left out, it is scaled by limits.torque_N_m.",
+        "Default: scaled by limits.torque_N_m.",
     )
-    follows = {"rotor_inertia_kg_m2": "Left out, it follows from the joint's inertia."}
+    follows = {"rotor_inertia_kg_m2": "Default: computed from the joint's inertia."}
     motor = Block(Motor, {"rotor_inertia_kg_m2": rotor_inertia_kg_m2}, follows)
     return Block(Machine, {"motor": motor, "joint": Block(Joint, friction, scaled), "effects": {}})

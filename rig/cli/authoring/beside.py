@@ -27,10 +27,10 @@ def first_line(kind: str) -> str:
 
 
 def write_schema(kind: str, folder: Path) -> Path:
-    """Write a schema into a folder, over an earlier schema of this program; return the path.
+    """Write a schema into a folder; an earlier schema of this program is replaced. Return the path.
 
     Raises:
-        InputError: It can't be written, or another file of that name is there.
+        InputError: The schema cannot be written, or another file of that name is there.
     """
     path = folder / f"{kind}.schema.json"
     require_schema_place(path)
@@ -48,8 +48,8 @@ def require_schema_place(path: Path) -> None:
     """Check that a schema can be written into a folder.
 
     Raises:
-        InputError: The folder can't be made, or a file that isn't a schema of this program is
-            there.
+        InputError: The folder cannot be made, or the file exists and is not a schema of this
+            program.
     """
     require_folder(path.parent, "--out")
     try:

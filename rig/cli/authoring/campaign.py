@@ -33,7 +33,7 @@ def read_names(paths: Sequence[Path]) -> list[DataFile]:
     """Return the column names of files.
 
     Raises:
-        InputError: A file is missing, damaged or of unknown format; lists all.
+        InputError: Files are missing, damaged or of unknown format; the message lists all of them.
     """
     found, problems = [], []
     for path in paths:
@@ -75,8 +75,8 @@ def answer(
     masses = given.get("masses")
     if masses is not None and len(masses) != len(files):
         raise InputError(
-            f"--masses: {len(masses)} masses for {len(files)} recordings; give one for each, 0 "
-            f"for none"
+            f"--masses: {len(masses)} masses for {len(files)} recordings; give one mass for each "
+            f"recording, 0 for no mass"
         )
     if not before:
         named = [name for name in files[0].names if name]
@@ -99,7 +99,7 @@ def campaign_text(
         path: Future path of the campaign file; recordings are named relative to its folder.
         files: The recordings.
         answers: Answers about them.
-        read: How text files are read; nothing where they need no telling.
+        read: Options to read text files; empty for files that are read without options.
     """
     bench = {
         **{key: answers[key] for key in BenchSection.model_fields if key in answers},

@@ -29,7 +29,7 @@ ASKED: Final = (
     "velocity",
     "command",
 )
-"""Channels that the questions ask for; other channels are used only if a column has their name."""
+"""Channels that the questions ask for; another channel is used only if a column has its name."""
 NONE: Final = "-"
 
 
@@ -192,7 +192,7 @@ def _constants(
             "Winding resistance",
             "ohm",
             when=by_voltage,
-            why="it turns the voltage into a current",
+            why="the current is computed from the voltage with the resistance",
         ),
         Question("gear_ratio", "Gear ratio, motor turns per turn of the joint", default=1.0),
         Question(
@@ -200,13 +200,13 @@ def _constants(
             "Radius at which the load presses on the joint",
             "m",
             when=loaded,
-            why="it turns the contact force into a torque",
+            why="the torque is the contact force times this radius",
         ),
         Question(
             "lever_ratio",
             "Lever ratio, contact force over weight",
             when=loaded,
-            why="it scales every working load; 1 if the weight itself is the contact force",
+            why="the ratio scales every working load; 1 if the weight itself is the contact force",
         ),
     )
 
@@ -226,7 +226,7 @@ class Names(Kind):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> tuple[str, ...]:
-        """Return the names in the order given, each once, or fail with a message."""
+        """Return the names, each once and in the order given, or fail with a message."""
         if isinstance(value, tuple):
             return value
         names = [word.strip() for word in str(value).split(",") if word.strip()]
@@ -259,7 +259,8 @@ class Masses(Numbers):
         words = str(value).replace(",", " ").split()
         if self._count and len(words) != self._count:
             self.fail(
-                f"{len(words)} masses for {self._count} recordings; give one for each, 0 for none",
+                f"{len(words)} masses for {self._count} recordings; give one mass for each "
+                f"recording, 0 for no mass",
                 param,
                 ctx,
             )
@@ -282,7 +283,7 @@ OPTIONS: Final = (
         Question(
             f"{channel}_scale",
             f"SI units ({_units(channel)}) per unit of the column of {channel.replace('_', ' ')}; "
-            "follows from its name where that states a unit, else 1",
+            "default: from the unit in the column's name, else 1",
             kind=Number(above=None, not_zero=True),
         )
         for channel in ASKED

@@ -58,7 +58,7 @@ class Number(Kind):
         if self._at_least is not None and number < self._at_least:
             self.fail(f"{number:g} must be at least {self._at_least:g}", param, ctx)
         if self._not_zero and number == 0.0:
-            self.fail("0 would erase the channel", param, ctx)
+            self.fail("a scale of 0 makes all samples 0", param, ctx)
         return number
 
 
@@ -90,9 +90,10 @@ class Question:
         kind: Reads the answer.
         default: Default: a value, or a function of the earlier answers, or None if an answer is
             required.
-        when: Function of the earlier answers that decides if it is asked.
-        why: Advice in the message if it has no default.
-        refusal: Function of an answer and the earlier ones; returns why it is refused, else None.
+        when: Function of the earlier answers that decides whether the question is asked.
+        why: Advice in the message if the question has no default.
+        refusal: Function of an answer and the earlier answers; returns why the answer is refused,
+            or None if the answer is accepted.
     """
 
     name: str
@@ -101,7 +102,7 @@ class Question:
     kind: Kind = field(default_factory=Number)
     default: Any = None
     when: Callable[[Mapping[str, Any]], bool] = lambda answers: True
-    why: str = "it has no default"
+    why: str = "the value has no default"
     refusal: Callable[[Any, Mapping[str, Any]], str | None] = lambda answer, answers: None
 
     @property
@@ -139,7 +140,7 @@ def assumed(
         questions: The questions of the file.
         given: Answers given as options, by name, or None for options not given.
         answers: The answers, defaults included.
-        names: Names of the answers that only a data sheet or a measurement can tell.
+        names: Names of the answers that only a data sheet or a measurement can state.
     """
     wanted = frozenset(names)
     found = [
@@ -184,14 +185,14 @@ def ask_all(
     Args:
         questions: The questions in order.
         given: Answers given as options, by name, or None for options not given.
-        asker: Asks the user the others; None to use the defaults.
+        asker: Asks the user the other questions; None to use the defaults.
         tell: Shows what is wrong with an answer. With an ``asker``, a refused option is reported
             and asked for again, so that no typed answer is lost.
         before: Answers of an earlier round, used as defaults.
 
     Raises:
         InputError: A question without default is not answered, or an option is refused or does not
-            apply (lists all); or the input ended.
+            apply, in which case the message lists all; or the input ended.
     """
     asked = tuple(questions)
     before = before or {}
@@ -265,7 +266,7 @@ def _ask(
     """Ask one question until a valid answer is given.
 
     Raises:
-        InputEndedError: There is no input any more.
+        InputEndedError: The input has ended.
     """
     while True:
         typed = asker.ask(question.prompt(default))

@@ -51,7 +51,7 @@ KINDS: Final[Mapping[str, type[BaseModel]]] = {
     "campaign": Campaign,
     "faults": FaultSchedule,
 }
-"""Kind of file to its record class."""
+"""Record classes by kind of file."""
 DIALECT: Final = "http://json-schema.org/draft-07/schema#"
 """Schema dialect with the best support in YAML editors."""
 _SHORT_CHANNEL: Final = {
@@ -158,7 +158,7 @@ def _bench(tree: Tree, definitions: Tree) -> None:
             if hints[key] in (int, float, float | None):
                 _bound(node, may_be(key))
     definitions["Machine"]["properties"]["effects"] = _effects()
-    # The interface distinguishes the kinds of bus; as free text it would match any.
+    # The interface distinguishes the kinds of bus; as free text, it would match every kind.
     definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
     definitions["ServoSection"]["not"] = {
         "properties": {"kind": {"const": "dbc"}},
@@ -193,7 +193,7 @@ def _effects() -> Tree:
     }
     return {
         "type": "object",
-        "description": "Physics that the simulated machine hides: effect, parameter, value.",
+        "description": "Injected effects of the simulated machine: effect, parameter, value.",
         "properties": effects,
         "additionalProperties": False,
     }
@@ -255,7 +255,7 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
     entry = definitions[f"{_PART}RecordingSection"]
     definitions["TableEntry"] = {
         **entry,
-        "description": "As many recordings as a table has rows; other keys hold for every row.",
+        "description": "One recording for each row of a table; other keys apply to every row.",
         "properties": {"table": _TABLE, **entry["properties"]},
         "required": ["table"],
     }

@@ -56,7 +56,7 @@ def sequence_text(name: str, answers: Answers) -> str:
     head = (
         f"# Sequence {name}, written by `rig new sequence`. The keys of the first stage are "
         f"explained.\n"
-        f"# See what it would do with `rig run SEQUENCE --bench BENCH --dry-run`, which moves "
+        f"# `rig run SEQUENCE --bench BENCH --dry-run` prints the plan of a run and moves "
         f"nothing.\n"
     )
     return head + render(Block(Sequence, {"sequence": 1, "name": name, "stages": stages}))
@@ -93,7 +93,7 @@ def load_for(bench: Document[Bench] | None, path: Path) -> None:
     """Read a sequence back, and check it against the limits of a bench if one is given.
 
     Raises:
-        InputError: It is not valid, or asks for more than the bench allows.
+        InputError: The sequence is not valid, or exceeds a limit of the bench.
     """
     document = load_sequence(path)
     if bench is not None:

@@ -21,7 +21,7 @@ def require_new(path: Path, kind: str) -> None:
     """Check, before any question, that a file and its schema can be written.
 
     Raises:
-        InputError: The file is there already, its folder is not, or it can't be written.
+        InputError: The file exists already, its folder does not exist, or it cannot be written.
     """
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(
@@ -43,7 +43,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
     Args:
         path: The file.
         kind: Kind of file, one of :data:`rig.cli.authoring.schema.KINDS`.
-        body: All but the first line.
+        body: Text of the file without its first line.
         load: Reads the file and raises InputError if it is not valid; called before the file gets
             its name.
 
@@ -52,7 +52,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
 
     Raises:
         RefusedError: The answers give no valid file.
-        InputError: It can't be written.
+        InputError: A file cannot be written.
     """
     require_new(path, kind)
     try:
@@ -76,7 +76,7 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
 
 
 def _without_place(problems: Iterable[str], draft: Path) -> Iterator[str]:
-    """Yield messages with the key only, without line numbers of a file that does not exist."""
+    """Yield messages with keys but without line numbers, because the file does not exist."""
     place = re.compile(rf"{re.escape(str(draft))}:(\d+:\d+: )?")
     for line in problems:
         yield f"not written: {place.sub('', line).strip()}"

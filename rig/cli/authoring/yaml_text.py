@@ -26,9 +26,9 @@ class Block:
     """A record to be written.
 
     Attributes:
-        record: Its class, whose docstring says what the keys mean.
-        values: Key to value: a scalar, a list of scalars, plain data, or blocks below.
-        notes: Key to text in place of its default.
+        record: Class of the record, whose docstring explains the keys.
+        values: Value of each key: a scalar, a list of scalars, plain data, or further blocks.
+        notes: Texts, by key, that replace the comment on the default.
         bare: Whether to omit the comments, as in all but the first item of a list.
     """
 

@@ -23,12 +23,12 @@ from rig.wiring.ownership import say_taken_over
 def command(bench: str, seed: int, json_file: Path | None) -> int:
     """Connect to BENCH, and read identities, live values, state and limits.
 
-    Nothing moves, is energised or written.
+    Nothing moves, nothing is energised, and no value is written to a device.
 
-    The exit status is 1 if a run would refuse to start; the message for each reason is that of `rig
-    run`: a limit looser than the drive's own limit, units that differ, an overdue calibration,
-    implausible constants, a drive that is energised or in fault, a reading beyond its limit. If the
-    connection to the bench fails, the exit status is 2 or 4.
+    The exit status is 1 if `rig run` would refuse to start on this bench; the reasons are printed:
+    a limit looser than the drive's own limit, units that differ between file and device, an overdue
+    calibration, implausible constants, a drive that is energised or in fault, or a reading beyond
+    its limit. If the connection to the bench fails, the exit status is 2 or 4.
 
     \b
     Example:

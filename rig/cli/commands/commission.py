@@ -64,8 +64,8 @@ PATCH_FILE = "bench.patch"
     "--angle",
     "angle_deg",
     type=float,
-    help="True joint angle at the start, deg. If it is left out, the program asks for it; with "
-    "--yes it is not checked.",
+    help="True joint angle at the start, deg. Without this option the program asks for the angle; "
+    "with --yes and without this option the angle is not checked.",
 )
 @click.option(
     "--speed-limit",
@@ -73,29 +73,30 @@ PATCH_FILE = "bench.patch"
     type=click.FloatRange(min=1.0),
     default=FASTEST_DEG_S,
     show_default=True,
-    help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; a soft "
-    "drive slips faster than the commanded speed.",
+    help="Limit on the joint speed, deg/s, at most a quarter of the bench's limit; with soft "
+    "gains, a joint in stick-slip moves faster than the command.",
 )
 @click.option(
     "--home",
     "home_method",
     type=click.IntRange(-128, 127),
-    help="Let the drive set its zero by its own homing, with this method (6098h): 35 or 37 take "
-    "the present position, 17 and 18 turn to a limit switch; others as the drive offers them.",
+    help="Let the drive set its zero by its own homing, with this method (6098h): 35 and 37 use "
+    "the present position, 17 and 18 move to a limit switch; for other methods see the drive's "
+    "manual.",
 )
 @click.option(
     "--home-angle",
     "home_deg",
     type=float,
-    help="True joint angle of the home position, deg. [default: --angle where nothing moves, else "
-    "by the joint encoder]",
+    help="True joint angle of the home position, deg. [default: --angle if the homing method moves "
+    "nothing, else the angle of the joint encoder]",
 )
 @click.option(
     "--home-time",
     "home_time_s",
     type=click.FloatRange(min=1.0),
-    help="Longest time of the homing, s. [default: 5 where nothing moves, else by the limits of "
-    "angle and speed]",
+    help="Longest time of the homing, s. [default: 5 if the homing method moves nothing, else from "
+    "the limits of angle and speed]",
 )
 @click.option("--yes", is_flag=True, help="Agree to every step; on a simulated bench only.")
 @click.option(
@@ -180,14 +181,15 @@ class _Plan:
 def _home(
     document: Document[Bench], method: int | None, angle_deg: float | None, time_s: float | None
 ) -> HomeRequest | None:
-    """Return the homing that is asked for.
+    """Return the requested homing, or None without ``--home``.
 
     Raises:
-        InputError: An option of a homing without --home, or a home position outside the bench.
+        InputError: An option of a homing is given without --home, or the home position is outside
+            the angle limits of the bench.
     """
     for given, name in ((angle_deg, "--home-angle"), (time_s, "--home-time")):
         if method is None and given is not None:
-            raise InputError(f"{name}: belongs to a homing; give --home METHOD as well")
+            raise InputError(f"{name}: is an option of a homing; give --home METHOD as well")
     limits = document.value.limits
     low, high = limits.angle_min_deg, limits.angle_max_deg
     if angle_deg is not None and not low <= angle_deg <= high:
@@ -244,7 +246,7 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
     """Refuse options that only a simulated bench permits, and refuse a real bench without a person.
 
     Raises:
-        InputError: It is not allowed.
+        InputError: An option is not permitted, or nobody attends a real bench.
     """
     if document.value.simulated:
         if mistake is not None and document.value.servo.kind != "canopen":
@@ -265,8 +267,8 @@ def _require_allowed(document: Document[Bench], yes: bool, mistake: str | None) 
 
 
 def _new_file(document: Document[Bench], folder: Path) -> Path:
-    """Return the path of the corrected bench file: beside the original file, because it names other
-    files relative to itself; for a packaged bench, in the folder of the protocol.
+    """Return the path of the corrected bench file: beside the original file, because a bench file
+    names other files by relative paths; for a packaged bench, in the folder of the protocol.
     """
     path = document.path
     if path == packaged(path.stem, "benches"):
@@ -285,7 +287,7 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
     def spoiled(mock: SimulatedBench | SimulatedDbcBench) -> Clock:
         spoil = MISTAKES[mistake or ""].spoil
         if spoil is not None and isinstance(mock, SimulatedBench):
-            # Lines and their devices are there once the host opens them.
+            # Serial lines and their devices exist only after the host has opened the lines.
             mock.clock.call_at(mock.clock.now_ns(), lambda: spoil(mock, Scene(mock).sensor))
         return mock.clock
 
@@ -306,7 +308,9 @@ def _connections(stop: StopButton, seed: int, mistake: str | None, screen: Scree
 
 
 def _keep(result: Commissioning, document: Document[Bench], folder: Path, new_file: Path) -> str:
-    """Write the corrections; return the path of the new bench file, empty if there are none."""
+    """Write the corrections; return the path of the new bench file, or an empty text if nothing was
+    corrected.
+    """
     before = document.path.read_text(encoding="utf-8-sig")
     if not result.changes:
         write_texts({"bench.yaml": before}, folder)

@@ -36,8 +36,8 @@ DEFAULT_BENCH = "practical"
     help="Folder for runs that are started from the page; the page lists the runs in this folder.",
 )
 def command(benches: tuple[str, ...], port: int, runs: Path) -> int:
-    """Watch runs on a page, stop and pause these runs and answer their prompts, and start new runs
-    on BENCH, a bench file or the name of a packaged bench; without BENCH, on any packaged bench.
+    """Watch, stop and pause runs on a page, answer their prompts, and start new runs on BENCH, a
+    bench file or the name of a packaged bench; without BENCH, on any packaged bench.
 
     The command prints the address of the page, which only this computer can open, and serves the
     page until Ctrl-C. The address contains a token that is valid until this command ends; without
@@ -70,7 +70,7 @@ def _server() -> Callable[[Starter, frozenset[str], int, Callable[[str], None]],
     """Return the function that serves the console.
 
     Raises:
-        InputError: The extra is not installed.
+        InputError: The extra ``console`` is not installed.
     """
     try:
         from rig.console.serve import serve

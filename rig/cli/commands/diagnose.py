@@ -1,5 +1,5 @@
-"""``rig diagnose``: locates the mismatch, identifies the missing physics, adds it to the model, and
-shows the smaller error.
+"""``rig diagnose``: locates the mismatch, identifies the missing physics, adds this physics to the
+model, and shows the errors before and after.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
 
 @click.command("diagnose")
 @click.argument("source", type=click.Path(path_type=Path))
-@shared.bandwidth("Bandwidth of every error; chosen from the recordings if left out.")
+@shared.bandwidth("Bandwidth of all equations; chosen from the recordings if left out.")
 @click.option(
     "--refine/--no-refine",
     default=None,
     hidden=True,
-    help="Without effect; refining is chosen by the number of samples.",
+    help="Has no effect: the program decides by the number of samples whether to refine.",
 )
 @click.option(
     "--gas",
@@ -33,13 +33,14 @@ if TYPE_CHECKING:
 @click.option(
     "--observable",
     is_flag=True,
-    help="Make no diagnosis: print which effects these recordings can show, from which size "
-    "on, and which effects they cannot distinguish.",
+    help="Make no diagnosis: print which effects the recordings can show, the least size of each "
+    "that they show, and which effects they cannot distinguish.",
 )
 @shared.partial
 @shared.seed()
 @shared.out_folder(
-    "Folder for report, figures and corrected model; RUN/diagnosis, or ./CAMPAIGN-diagnosed."
+    "Folder for report, figures and corrected model. [default: RUN/diagnosis or "
+    "./CAMPAIGN-diagnosed]"
 )
 @shared.result_file
 def command(
@@ -57,10 +58,11 @@ def command(
 
     There are four verdicts, all with exit status 0: one or more identified effects; several effects
     that these recordings do not distinguish, with a sequence file of an experiment that
-    distinguishes them; missing physics outside the catalogue; or nothing missing. Recordings with
-    role validate are used in no fit. These recordings decide only whether an identified effect is
-    kept: the effect must lower the error on these recordings; without such recordings, parts of the
-    recordings are predicted from the other parts. The corrected model is written next to the
+    distinguishes the effects; missing physics outside the catalogue; or nothing missing.
+
+    Recordings with role validate are used in no fit; they decide only whether an identified effect
+    is kept, because the effect must lower the error on them. Without recordings of this role, parts
+    of the recordings are predicted from the other parts. The corrected model is written next to the
     report.
 
     \b
@@ -116,7 +118,7 @@ def _note_former_options(refine: bool | None) -> None:
     """Print a note if an option of earlier versions was given."""
     if refine is not None:
         click.echo(
-            "note: --refine and --no-refine have no effect any more; leave them out", err=True
+            "note: --refine and --no-refine have no effect; leave these options out", err=True
         )
 
 
@@ -124,7 +126,7 @@ def _no_search(gas: bool) -> None:
     """Refuse options that apply only to a search.
 
     Raises:
-        click.UsageError: One of them was given.
+        click.UsageError: An option of a search was given.
     """
     if gas:
         raise click.UsageError("--observable cannot be combined with --gas; leave --gas out")

@@ -41,10 +41,10 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
     Channels keep their canonical names and SI units. MATLAB, Parquet and MCAP files contain all
-    recordings; a field, column or topic names each recording. A CSV file contains one recording; of
-    several recordings, each is written to a separate file, named OUT plus the name of the
-    recording. Unfinished excitations of a stopped run are left out unless --partial is given; their
-    names then end in "(partial)".
+    recordings; a field, column or topic names each recording. A CSV file contains one recording;
+    several recordings are written to several files, whose names are OUT plus the name of the
+    recording. Unfinished excitations of a stopped run are exported only with --partial; their names
+    then end in "(partial)".
 
     The export contains stages, masses, loads and constants as well (for a CSV file in
     FILE.csv.json), so that a campaign can read an export with `file:` alone.
@@ -95,9 +95,12 @@ def _traffic(source: Path, path: Path, kind: str) -> int:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
     click.echo(f"{path}: {count.frames} CAN frames of {', '.join(count.parts)}")
     if count.serial:
-        click.echo(f"{count.serial} pieces of serial lines left out, which are no CAN frames")
+        click.echo(f"{count.serial} records of serial lines left out, which are not CAN frames")
     if count.errors and kind == "asc":
-        click.echo(f"{count.errors} error frames without identifier and data: asc has no place")
+        click.echo(
+            f"{count.errors} error frames without identifier and data: an asc file has no place "
+            "for them"
+        )
     return DONE
 
 
@@ -105,7 +108,7 @@ def _require_free(places: Iterable[Path]) -> None:
     """Check that no existing file would be overwritten.
 
     Raises:
-        InputError: Names every file that exists.
+        InputError: A file exists; the message names every file that exists.
     """
     taken = [
         f"{place}: exists already; give --out another name" for place in places if place.exists()

@@ -30,13 +30,13 @@ _METHODS: dict[str, tuple[str, ...]] = {
     "--compare",
     "compared",
     is_flag=True,
-    help="Also run the paper's GA, differential evolution, CMA-ES and multi-start least squares on "
-    "the same problem.",
+    help="Also run the paper's GA, differential evolution, CMA-ES and multi-start least squares, "
+    "and compare the results.",
 )
 @click.option(
     "--profile",
     is_flag=True,
-    help="Also compute the likelihood profile of every parameter, with its 90 % range; takes some "
+    help="Also compute the profile likelihood of every parameter, with its 90 % range; takes some "
     "ten seconds more.",
 )
 @click.option(
@@ -87,16 +87,16 @@ _METHODS: dict[str, tuple[str, ...]] = {
 )
 @shared.seed()
 @shared.out_folder(
-    "Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or "
-    "./SEQUENCE-planned."
+    "Folder for report and figures. [default: the run folder, ./CAMPAIGN-identified or "
+    "./SEQUENCE-planned]"
 )
 @shared.result_file
 def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
-    With --plan, before anything is recorded: predict which parameters a sequence determines, and
-    propose a better sequence of the same duration or shorter. The proposal may have more stages and
-    other weights.
+    With --plan, nothing is identified: the command predicts which parameters a sequence determines,
+    and proposes a better sequence of at most the same duration. The proposal may have more stages
+    and other weights.
 
     \b
     Example:

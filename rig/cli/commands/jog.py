@@ -108,7 +108,7 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
     """Yield the angles typed at the terminal until an empty answer or the end of the input.
 
     Raises:
-        KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
+        KeyboardInterrupt: The operator stopped the command at the prompt; the drive is off.
     """
     while True:
         try:
@@ -127,13 +127,13 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
 
 
 def _agreed(prompt: Prompt, stop: StopButton, screen: Screen, simulated: bool) -> bool:
-    """Ask whether to move although only this program checks the limits; return False for any answer
-    but yes.
+    """Ask whether to move although only this program checks the limits; return True only for the
+    answer yes.
 
     On a real bench only a person at a terminal can agree.
 
     Raises:
-        KeyboardInterrupt: The operator stopped it at the prompt; the drive is off there.
+        KeyboardInterrupt: The operator stopped the command at the prompt; the drive is off.
     """
     if not (simulated or at_terminal()):
         screen.say("there is no terminal to ask at: run at a terminal")
@@ -178,6 +178,6 @@ def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:
         "created": utc_now().isoformat(timespec="seconds"),
         "bench": bench,
         "state": "done" if outcome is None else outcome.ending.value,
-        "message": "nothing was asked for" if outcome is None else outcome.message,
+        "message": "no angle was given" if outcome is None else outcome.message,
         "de_energised": None if outcome is None else outcome.safe.verified,
     }

@@ -24,9 +24,7 @@ NEEDED = {
 @click.command("look")
 @click.argument("path", metavar="FILE", type=click.Path(path_type=Path))
 @click.option("--skip-rows", type=click.IntRange(0), default=0, help="Lines before the header.")
-@click.option(
-    "--delimiter", help="Delimiter, one character; if it is left out, detected from the file."
-)
+@click.option("--delimiter", help="Delimiter, one character. [default: detected from the file]")
 @click.option("--decimal", type=click.Choice([".", ","]), default=".", show_default=True)
 @click.option(
     "--dbc",
@@ -38,7 +36,7 @@ NEEDED = {
     "--bench",
     help="Bench file, or packaged name, whose signal map applies to recorded CAN traffic.",
 )
-@click.option("--bus", help="Bus of recorded CAN traffic, as the file names it.")
+@click.option("--bus", help="Bus of recorded CAN traffic, by its name in the file.")
 @click.option(
     "--campaign",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -88,7 +86,7 @@ def command(
 def _missing(look: Look) -> str:
     """Return a text on the columns that the user must state in the campaign file."""
     lacking = [name for name, any_of in NEEDED.items() if not any_of & look.guesses.keys()]
-    return f", and state the column of {' and '.join(lacking)} in it" if lacking else ""
+    return f", and state the column of {' and '.join(lacking)} in that file" if lacking else ""
 
 
 def _beside(campaign: Path, read: dict[str, Any]) -> dict[str, Any]:
@@ -132,7 +130,7 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
     must change.
 
     Raises:
-        InputError: The source is no single log, or the guesses make no valid file.
+        InputError: The source is not one log, or the guesses give no valid file.
     """
     from rig.cli.authoring.campaign import answer, campaign_text
     from rig.cli.authoring.campaign_questions import ASKED, NONE, DataFile
@@ -142,7 +140,10 @@ def _write_campaign(campaign: Path, path: Path, looks: list[Look], read: dict[st
 
     (look,) = looks if len(looks) == 1 else (None,)
     if look is None or look.format == "recording":
-        raise InputError(f"--campaign: {path} is a source already; it needs no campaign file")
+        raise InputError(
+            f"--campaign: {path} is a run folder or a campaign file, which other commands read "
+            "without a further campaign file"
+        )
     require_new(campaign, "campaign")
     names = tuple(column.name for column in look.columns)
     given: dict[str, Any] = {channel: NONE for channel in ASKED}

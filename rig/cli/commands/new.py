@@ -25,7 +25,7 @@ _PATH = click.argument("path", type=click.Path(path_type=Path))
 _YES = click.option(
     "--yes",
     is_flag=True,
-    help="Ask no questions: use the defaults of all values without an option.",
+    help="Ask no questions: values that no option gives have their defaults.",
 )
 
 _DATA_SHEET = (
@@ -46,8 +46,8 @@ def command() -> None:
     options.
 
     A comment explains every key of the file. The first line of the file names a JSON Schema, which
-    is written to the folder schemas next to the file; editors use it to complete and check the
-    file.
+    is written to the folder schemas next to the file; editors use the schema to complete and check
+    the file.
 
     \b
     Example:
@@ -79,8 +79,8 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
     """Write a bench file to PATH. The command asks for every value that no option gives, and
     proposes a default.
 
-    A simulated bench is the machine that the file describes, with friction scaled to its torque, so
-    that sequences can be tried before there is hardware.
+    The machine of a simulated bench has the values of the file, with friction in proportion to the
+    torque limit, so that sequences can be tried before there is hardware.
 
     \b
     Example:
@@ -116,8 +116,8 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
 )
 @_YES
 def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> None:
-    """Write a sequence file to PATH: one stage of a sine on the empty lever, and one for each
-    weight.
+    """Write a sequence file to PATH, with one sine in each stage: one stage with the empty lever,
+    and one stage for each weight.
 
     \b
     Example:
@@ -152,7 +152,7 @@ def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> No
 
     The command reads the columns from the files and proposes a channel for each column, with a
     scale to SI if a name states a unit. A mass in a file's name, such as log_5kg.csv, is used as
-    the mass on the lever. On a linear bench read m for rad and N for N m.
+    the mass on the lever. On a linear bench, units are m instead of rad and N instead of N m.
 
     \b
     Example:
@@ -191,7 +191,7 @@ def _until_valid(
         tell: Shows why answers were refused.
 
     Raises:
-        RefusedError: They give none, and no asked answer could change that.
+        RefusedError: The answers give no valid file, and no answer to a question can change this.
     """
     answers: Answers = {}
     while True:

@@ -9,7 +9,7 @@ import click
 
 from rig.cli import options as shared
 
-_STUDY_SHARE = 0.4  # of the time, with 20 seeds
+_STUDY_SHARE = 0.4  # share of the figures' runs in the time of the command with 20 seeds
 
 
 @click.command("paper")
@@ -18,7 +18,7 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
     type=click.IntRange(min=1),
     default=20,
     show_default=True,
-    help="Searches per method.",
+    help="Number of searches per method.",
 )
 @shared.seed("First seed; each search has the next seed.")
 @click.option(
@@ -33,9 +33,9 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     """Reproduce the paper's tables and figures, each beside the paper's statement, on one page
     (paper.html).
 
-    The literal bench is simulated and identified by both methods from every seed; slow ramps,
-    uniform motion and a hot firing run through the whole simulated chain. Every figure is also
-    written as PNG, and its numbers as CSV.
+    The literal bench is simulated, and identified with every seed by the paper's method and by the
+    default method; slow ramps, uniform motion and a hot firing run through the whole simulated
+    chain. Every figure is also written as PNG, and its numbers as CSV.
 
     \b
     Example:

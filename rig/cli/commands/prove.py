@@ -21,16 +21,16 @@ OWN, OWN_WORLDS, MUJOCO, WORLDS = "own", "own-worlds", "mujoco", "worlds"
 
 @click.command("prove")
 @click.option(
-    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of rigs."
+    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="Number of trials."
 )
 @click.option(
     "--plant",
     type=click.Choice([OWN, OWN_WORLDS, MUJOCO]),
     default=OWN,
     show_default=True,
-    help="Simulated machine. `own`: the project's own, on one bench whose constants vary. "
-    "`own-worlds`: the same in worlds that draw loops, encoders, loggers, motions and loads too. "
-    "`mujoco`: MuJoCo's in worlds (needs the extra `mujoco`).",
+    help="Simulated machine. `own`: the project's machine on one bench, whose constants vary. "
+    "`own-worlds`: the project's machine in worlds, in which loops, encoders, loggers, motions and "
+    "loads also vary. `mujoco`: a machine in MuJoCo, in worlds (needs the extra `mujoco`).",
 )
 @click.option(
     "--seal",
@@ -49,7 +49,7 @@ OWN, OWN_WORLDS, MUJOCO, WORLDS = "own", "own-worlds", "mujoco", "worlds"
     type=click.Path(path_type=Path, file_okay=False),
     default=Path("proof"),
     show_default=True,
-    help="Folder of the proof; a proof that was begun in it is continued.",
+    help="Folder of the proof; a proof that was begun in this folder is continued.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @click.option(
@@ -88,7 +88,7 @@ def command(
     json_file: Path | None,
 ) -> None:
     """Test the diagnosis on blind trials: draw trials with injected effects, seal the truth,
-    diagnose, unseal and score.
+    diagnose, open the truth and score.
 
     The command prints the SHA-256 of every sealed truth before the first diagnosis starts. With
     --from, all rigs are diagnosed before the first truth is opened. The result files have the same
@@ -157,7 +157,7 @@ def _require_one_task(home: Path | None, source: Path | None, gas: bool, plant: 
     """Check that options do not contradict each other.
 
     Raises:
-        InputError: They do.
+        InputError: Two options contradict each other.
     """
     if home is not None and source is not None:
         raise InputError(
@@ -195,8 +195,8 @@ def _seal(
         plant: Name of the plant.
         rigs: Number of trials.
         seed: Seed of the draws.
-        engine: Shares the trials out.
-        repeated: Whether the digests repeat with the seed; they do not if the truths are sent to
+        engine: Engine that simulates the trials.
+        repeated: Whether the digests are equal for equal seeds; False if the truths are sent to
             others later.
     """
     from rig.results.prove.interchange.own import seal_own

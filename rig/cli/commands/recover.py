@@ -22,7 +22,7 @@ from rig.wiring.ownership import until_the_end
 
 @click.command("recover")
 @click.argument("run", type=click.Path(path_type=Path))
-@shared.record_file("Also write the completed run.json here.")
+@shared.record_file("Also write the completed run.json to this file.")
 def command(run: Path, json_file: Path | None) -> int:
     """Write a clean recording of RUN from all readable records of the damaged recording, and
     complete run.json and the page of the run.
@@ -41,7 +41,7 @@ def command(run: Path, json_file: Path | None) -> int:
     except OSError as error:
         raise InputError(f"{run}: cannot be written: {error.strerror}") from error
     if not recovery.damage:
-        click.echo(f"recording whole: {recovery.samples} samples")
+        click.echo(f"recording complete: {recovery.samples} samples")
     for problem in recovery.damage:
         kept = damaged_name(problem.partition(":")[0])
         click.echo(f"{problem}; the damaged file is kept as {kept}")

@@ -42,8 +42,8 @@ from rig.wiring.preflight import require_startable
 @shared.identification
 @shared.first_pass
 @shared.reset_fault(
-    " If the writer of the run died, this is always done, because the watchdog of the drive "
-    "has then tripped."
+    " If the program died during the run, the fault is always cleared, because the watchdog of "
+    "the drive has then tripped."
 )
 @shared.in_console
 @shared.acceptance("those of the run")
@@ -65,10 +65,10 @@ def command(
     folder.
 
     A recording whose writer died is repaired first. The unfinished stage is repeated from its
-    beginning; its earlier samples stay in the recording but are not used. Bench and sequence files
-    must be those of the run. The complete run is judged by the limits of --acceptance, else by
-    those of the file that `rig run` was given, else by those of the sequence. Ctrl-C has the same
-    effect as in `rig run`.
+    beginning; its earlier samples stay in the recording but are not used. Bench and sequence file
+    must be unchanged since the start of the run. The complete run is judged by the limits of
+    --acceptance, else by those of the file that was given to `rig run`, else by those of the
+    sequence. Ctrl-C acts as in `rig run`.
 
     \b
     Example:
@@ -112,7 +112,7 @@ def command(
 
 
 def _feedforward(run: Path, record: RunRecord, constants: BenchConstants) -> Feedforward | None:
-    """Return the feed-forward torque that the run was started with."""
+    """Return the feed-forward with which the run was started, or None."""
     stated = record.inputs.get(FEEDFORWARD_INPUT)
     return None if stated is None else load_feedforward(recorded_input(run, stated), constants)
 

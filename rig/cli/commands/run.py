@@ -75,8 +75,8 @@ from rig.wiring.preflight import require_startable
     "--feedforward",
     "feedforward_file",
     type=click.Path(path_type=Path),
-    help="Result of `rig identify --json` on this bench: the drive adds the friction and "
-    "inertia torque that this result predicts.",
+    help="Result of `rig identify --json` on this bench; the drive adds the torque of friction "
+    "and inertia that this result predicts.",
 )
 @shared.first_pass
 @shared.reset_fault()
@@ -84,7 +84,7 @@ from rig.wiring.preflight import require_startable
     "--prompt-timeout",
     "prompt_timeout_s",
     type=click.FloatRange(min=0, min_open=True),
-    help="Seconds to wait for an answer; after them the run stops with status 3. [default: "
+    help="Seconds to wait for an answer; then the run stops with status 3. [default: "
     "prompt_timeout_s of "
     "the bench file]",
 )
@@ -158,7 +158,7 @@ def _run(options: _Options) -> int:
         click.echo(feedforward.remark, err=True)
     path = options.out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
-    # If another program uses the folder, the lock's message is more helpful.
+    # If another program uses the folder, the message of the lock is more helpful.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)

@@ -88,7 +88,7 @@ _page = shared.out_folder("Also write a page with figures into this folder.")
 def command() -> None:
     """List, show, compare, accept and verify recorded runs.
 
-    An index beside the run folders (.runs.sqlite) saves reading the folders again. The index can be
+    An index beside the run folders (.runs.sqlite) makes a repeated command faster. The index can be
     deleted at any time; the output depends only on the folders.
 
     \b
@@ -111,7 +111,7 @@ def list_(
     """List the runs in and below FOLDER (`runs` if left out), the latest run last.
 
     A folder without a complete run is listed as half written, of another version, or unreadable,
-    each with the remedy.
+    with a remedy.
 
     \b
     Example:
@@ -171,7 +171,9 @@ def compare(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) ->
     )
 
     if len(runs) < 2:
-        raise click.UsageError("give two runs or more; the others are compared with the first")
+        raise click.UsageError(
+            "give two or more runs; the first run is compared with each of the later runs"
+        )
     found = [Compared(run, entry := _one(run), entry.parsed()) for run in runs]
     require_comparable(found)
     _write(json_file, lambda: compare_record(found))
@@ -201,9 +203,9 @@ def trend(
     parameter for a change.
 
     The command reports a drift, or a step from one run to the next, if the change is larger than
-    the scatter of the runs and their intervals explain. At most one in 100 series of runs without a
+    the scatter of the runs and the intervals explain. At most one in 100 series of runs without a
     change gives a false report. If a parameter has a step at a run, the output names the devices
-    that were replaced at that run.
+    that were replaced before that run.
 
     \b
     Example:
@@ -231,11 +233,11 @@ def trend(
 @_page
 @shared.result_file
 def verify(runs: tuple[Path, ...], out: Path | None, json_file: Path | None) -> int:
-    """Compare the files of RUNS with the digests (SHA-256) that were recorded of them.
+    """Compare the files of RUNS with their recorded digests (SHA-256).
 
-    RUNS are run folders, or folders that contain run folders. Each run is sealed at its end: its
-    folder then contains SHA256SUMS, which `sha256sum -c` reads as well. The exit status is 1 if a
-    file is changed, damaged or missing.
+    RUNS are run folders, or folders that contain run folders. At the end of a run, the program
+    writes the digests to SHA256SUMS in the run folder; `sha256sum -c` reads this file as well. The
+    exit status is 1 if a file is changed, damaged or missing.
 
     \b
     Example:
@@ -267,11 +269,11 @@ def accept(
 ) -> int:
     """Compare a finished RUN with acceptance limits, and write its certificate.
 
-    The limits are those of --acceptance, else those of the file that the run was given, else those
-    of the recorded sequence. If the limits need
-    identified parameters or a diagnosis, RUN is identified or diagnosed, unless it has a result.
-    The command writes acceptance.json, certificate.html and certificate.pdf into the run folder,
-    and seals the folder. The exit status is 1 if a limit is not met.
+    The limits are those of --acceptance, else those of the file that was given to `rig run`, else
+    those of the recorded sequence. If the limits need identified parameters or a diagnosis, and the
+    run folder has no such result, RUN is identified or diagnosed. The command writes
+    acceptance.json, certificate.html, certificate.pdf and SHA256SUMS into the run folder. The exit
+    status is 1 if a limit is not met.
 
     \b
     Example:
@@ -303,7 +305,7 @@ def _looked_into(find: Callable[[Path], Any], folder: Path) -> list[Any]:
 def _chosen(
     folder: Path, given: Mapping[str, Any], *, details: bool
 ) -> tuple[list[Entry], list[Entry]]:
-    """Return all runs of a folder, and those that the options choose."""
+    """Return all runs of a folder, and the runs that the options choose."""
     from rig.runs.catalogue.index import list_runs
     from rig.runs.catalogue.select import Wanted, chosen
     from rig.terminal.bar import ShareBar
@@ -322,13 +324,15 @@ def _one(run: Path) -> Entry:
     """Return the entry of one run folder.
 
     Raises:
-        InputError: It is none.
+        InputError: The folder is not a run folder.
     """
     from rig.runs.catalogue.index import list_runs
     from rig.runs.catalogue.walk import signature_of
 
     if signature_of(str(run)) is None:
-        raise InputError(f"{run}: no run folder: it holds neither run.json nor recording.mcap")
+        raise InputError(
+            f"{run}: not a run folder: the folder has neither run.json nor recording.mcap"
+        )
     return list_runs(run).entries[0]
 
 

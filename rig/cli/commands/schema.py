@@ -22,8 +22,8 @@ def command(kind: str | None, out: Path | None) -> None:
     """Write the JSON Schema of bench, sequence, campaign or faults files; editors use the schema to
     complete and check these files.
 
-    A file that `rig new` writes names its schema in its first line; a file written by hand can
-    contain the same line.
+    The first line of a file that `rig new` writes names the schema; the last example adds such a
+    line to a file written by hand.
 
     \b
     Example:

@@ -1,5 +1,5 @@
-"""``rig simulate``: simulates a fitted model in the control loop in which its recordings were
-made.
+"""``rig simulate``: predicts recordings with a fitted model, and simulates the control loop in
+which the recordings were made.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from rig.cli import options as shared
     type=click.Path(path_type=Path, dir_okay=False),
     help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
-@shared.bandwidth("Bandwidth of the errors; that of the first result if left out.")
-@shared.out_folder("Folder for report and figures; ./SOURCE-simulated.")
+@shared.bandwidth("Bandwidth of the errors. [default: that of the first result]")
+@shared.out_folder("Folder for report and figures. [default: ./SOURCE-simulated]")
 @shared.result_file
 def command(
     source: Path,
@@ -37,8 +37,9 @@ def command(
 
     The model predicts torque, voltage and the difference of the encoders from the motion, with and
     without the effects of a diagnosis. If the campaign declares a controller, the closed loop is
-    also simulated, from its command alone; its errors are listed beside the errors with half of the
-    friction and without friction. The model as a simulated bench is written next to the report.
+    also simulated, from its command alone; the errors of this simulation are listed beside those of
+    simulations with half of the friction and without friction. The model as a simulated bench is
+    written next to the report.
 
     \b
     Example:

@@ -17,8 +17,8 @@ from rig.runs.run_record import RunRecord
 
 PORT = 8765
 _NO_TOKEN = (
-    "no token, because PlotJuggler's client takes a host and a port only; every program of this "
-    "computer can read the recording meanwhile (pages in a browser cannot)"
+    "no token, because PlotJuggler's client accepts only a host and a port; while the recording is "
+    "served, every program on this computer can read it (pages in a browser cannot)"
 )
 
 
@@ -41,12 +41,12 @@ _NO_TOKEN = (
     "--last",
     metavar="SECONDS",
     type=click.FloatRange(min=0.0),
-    help="Of the existing part of the recording, send only the last SECONDS [default: all].",
+    help="Send only the last SECONDS of the existing part of the recording. [default: all]",
 )
 @click.option(
     "--part",
     type=click.IntRange(min=1),
-    help="Number of the recording of a resumed run [default: the newest].",
+    help="Number of the recording of a resumed run. [default: the newest]",
 )
 def command(
     run: Path, foxglove: bool, port: int, no_token: bool, last: float | None, part: int | None
@@ -54,8 +54,8 @@ def command(
     """Serve the recording of RUN to Foxglove or PlotJuggler until Ctrl-C.
 
     The recording of a run in progress is sent as it grows; a finished recording is sent as fast as
-    it is read. Each subscriber receives a topic from its beginning. The stream is read only, and
-    only this computer can connect to it.
+    the tool reads it. Each subscriber receives a topic from its beginning. The tools cannot command
+    the run, and only programs on this computer can connect.
 
     \b
     Topics:
@@ -122,5 +122,5 @@ def _announce(offer: Offer, record: RunRecord, port: int) -> None:
         click.echo(f"             layout: {layout('plotjuggler')}")
         click.echo(_NO_TOKEN)
     else:
-        click.echo("PlotJuggler: its client cannot send a token; start with --no-token for it")
-    click.echo("read only; Ctrl-C ends it")
+        click.echo("PlotJuggler: its client cannot send a token; give this command --no-token")
+        click.echo("read only; Ctrl-C ends this command")

@@ -46,7 +46,7 @@ MEASURES: Mapping[str, Measure] = {
     "lost samples": Measure((), "", "samples of drive and encoder that were lost"),
     "missed SYNCs": Measure((), "", "control cycles that were skipped"),
 }
-"""Quantities by name; those from tracking error to temperature are measured in excitations only."""
+"""Quantities by name; tracking error to temperature are measured only during excitations."""
 UNITS: Mapping[str, Mapping[str, float]] = {
     "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.radians(1.0)},
@@ -88,12 +88,12 @@ class Bound:
 
     Attributes:
         text: The limit as written.
-        measure: Of :data:`MEASURES`.
+        measure: Quantity, a key of :data:`MEASURES`.
         statistic: Statistic of the measure that is compared; empty for a count.
-        below: Whether it is an upper limit.
+        below: Whether the value is an upper limit.
         inclusive: Whether the limit itself is allowed.
         value: The limit, in ``unit``.
-        unit: Unit, as written.
+        unit: Unit of the value, as written.
     """
 
     text: str
@@ -126,7 +126,8 @@ def parse_limit(text: str) -> Limit:
     """Return the limit that a line states.
 
     Raises:
-        ValueError: It is none; the message states the forms and the nearest known name.
+        ValueError: The line does not state a limit; the message states the permitted forms and the
+            nearest known name.
     """
     line = " ".join(text.split())
     if line in (NOTHING_MISSING, WEIGHT_CHECK):
@@ -148,11 +149,13 @@ def _range(line: str, name: str, rest: str) -> Range:
         raise ValueError(f"{name!r} is no constant; {_nearest(name, CONSTANTS)}")
     match = _RANGE.fullmatch(rest)
     if match is None or not any(match.groups()):
-        raise ValueError(f"{rest!r} is no range; write `{name}: 6.5..7.1`; an end may be left out")
+        raise ValueError(
+            f"{rest!r} is no range; write for example `{name}: 6.5..7.1`; one end may be left out"
+        )
     low, high = (float(end) if end else math.inf for end in match.groups())
     low = low if match[1] else -math.inf
     if not low < high:
-        raise ValueError(f"the range {rest} is empty: its lower end must be below its upper end")
+        raise ValueError(f"the range {rest} is empty; the lower end must be below the upper end")
     return Range(line, name, low, high)
 
 
@@ -196,7 +199,7 @@ def _acceptable(item: str | Mapping[str, str]) -> str | Mapping[str, str]:
 
 
 LimitLine = Annotated[str | Mapping[str, str], AfterValidator(_acceptable)]
-"""A limit as written, known to be valid."""
+"""Type of a limit as written, after a check that the limit is valid."""
 
 
 def limits_of(lines: Iterable[str | Mapping[str, str]]) -> tuple[Limit, ...]:
