@@ -36,10 +36,10 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
         "--yes would answer the weight prompts" if yes else "there is no terminal for the prompts"
     )
     raise InputError(
-        f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, and a person hangs "
-        f"them on this bench: "
-        "run at a terminal without --yes, or, if a hoist hangs them and reports their mass, set "
-        "`weights_hung_by: hoist`"
+        f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, which a person hangs "
+        f"on this bench: "
+        "run at a terminal without --yes; only if a hoist hangs the weights and reports their "
+        "mass, set `weights_hung_by: hoist`"
     )
 
 
@@ -57,7 +57,7 @@ def connected(
     because no drive is energised yet.
 
     Raises:
-        KeyboardInterrupt: The operator stopped it.
+        KeyboardInterrupt: The operator stopped the opening.
     """
     with ExitStack() as stack:
         with stop.interruptible():

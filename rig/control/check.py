@@ -28,10 +28,10 @@ from rig.wiring.preflight import bench_findings, device_findings
 
 SCHEMA = "loadrig.check/1"
 STATED = "*"
-"""Mark of a limit that the bench file states and that is not read from the drive."""
+"""Mark of a limit that is stated in the bench file and not read from the drive."""
 _UNSET_RAD = 2000.0 * math.pi
-"""Greatest value that counts as a limit; a drive without a configured limit reports the end of its
-range.
+"""Greatest value that counts as a limit; a drive without a configured limit reports the largest
+value of its number format.
 """
 
 
@@ -60,7 +60,7 @@ def examine(
         found: Faults of the bench file, from :func:`require_connectable`.
 
     Returns:
-        The record for ``--json``, and the readings it contains.
+        The record for ``--json``, and the readings that the record contains.
 
     Raises:
         DeviceError: A device does not answer.
@@ -113,7 +113,7 @@ def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> st
         found: Record from :func:`examine`.
         readings: Readings from :func:`examine`.
         watching: The watchdog or guardian that stops the drive when this program no longer commands
-            it.
+            the drive.
     """
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
     lines += [

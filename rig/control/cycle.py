@@ -47,7 +47,7 @@ class TripError(Exception):
 
     Args:
         trip: The limit that was violated.
-        explanation: What explains it, to be added to its message.
+        explanation: Cause of the trip, to be added to the message; empty if unknown.
     """
 
     def __init__(self, trip: Trip, explanation: str = "") -> None:
@@ -58,7 +58,7 @@ class TripError(Exception):
 class Cycle:
     """Runs control cycles at a fixed period.
 
-    A cycle that starts more than a period late delays all later cycles; lost time is not recovered.
+    A cycle that starts more than a period late delays all later cycles; the time is not made up.
 
     Args:
         limits: Limits that are checked on every sample, until :meth:`use` changes them.
@@ -73,8 +73,8 @@ class Cycle:
         stale: Number of cycles in which a part of the sample was missing.
         count: Number of cycles so far.
         timing: Statistics of the lateness of the cycles.
-        units: Collected samples that prove the units; None after the proof, and on a bench without
-            constants.
+        units: Samples that are collected to check the units of the drive; None after the check, and
+            on a bench without constants.
     """
 
     def __init__(
@@ -128,11 +128,11 @@ class Cycle:
         return (self._next_ns - self._start_ns) * 1e-9
 
     def ask_reset(self) -> None:
-        """Store the operator's request to reset the safety latch at the next :meth:`begin`."""
+        """Store the operator's request that the next :meth:`begin` resets the safety latch."""
         self._latch.ask()
 
     def end(self) -> None:
-        """Open the safety latch at the regular end of a run."""
+        """Open the safety latch at the regular end of a run; no command can follow."""
         self._latch.open()
 
     def use(self, limits: Limits) -> None:
@@ -211,7 +211,7 @@ class Cycle:
         keep: Callable[[Sample], object] | None,
         compensate: Callable[[Sample | None], float] | None,
     ) -> None:
-        """Command the targets; :meth:`follow` adds the explanation of a drive fault."""
+        """Command the targets as :meth:`follow` does, without the explanation of a drive fault."""
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
         time_limit_s = self._time_limit_s
@@ -251,7 +251,7 @@ class Cycle:
         """
         now_ns = self._clock.now_ns()
         if now_ns > self._next_ns:
-            # The time since the last cycle is a pause and no lateness.
+            # The time since the last cycle is a pause and does not count as lateness.
             self._start_grid(now_ns)
         # The drive is monitored while it brakes even if the recording cannot be written.
         with suppress(StorageError):
@@ -263,7 +263,7 @@ class Cycle:
         """Run one cycle without a command, while the drive moves by itself; return its sample.
 
         Args:
-            limits: Limits that the sample is compared with, without the latch.
+            limits: Limits with which the sample is compared; the latch is not used.
 
         Raises:
             TripError: The sample is outside a limit.
@@ -287,7 +287,7 @@ class Cycle:
         )
 
     def _start_grid(self, now_ns: int) -> None:
-        """Set the start of the next cycle to the present time, on the real clock too."""
+        """Set the start of the next cycle to the present time, for the real clock as well."""
         self._next_ns = now_ns
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - now_ns
@@ -356,7 +356,7 @@ class Cycle:
     def _pace(self, pacer: Clock, begin_ns: int) -> int:
         """Slow simulated time down to real time; return the lateness of this computer, ns.
 
-        The simulated bench is never late, so that the lateness of this computer is checked instead.
+        Simulated time is never late; therefore the lateness of this computer is checked.
         """
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)

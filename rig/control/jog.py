@@ -24,13 +24,13 @@ from rig.wiring.drive_limits import only_here, require_within_own, require_writt
 from rig.wiring.teardown import attempt_all, give_back, make_safe, words_of
 
 SPEED_MARGIN = 2.0
-"""Ratio of the speed limit to the requested speed, a margin for the breakaway."""
+"""Ratio of the speed limit to the requested speed; the margin is for the breakaway."""
 TORQUE_SHARE = 0.6
 """Limits of torque and current in a jog, as a share of the bench's limits."""
 GREATEST_SPEED_SHARE = 0.25
 """Highest permitted speed of a jog, as a share of the bench's speed limit."""
 REST_S = 0.2
-"""Time at rest after a move before the drive is de-energised."""
+"""Time at rest, s, after a move before the drive is de-energised."""
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,13 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
     """Check the requested moves against the bench.
 
     Raises:
-        InputError: An angle or the speed is outside its permitted range; the message lists all.
+        InputError: An angle or the speed is outside its permitted range; the message lists all
+            such values.
     """
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
     problems = [
-        f"--to {angle:g}: outside the bench's {section.angle_min_deg:g} to "
+        f"--to {angle:g}: outside the bench's range {section.angle_min_deg:g} to "
         f"{section.angle_max_deg:g} deg"
         for angle in angles_deg
         if not section.angle_min_deg <= angle <= section.angle_max_deg
@@ -174,7 +175,7 @@ def _moves(
         return Ending.STOPPED, stop.words, None
     except DeviceError as failure:
         return Ending.FAILED, str(failure), None
-    except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the command raises it again
+    except BaseException as defect:  # noqa: BLE001 - raised again after the drive is made safe
         return Ending.CRASHED, f"the program failed ({words_of(defect)})", defect
     return Ending.DONE, f"{len(jog.angles)} moves done", None
 

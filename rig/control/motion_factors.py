@@ -1,8 +1,8 @@
 """Ratios between the reports of a drive and of a joint encoder in a motion: of speed, travel, work
 and torque constant.
 
-Pure functions of the samples. Where possible, the work along the path is compared, because noise
-averages out in the work, and the work of the inertia cancels.
+The functions depend only on the samples. Where possible, the work along the path is compared,
+because noise averages out in the work, and the work of the inertia cancels.
 """
 
 from __future__ import annotations
@@ -17,36 +17,37 @@ from rig.config.sequence import Array
 from rig.wiring.devices import Nominal
 
 BLOCK_S: Final = 0.02
-"""Time over which samples are averaged, s; at least two samples. The motion of a first pass is too
-slow to change noticeably within it.
+"""Time over which samples are averaged, s; a block has at least two samples. The speed of a first
+pass hardly changes within this time.
 """
 LEAST_RAD: Final = 0.004
-"""Least travel in one direction that is evaluated, at the joint."""
+"""Least travel in one direction that is evaluated, rad at the joint."""
 HINT_COUNTS: Final = 4
 """Least number of different positions of an encoder that an explanation of a trip requires."""
 SENSE: Final = 0.3
-"""Relative work of the current against the motion above which the sign of the current counts as
-wrong, because friction takes work in both directions.
+"""Relative work of the current. Below the negative of this value, the sign of the current counts as
+wrong, because the motor must do work against friction in both directions; if the magnitude is
+smaller than this value, no torque constant is computed from the torque.
 """
 _JUMP_SHARE: Final = 0.7
-"""Share of a travel within one sample above which the travel counts as a jump."""
+"""Share of a travel that must occur within one sample for the travel to count as a jump."""
 _COLLINEAR: Final = 1e-9
 _MOVING_SHARE: Final = 0.1
 _SETTLED_SHARE: Final = 0.4
-"""First share of a travel, which is not evaluated: the joint then crosses the play and takes up the
-twist.
+"""Share at the start of a travel that is not evaluated, because the motor first crosses the play
+and twists the gear.
 """
 _SAME_EMF: Final = 0.15
-"""Logarithm of the ratio of shown to stated back-EMF constant up to which the stated constant is
-confirmed.
+"""Greatest magnitude of the logarithm of the ratio of measured to stated back-EMF constant at which
+the stated constant is confirmed.
 """
 _LEAST_EMF: Final = 0.55
-"""Least ratio of back-EMF constant to torque constant: somewhat above 1 / sqrt(3), which results if
-one is stated between lines and the other per phase.
+"""Least ratio of back-EMF constant to torque constant. The ratio is 1 / sqrt(3) if one constant is
+stated between lines and the other per phase; the limit is slightly smaller.
 """
 _EMF_CERTAINTY: Final = 0.08
 _EMF_INFLATION: Final = 3.0
-"""Factor on the standard error, because neighbouring blocks are not independent."""
+"""Factor by which the standard error is increased, because neighbouring blocks are correlated."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +87,7 @@ def speed_factor(motion: Motion, least: float = LEAST_RAD) -> float:
     if len(motion.time) < 2:
         return math.nan
     size = _block(motion)
-    # A trip comes in the last, unfinished block.
+    # A trip occurs in the last block, which is not complete.
     edges = np.append(np.arange(0, len(motion.time) - 1, size), len(motion.time) - 1)
     moved = np.diff(motion.motor[edges])
     mean = motion.velocity[1:] * np.diff(motion.time)
@@ -121,8 +122,9 @@ def shaft_factor(motion: Motion) -> float:
 def _slope(first: Array, second: Array, values: Array) -> tuple[float, float]:
     """Return the coefficients of two regressors by least squares.
 
-    The normal equations are solved, which is fast enough between two control cycles. The second
-    coefficient is zero if its regressor is zero or proportional to the first.
+    The normal equations are solved, because this is fast enough between two control cycles. The
+    second coefficient is zero if the second regressor is zero or proportional to the first
+    regressor.
     """
     a, b, c = float(first @ first), float(first @ second), float(second @ second)
     p, q = float(first @ values), float(second @ values)
@@ -136,9 +138,9 @@ def early_factor(motion: Motion) -> float:
     """Return the ratio of the joint encoder's travel to the motor encoder's travel from the few
     samples before a trip, or NaN if the samples do not agree with one ratio.
 
-    A joint encoder that shows few positions is not compared: its step may be longer than the travel
-    so far. If the joint encoder shows only one position, the travel must be longer than the step of
-    the encoder, play and twist.
+    A joint encoder with few different positions is not compared, because its step may be longer
+    than the travel so far. If all positions of the joint encoder are equal, the travel must be
+    longer than the encoder step, play and twist together.
     """
     shown = len(np.unique(motion.joint))
     if shown < HINT_COUNTS and (shown > 1 or float(np.ptp(motion.motor)) < LEAST_RAD):
@@ -156,9 +158,9 @@ def early_factor(motion: Motion) -> float:
 
 
 def turn_alike(motion: Motion, nominal: Nominal) -> bool:
-    """Return whether both encoders may turn 1:1, within one count of the motor encoder.
+    """Return whether motor and joint encoder may turn 1:1, within one count of the motor encoder.
 
-    A position that jumped within one sample does not count as a turn.
+    A jump of the position within one sample does not count as a turn.
     """
     steps = np.abs(np.diff(motion.joint))
     counts = np.diff(np.unique(motion.motor))
@@ -210,19 +212,19 @@ def current_sense(motion: Motion) -> float:
 
 
 def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
-    """Return the torque constant that the motion shows, N m/A, and the channels that it is computed
-    from, or NaN if the motion does not show the constant.
+    """Return the torque constant computed from the motion, N m/A, and the source of the value; the
+    constant is NaN if the motion does not determine it.
 
-    The sources are, in order: the drive's torque against its current; the voltage that the motion
-    induces, which gives the same number in SI units; the rated values of the drive, unless an
-    uncertain value from the voltage is nearer to the bench file than to the rated values.
+    The sources are, in order: the drive's torque against its current; the back-EMF constant from
+    the voltage, which equals the torque constant in SI units; the rated values of the drive, unless
+    an uncertain value from the voltage is nearer to the bench file than to the rated values.
     """
     if not math.isnan(constant := _by_torque(motion)):
         return constant, "the drive's torque 6077h against its current 6078h"
     induced, certain = emf_constant(motion, nominal)
     if certain:
-        # Data sheets state root-mean-square values for alternating current; the two constants of
-        # one motor then differ, although both are right.
+        # For alternating current, data sheets state root-mean-square values; torque constant and
+        # back-EMF constant of one motor then differ, although both are right.
         stated, emf = nominal.torque_constant_N_m_A, nominal.back_emf_constant_V_s_rad
         confirmed = emf is not None and abs(math.log(induced / emf)) < _SAME_EMF
         if confirmed and _LEAST_EMF <= induced / stated <= 1.0:
@@ -236,8 +238,8 @@ def torque_constant(motion: Motion, nominal: Nominal) -> tuple[float, str]:
 
 
 def _nearer(value: float, first: float, second: float) -> bool:
-    """Return whether a value differs from the first of two others by a smaller factor than from the
-    second; False for NaN.
+    """Return whether a value differs from ``first`` by a smaller factor than from ``second``; False
+    for NaN.
     """
     if math.isnan(value) or first == second:
         return False
@@ -257,7 +259,7 @@ def _by_torque(motion: Motion) -> float:
 
 def emf_constant(motion: Motion, nominal: Nominal) -> tuple[float, bool]:
     """Return the back-EMF constant, V s/rad, from U = R I + Ke omega with R free (eq. 1), and
-    whether the constant is certain, or NaN if the motion does not show the constant.
+    whether the constant is certain; the constant is NaN if the motion does not determine it.
     """
     size = _block(motion)
     ends = motion.motor[::size]

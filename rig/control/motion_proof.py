@@ -1,7 +1,7 @@
 """Compares the reports of a drive and of a joint encoder in a motion with each other and with the
 bench file: units, signs, gear ratio, torque constant.
 
-Pure functions of the samples.
+The functions depend only on their arguments.
 """
 
 from __future__ import annotations
@@ -42,19 +42,19 @@ from rig.control.motion_words import (
 from rig.wiring.devices import Nominal
 
 INSTANT_SPREAD: Final = 15.0
-"""Uncertainty of the factor of a speed early in a motion, as a ratio: a drive may report the peak
-of a slip that lasts less than a cycle. A common unit within this ratio of the factor counts as the
-drive's unit.
+"""Uncertainty, as a ratio, of the factor of the reported speed early in a motion, because a drive
+may report the peak of a slip that lasts less than a cycle. A common unit whose factor is within
+this ratio counts as the drive's unit.
 """
 SURER_SPREAD: Final = 3.0
-"""The same for the whole of a short motion, until the joint stands still."""
+"""Uncertainty of this factor, as a ratio, for the whole of a short motion until standstill."""
 ROUGH_COUNTS: Final = 30
-"""Different motor positions up to which a motion counts as early; with more of them, the factors of
-simulated benches are right within 2.2 times.
+"""Number of different motor positions up to which a factor counts as rough; with more positions,
+the factors of simulated benches are right within a ratio of 2.2.
 """
 LEAST_INSTANT: Final = 4.0
-"""Least ratio of the reported speed of one sample to the change of the position at which the speed
-explains a trip.
+"""Least ratio of the reported speed of one sample to the speed by the change of the position at
+which a wrong unit of the speed explains a trip.
 """
 _BY_MOTION: Final = (SPEED, SHAFT, WORK)
 
@@ -64,7 +64,8 @@ class Proof:
     """Result of the comparison of a motion.
 
     Attributes:
-        found: Quantity to its factor, found over expected, or NaN if the motion did not show it.
+        found: Factor of each quantity, found over expected value, or NaN if the motion did not
+            determine it.
         contradictions: The comparisons whose factor is outside its tolerance.
     """
 
@@ -78,8 +79,8 @@ class Proof:
 
     @property
     def unproven(self) -> str:
-        """Text for the operator on the properties that no motion without a load shows; empty if the
-        motion showed all properties.
+        """Text for the operator on the quantities that a motion without load cannot determine;
+        empty if the motion determined all quantities.
         """
         return NO_TORQUE if math.isnan(self.found[CONSTANT]) else ""
 
@@ -130,7 +131,7 @@ def hint(
     """Return the explanation of a trip or a fault early in a motion, or None if the samples do not
     explain it.
 
-    The samples may be few, so that only gross contradictions count, and the encoders are compared
+    Because there may be few samples, only large contradictions count, and the encoders are compared
     only if their angles are proportional to each other.
 
     Args:
@@ -154,8 +155,8 @@ def hint(
     if not _same(speed, SPEED_BAND) and counts >= HINT_COUNTS:
         if counts > ROUGH_COUNTS:
             return wrong_speed(speed, servo)
-        # A reported speed above its limit is not too small, although the sum of few samples may
-        # suggest it.
+        # A reported speed above its limit is not too small, although the sum of a few samples may
+        # give a factor below one.
         if speed > 1.0 or not too_fast:
             return _rough_speed(speed, servo)
     if too_strong:
@@ -187,7 +188,7 @@ def _instant_speed(motion: Motion, servo: Servo) -> Contradiction | None:
 
 def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
     """Return the contradiction of the speed that the whole motion shows, including the samples
-    until the joint stood still; if the whole motion shows none, the given contradiction.
+    until the joint stood still; if the whole motion shows no such contradiction, return ``found``.
     """
     factor = speed_factor(motion, least=0.0)
     if math.isnan(factor) or _same(factor, SPEED_BAND) or (factor > 1.0) is not found.above:
@@ -199,8 +200,8 @@ def surer(found: Contradiction, motion: Motion, servo: Servo) -> Contradiction:
 
 
 def _rough_speed(factor: float, servo: Servo, spread: float = INSTANT_SPREAD) -> Contradiction:
-    """Return the units that a rough factor may mean: a common unit, and also a power of ten if it
-    is nearer to the factor.
+    """Return the contradiction for a rough factor: the factor of a common unit and, if a power of
+    ten is nearer to the rough factor, this power of ten as well.
     """
     common = servo.nearest_speed_factor(factor, spread)
     decimal = servo.nearest_speed_factor(factor, 1.0)

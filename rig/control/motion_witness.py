@@ -1,5 +1,5 @@
-"""Collects the samples of a motion until the units of the devices are proven, and explains trips
-that occur before.
+"""Collects the samples of a motion until the units of the devices have been checked, and explains
+trips that occur before this check.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class MotionWitness:
     """Collects samples under power.
 
     Args:
-        servo: The drive, whose methods return remedies.
+        servo: The drive, whose methods return remedies for wrong units.
         nominal: Constants of the bench file.
     """
 
@@ -41,8 +41,8 @@ class MotionWitness:
         self._count += self._store(sample, motor_torque)
 
     def take_braking(self, sample: Sample, motor_torque: float) -> None:
-        """Store a sample while the drive brakes: the sample only makes the factor of the speed more
-        accurate.
+        """Store a sample while the drive brakes; these samples are used only to make the factor of
+        the speed more accurate.
         """
         self._braking += self._store(sample, motor_torque)
 
@@ -106,7 +106,7 @@ class MotionWitness:
         try:
             found = self.hint(too_fast, too_strong)
         except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-            # An error of the explanation must not prevent the stop.
+            # An error while the explanation is made must not prevent the stop.
             return ""
         self._said = "" if found is None else f"; {found.words}"
         self._of = (too_fast, too_strong)

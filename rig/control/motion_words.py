@@ -1,5 +1,5 @@
 """Contradictions between the reports of devices and the bench file, as text for the operator and as
-keys to set.
+values to set in the bench file.
 """
 
 from __future__ import annotations
@@ -19,22 +19,23 @@ SPEED, SHAFT, WORK, CONSTANT = (
 )
 """Names of the compared quantities."""
 SPEED_BAND: Final = (0.25, 4.0)
-"""Range of the ratio of reported to true speed that counts as the same unit. Filters, and samples
-at the pace of the loop that miss the peaks of stick and slip, change the ratio less (0.33 at one
-count a cycle); wrong units change it more, for example rpm and degrees per second by a factor of 6.
+"""Range of the ratio of reported to true speed in which the unit of the speed counts as right.
+Filters, and samples that miss the peaks of stick-slip, change the ratio less (to 0.33 at one count
+per cycle); a wrong unit changes the ratio more, for example rpm for degrees per second by a factor
+of 6.
 """
 RATIO_TOLERANCE: Final = 0.1
 """Relative difference of the encoders' travels that play and twist may cause."""
 TORQUE_BAND: Final = (1.0 / 1.5, 1.5)
 """Range of the ratio of found to stated torque constant within which the stated constant counts as
 right. Data sheets, magnets and temperature cause differences of 20 %; wrong definitions (peak or
-root mean square, motor or joint) cause larger ones.
+root mean square, motor or joint) cause larger differences.
 """
 STANDS_STILL: Final = 0.005
 """Share of the motor encoder's travel below which the joint encoder counts as standing still."""
 SHAFT_SPREAD: Final = 1.3
-"""Range of the ratio within which encoders count as turning 1:1; it is wide, because before a trip
-the motor encoder moves by only a few counts.
+"""Greatest ratio of the encoders' travels, of the larger to the smaller, at which the encoders
+count as turning 1:1. It is large, because before a trip the motor encoder moves only a few counts.
 """
 NO_TORQUE: Final = (
     "the torque constant cannot be compared with a measurement: the drive reports neither a "
@@ -50,7 +51,7 @@ class Change:
 
     Attributes:
         section: Section of the file.
-        key: Key in that section.
+        key: Key in this section.
         value: Value to set; None removes the key.
     """
 
@@ -71,11 +72,11 @@ class Contradiction:
 
     Attributes:
         what: Compared quantity.
-        factor: Found value over the one that was expected.
+        factor: Found value over the expected value.
         words: Finding and remedy, for the operator.
         changes: Values to set in the bench file; empty if the bench or the drive must be changed.
-        rough: Whether few counts show it.
-        open: Whether two values are left, which the words name both.
+        rough: Whether the factor is computed from few counts.
+        open: Whether two factors are possible, both of which ``words`` states.
     """
 
     what: str
@@ -94,8 +95,8 @@ class Contradiction:
 def wrong_speed(
     factor: float, servo: Servo, rough: bool = False, other: float | None = None
 ) -> Contradiction:
-    """Return what a reported speed of ``factor`` times the true speed means; ``rough`` is true if
-    few counts show the factor, and ``other`` is a second possible factor.
+    """Return the contradiction for a reported speed of ``factor`` times the true speed; ``rough``
+    is true if the factor is computed from few counts, and ``other`` is a second possible factor.
     """
     words = (
         f"the speed that the drive reports is {factor:.4g} times the change of its position; it "
@@ -110,7 +111,7 @@ def wrong_speed(
 
 
 def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
-    """Return the cause of a difference between the travels of the encoders."""
+    """Return the contradiction, with its cause, for encoders with different travels."""
     gear = nominal.gear_ratio
     found = (
         f"the joint encoder travels {factor:.4g} times as far as the motor encoder over the gear "
@@ -145,7 +146,7 @@ def wrong_shaft(factor: float, nominal: Nominal) -> Contradiction:
 def wrong_sense(sense: float) -> Contradiction:
     """Return the contradiction if the current works against the motion."""
     words = (
-        f"the current works against the motion in both directions ({sense:.2f} of its amount, "
+        f"the current works against the motion in both directions (relative work {sense:.2f}, "
         f"must be above {-SENSE:g}), but friction consumes work, so that the sign of the current "
         "is wrong: set servo.current_sign: -1, or correct the sign with the maker's tool"
     )
@@ -164,8 +165,8 @@ def wrong_torque(constant: float, source: str, nominal: Nominal) -> Contradictio
         return Contradiction(CONSTANT, factor, words)
     change = Change("machine", "torque_constant_N_m_A", float(f"{constant:.4g}"))
     words = (
-        f"by {source} the motor gives {constant:.4g} N m/A, the bench file says {stated:.4g}: "
-        f"the ratio is {factor:.3g}; it must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g}: set "
+        f"by {source} the motor gives {constant:.4g} N m/A, the bench file says {stated:.4g} "
+        f"N m/A: the ratio {factor:.3g} must be {TORQUE_BAND[0]:.2g} to {TORQUE_BAND[1]:g}: set "
         f"{change}, or correct the rated values"
     )
     return Contradiction(CONSTANT, factor, words, (change,))

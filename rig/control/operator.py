@@ -16,8 +16,8 @@ from rig.terminal.stop_button import OperatorStopError, StopButton
 WEIGHT_TOLERANCE = 0.005
 """Default tolerance of the typed mass, relative to the planned mass."""
 LEAST_TOLERANCE_KG = 0.001
-"""Difference of masses that is always allowed: the resolution of scales; for an empty lever the
-relative tolerance is zero.
+"""Difference of masses, kg, that is always allowed: the resolution of scales. For an empty lever,
+the relative tolerance alone would allow no difference.
 """
 _LOOK_NS = NS // 20
 _PAUSE_QUESTION = "What now (go on, repeat, abort) [go on]: "
@@ -71,8 +71,8 @@ class AutomaticOperator:
     """Answers every prompt with the plan (``--yes``); a second pause signal ends a pause.
 
     Args:
-        hung: True mass on a simulated lever, kg, by stage, if it differs from the planned mass: a
-            simulated mistake.
+        hung: True mass on a simulated lever, kg, by stage, for simulated mistakes; for other stages
+            the planned mass hangs on the lever.
         clock: Clock for waiting while paused.
         screen: Terminal for the messages.
         control: Socket on which messages are shown and answers may arrive, or None for none.
@@ -136,7 +136,7 @@ class AutomaticOperator:
 
     def result(self, words: str, good: bool) -> None:
         """Show how a run ended: on stdout if the ending is good, otherwise on stderr. Programs that
-        watch the run get the message too.
+        watch the run receive the message as well.
         """
         if self._control is not None:
             self._control.ended(words, good)
@@ -170,12 +170,12 @@ class ConsoleOperator(AutomaticOperator):
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
         """Ask until the typed mass is within the tolerance of the planned mass, or a verb is typed.
 
-        The planned mass is not shown before the first answer, so that the operator types the
-        weighed mass.
+        The planned mass is not shown before the first answer, so that the operator reads the mass
+        from the scales.
 
         Raises:
-            OperatorStopError: The operator pressed Ctrl-C or typed ``abort``, the input ended, or
-                there was no answer in time.
+            OperatorStopError: The operator pressed Ctrl-C, typed ``abort`` or did not answer in
+                time, or the input ended.
         """
         if self._control is not None:
             self._control.begin(Topic.WEIGHT)
@@ -219,7 +219,7 @@ class ConsoleOperator(AutomaticOperator):
         """Ask the operator how to continue.
 
         Raises:
-            OperatorStopError: There was no answer in time.
+            OperatorStopError: The operator did not answer in time.
         """
         if self._control is not None:
             self._control.begin(Topic.PAUSE)

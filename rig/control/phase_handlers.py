@@ -67,8 +67,8 @@ class PhaseHandlers:
 
     Attributes:
         cycle: The control cycle, with its counters.
-        own_limits: The limits that were stored in the drive before the run; None until they are
-            read.
+        own_limits: The limits that were stored in the drive before the run; None until the limits
+            are read.
     """
 
     def __init__(
@@ -136,8 +136,8 @@ class PhaseHandlers:
         if (error := energised(devices.servo.state())) is not None:
             raise error
         if devices.hang is None and self.own_limits is None:
-            # This is checked before a person hangs a weight, so that no weight is hung for a run
-            # that does not start.
+            # The devices are checked before a person hangs a weight, so that no weight is hung
+            # for a run that does not start.
             limits, cycle_s = self._plan.servo_limits, self._plan.cycle_s
             for words in require_ready(devices, limits, cycle_s, self._reset_fault):
                 self._operator.tell(f"warning: {words}")
@@ -158,7 +158,7 @@ class PhaseHandlers:
             return self._go_back()
         self._recorder.event(self.cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
         self._journal.weight_confirmed(self._stage_index, confirmed)
-        # Force, feed-forward and weight check use the weighed mass, not the planned one.
+        # Force, feed-forward and weight check use the weighed mass, not the planned mass.
         self._stages[self._stage_index] = stage = with_mass(
             self._plan, self._plan.stages[self._stage_index], confirmed
         )
@@ -231,8 +231,8 @@ class PhaseHandlers:
     def _prove_units(self) -> None:
         """Compare the reports of the devices with each other and with the bench file.
 
-        The comparison takes milliseconds while the drive holds the position, as the weight check
-        does. If the joint has hardly moved, the comparison continues in the next pass.
+        The comparison takes milliseconds, during which the drive holds the position. If the joint
+        has hardly moved, the comparison continues in the next pass.
 
         Raises:
             ConfigurationError: A unit, sign, ratio or constant is wrong.

@@ -43,7 +43,7 @@ def next_phase(phase: Phase, event: Event) -> Phase:
     """Return the next phase by the transition table.
 
     Raises:
-        ValueError: There is no such transition; the message states phase and event.
+        ValueError: The table has no such transition; the message states phase and event.
     """
     try:
         return TRANSITIONS[phase, event]

@@ -14,8 +14,8 @@ _BAR = 12
 class RunProgress:
     """Shows elapsed and remaining run time, stage, angle error and current.
 
-    Only time in motion counts, not the wait at a prompt. Nothing is shown if the output is not a
-    terminal.
+    Run time is the time of the control cycles, without the wait at a prompt. Nothing is shown if
+    the output is not a terminal.
 
     Args:
         cycle_s: Control cycle, s.

@@ -116,8 +116,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]
     if pressure is not None:
-        # The gas force depends on the valve angle; an angle beyond its limit has been reported
-        # already.
+        # The gas force depends on the valve angle; an angle beyond its limit was reported above.
         at = angle if limits.angle_min <= angle <= limits.angle_max else calm.angle
         shown.append((pressure, calm._replace(pressure=pressure, angle=at, motor_angle=at * gear)))
     for value, sample in shown:
@@ -126,7 +125,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
 
 
 def at_rest(limits: Limits) -> Sample:
-    """Return a sample at rest, far inside every limit."""
+    """Return a sample of a joint at rest, with every value far inside its limits."""
     middle = 0.5 * (limits.angle_min + limits.angle_max)
     return Sample(
         time=0.0,

@@ -39,7 +39,7 @@ def reachable(
         required: Whether the prompts can only be answered through the socket.
 
     Raises:
-        InputError: The socket is required and cannot be made.
+        InputError: The socket is required and cannot be created.
     """
     try:
         control = ControlSocket(stop, about_run(inputs, plan, path), screen.say)
@@ -100,7 +100,7 @@ def about_run(inputs: Inputs, plan: Plan, path: Path) -> dict[str, Any]:
 def limit_records(limits: Limits) -> list[dict[str, Any]]:
     """Return the limits of the channels against which every cycle is checked, in SI units.
 
-    A side without a limit, or whose value the drive does not report, is None.
+    An upper or lower limit is None if there is no limit, or if the drive does not report the value.
     """
     both: Mapping[str, tuple[float, float]] = {
         "angle": (limits.angle_min, limits.angle_max),

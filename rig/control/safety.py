@@ -1,7 +1,7 @@
 """Checks every sample against the limits before the next command; a latch stores the first
 violation.
 
-The module has pure functions and one latch. The check is a stop function in software, not an
+Except for the latch, the module has no state. The check is a stop function in software, not an
 emergency stop.
 """
 
@@ -49,7 +49,7 @@ _REMEDY = {
     Check.TORQUE: "look for jamming or a weight above the plan, then run again",
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
     Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in "
-    "the bench file; a drive that was homed may lose its zero with its supply: home it again then",
+    "the bench file; if the supply of a homed drive was off after the homing, home it again",
     Check.TEMPERATURE: "let the motor cool, then run again",
     Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run "
     "again",
@@ -57,12 +57,12 @@ _REMEDY = {
     "generator burn out",
     Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
     "burn out",
-    Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
+    Check.LATENESS: "close other programs on this computer, or lower cycle_Hz, then run again",
     Check.STAGE_TIME: "find the cause of the delay, or raise time_limit_s of the stage",
 }
 
 AGAIN = ", then run again"
-"""End of a remedy after which the same run can be repeated."""
+"""End of a remedy after which the run can be repeated without other changes."""
 
 
 def remedy(check: Check) -> str:
@@ -78,7 +78,7 @@ class Trip:
         check: The check that failed.
         value: Measured value.
         limit: The limit that was exceeded.
-        unit: Unit of both values.
+        unit: Unit of ``value`` and ``limit``.
         time: Time of the sample since the start of the run, s.
     """
 
@@ -182,7 +182,8 @@ class Latch:
     """Keeps the first trip. At the start the latch is open (tripped).
 
     To close the latch, a request of the operator (:meth:`ask`) and a sample inside every limit
-    (:meth:`reset`) are necessary. A request is valid for one reset. Neither causes motion.
+    (:meth:`reset`) are necessary. A request is valid for one reset. Request and reset cause no
+    motion.
     """
 
     def __init__(self) -> None:
@@ -204,8 +205,8 @@ class Latch:
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if this was requested and the sample is inside every limit; else keep the
-        reason.
+        """Close the latch if the operator requested this and the sample is inside every limit; else
+        store the reason for which the latch stays open.
 
         Returns:
             None if the latch is now closed, else the trip.

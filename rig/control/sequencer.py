@@ -38,8 +38,8 @@ class Outcome:
 
 
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
-"""Checks whose violation is caused by a failed device, bus or computer, and not by a physical limit
-of the bench.
+"""Checks that fail because of a device, the bus or the computer, and not because the bench reaches
+a physical limit.
 """
 
 
@@ -113,7 +113,7 @@ class Sequencer:
         return outcome
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
-        """Run the phases; return how they ended, as text, with the trip or defect, if any."""
+        """Run the phases; return the ending, a text on it, and the trip or defect, if any."""
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
@@ -139,7 +139,7 @@ class Sequencer:
             return Ending.FAILED, self._where(str(failure)) + hint, None, None
         except StorageError as failure:
             return Ending.FAILED, self._where(str(failure)), None, None
-        except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the session raises it again
+        except BaseException as defect:  # noqa: BLE001 - raised again after the drive is made safe
             words = f"the program failed ({words_of(defect)})"
             return Ending.CRASHED, self._where(words), None, defect
         return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None

@@ -66,8 +66,8 @@ class Inputs:
         feedforward: Model of the feed-forward torque that the drive adds, or None for none.
         resumed: ``run.json`` of a stopped run to continue at its first unfinished stage, or None
             for a new run.
-        acceptance: File of the limits by which the complete run is judged, or None for those of the
-            sequence.
+        acceptance: File of the limits by which the complete run is judged, or None for the limits
+            in the sequence file.
     """
 
     bench: Document[Bench]
@@ -82,7 +82,7 @@ class Inputs:
     acceptance: GivenFile | None = None
 
     def files(self) -> dict[str, bytes]:
-        """Return the content of both files by the names of their attachments."""
+        """Return the contents of bench and sequence file, by the names of their attachments."""
         return {
             BENCH_ATTACHMENT: self.bench.path.read_bytes(),
             SEQUENCE_ATTACHMENT: self.sequence.path.read_bytes(),
@@ -196,8 +196,8 @@ def execute(
 
 
 def _warn(plan: Plan, record: RunRecord, devices: Devices, operator: Operator) -> None:
-    """Before the first prompt, show the limits that only this program checks, and store them once
-    in the record.
+    """Before the first prompt, show the limits that only this program checks, and store the message
+    once in the record.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -230,7 +230,7 @@ def _start_recording(
     identities: dict[str, Any],
     start: Callable[[Path], Recorder],
 ) -> Recorder:
-    """Create the recording with the data at its start.
+    """Create the recording, and write the data that explain its samples.
 
     Raises:
         StorageError: The recording cannot be written; nothing was energised, which ``run.json``
@@ -292,8 +292,8 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 
 def held_limits(devices: Devices) -> dict[str, float | None]:
-    """Read the limits that are stored in the drive; a limit without an object in the drive, or a
-    following error window that is off, is None.
+    """Read the limits that are stored in the drive; a limit is None if the drive has no object for
+    it, or if the following error window is off.
 
     Raises:
         DeviceError: The drive does not answer.
@@ -352,8 +352,8 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
-    """Save ``run.json``; if the disk is full, the old version remains, and the outcome states
-    this.
+    """Save ``run.json``; if the disk is full, the old version remains, and the returned outcome
+    says so.
     """
     try:
         folder.save()

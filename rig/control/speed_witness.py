@@ -15,12 +15,12 @@ from rig.common.sample import Sample
 from rig.control.motion_words import SPEED_BAND
 
 STEP_RAD: Final = 0.01
-"""Joint travel of one comparison, rad; several counts of any motor encoder before a gear."""
+"""Joint travel of one comparison, rad; several counts of a motor encoder before a gear."""
 STEPS: Final = 3
 """Number of comparisons for a decision."""
 LONGEST_S: Final = 1.0
-"""Longest time of a travel, s; a longer travel is not compared, because its sum would contain an
-offset of the speed many times.
+"""Longest time of a travel, s; a slower travel is not compared, because an offset of the speed
+would dominate the sum of the speeds.
 """
 
 

@@ -1,8 +1,8 @@
 """Messages between a run and the programs that watch and command it over its control socket.
 
-One datagram of UTF-8 JSON each. A question is ``{"ask": "status" | "about"}``. A command names the
-run by its ``run`` value, which differs in every run, and carries a ``number``, the sender's
-monotonic clock in ns; this number has to be larger than the numbers of all earlier commands.
+Each message is one datagram of UTF-8 JSON. A question is ``{"ask": "status" | "about"}``. A command
+names the run by a value ``run``, which is different in every run, and has a ``number``, the
+sender's monotonic clock in ns; this number must be larger than the numbers of all earlier commands.
 Therefore a command that is sent again, or was meant for another run, is refused.
 """
 
@@ -24,14 +24,14 @@ from drivers.clock import NS
 VERSION: Final = 1
 """Version of the messages; a program of another version only watches."""
 LONGEST_BYTES: Final = 4096
-"""Longest message that a run reads."""
+"""Length of the longest message that a run reads, bytes."""
 REPLY_BYTES: Final = 65_536
-"""Longest message that a run sends."""
+"""Length of the longest message that a run sends, bytes."""
 LONGEST_TEXT: Final = 200
 """Longest answer to a prompt, characters."""
 STALE_NS: Final = 5 * NS
-"""Age from which a command other than `stop` is refused: its sender may have been frozen."""
-RECEIVED_BEFORE: Final = "this command, or one sent after it, was received before"
+"""Age, ns, from which a command other than `stop` is refused: its sender may have been frozen."""
+RECEIVED_BEFORE: Final = "this command, or a later command, was already received"
 PREFIX: Final = "run-"
 SUFFIX: Final = ".sock"
 _FOLDER_MODE: Final = 0o700
@@ -51,10 +51,10 @@ class Order:
     """A command that was read from a message.
 
     Attributes:
-        command: What to do.
-        run: The run that it is meant for.
-        number: Monotonic time at which it was sent, ns.
-        who: Who sent it, as text.
+        command: Action to perform.
+        run: Value of the run for which the command is meant.
+        number: Monotonic time at which the command was sent, ns.
+        who: Sender of the command, as text.
         prompt: Number of the prompt that ``text`` answers; 0 for none.
         text: The answer.
     """
@@ -88,14 +88,14 @@ def decode(data: bytes) -> dict[str, Any]:
     """Read a datagram.
 
     Raises:
-        MessageError: It is no JSON object.
+        MessageError: The datagram is not a JSON object.
     """
     try:
         message = json.loads(data)
     except (ValueError, RecursionError) as error:
-        raise MessageError(f"no JSON: {error}") from error
+        raise MessageError(f"the datagram is not JSON: {error}") from error
     if not isinstance(message, dict):
-        raise MessageError("no JSON object")
+        raise MessageError("the datagram is not a JSON object")
     return message
 
 
@@ -103,7 +103,7 @@ def order_of(message: Mapping[str, Any]) -> Order:
     """Check the fields of a command.
 
     Raises:
-        MessageError: One is missing, unknown, or of the wrong type.
+        MessageError: A field is missing, unknown, or of the wrong type.
     """
     try:
         command = Command(message["command"])
@@ -133,12 +133,12 @@ def objection(order: Order, run: str, last: int, now_ns: int) -> str | None:
     if order.number <= last:
         return RECEIVED_BEFORE
     if order.number > now_ns:
-        return "this command is numbered in the future"
+        return "the number of this command is a time in the future"
     age_ns = now_ns - order.number
     if order.command is not Command.STOP and age_ns > STALE_NS:
         return (
             f"this command is {age_ns / NS:.1f} s old, at most {STALE_NS // NS} s are allowed; "
-            "send it again if it is still meant"
+            "send the command again if it is still wanted"
         )
     return None
 
@@ -158,7 +158,7 @@ def socket_folders() -> list[Path]:
 
 
 def remove_left(folder: Path) -> None:
-    """Remove sockets whose program has ended."""
+    """Remove sockets of programs that have ended."""
     for path in folder.glob(f"*{SUFFIX}"):
         probe = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with probe, suppress(OSError):
@@ -172,7 +172,7 @@ def bound_socket(path: Path) -> socket.socket:
     """Return a non-blocking datagram socket at a path that only this user can open.
 
     Raises:
-        OSError: It cannot be made.
+        OSError: The socket cannot be created.
     """
     made = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -194,15 +194,16 @@ def require_own_folder(folder: Path) -> None:
     it.
 
     Raises:
-        SocketFolderError: It belongs to another user, is a link, or is open to others.
-        OSError: It cannot be made.
+        SocketFolderError: The folder belongs to another user, is a link, or is open to others.
+        OSError: The folder cannot be created.
     """
     with suppress(FileExistsError):
         os.mkdir(folder, _FOLDER_MODE)
     status = os.lstat(folder)
     if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.geteuid():
         raise SocketFolderError(
-            f"{folder}: must be a folder of this user; remove what is there, or set XDG_RUNTIME_DIR"
+            f"{folder}: must be a folder that belongs to this user; remove or rename what has this "
+            "name, or set XDG_RUNTIME_DIR to another folder"
         )
     if stat.S_IMODE(status.st_mode) & 0o077:
         raise SocketFolderError(

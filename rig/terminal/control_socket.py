@@ -40,13 +40,13 @@ from rig.terminal.control_messages import (
 from rig.terminal.stop_button import StopButton
 
 _AT_ONCE: Final = 8
-"""Most messages taken between two cycles."""
+"""Greatest number of messages that are read between two cycles."""
 _TOLD: Final = 40
-"""Messages to the operator that are kept."""
+"""Number of the latest messages to the operator that are kept."""
 _LONGEST_TOLD: Final = 800
-"""Characters of a message that are kept, so that all of them fit into one datagram."""
+"""Number of characters of a message that are kept, so that all messages fit into one datagram."""
 _PEERS: Final = 8
-"""Programs that are informed of the end."""
+"""Greatest number of programs that are informed of the end of the run."""
 
 
 class Topic(Enum):
@@ -60,13 +60,13 @@ class ControlSocket:
     """Receives commands for one run and answers questions on it. A context manager.
 
     Args:
-        stop: The stop button that `stop` and `pause` act on; it asks this socket whenever it is
-            read.
-        about: What does not change during the run: bench, limits, folder.
-        say: Shows the operator at the terminal what was commanded from elsewhere.
+        stop: The stop button on which `stop` and `pause` act; whenever the button is read, it reads
+            the messages of this socket.
+        about: Data that do not change during the run: bench, limits, folder.
+        say: Shows the operator at the terminal the commands that arrived on this socket.
         folder: Folder of the socket; :func:`rig.terminal.control_messages.socket_folders`
             by default.
-        clock: Clock that commands are numbered by.
+        clock: Clock by which commands are numbered.
 
     Attributes:
         run: Value that identifies this run in commands.
@@ -143,7 +143,7 @@ class ControlSocket:
 
     def ask(self, words: str) -> None:
         """Open a prompt; answers to earlier prompts are rejected from now on."""
-        # What waits in the socket was sent before the question was asked.
+        # Messages that wait in the socket were sent before the question was asked.
         self.take()
         self._prompts += 1
         self._answer = None
@@ -165,7 +165,7 @@ class ControlSocket:
         return self._answer
 
     def close_prompt(self) -> None:
-        """Store that the prompt was answered, on any path, or abandoned."""
+        """Store that the prompt is over: answered on the socket, at the terminal, or abandoned."""
         self._state["prompt"] = self._answer = None
 
     def take(self) -> None:
@@ -206,12 +206,12 @@ class ControlSocket:
             return None
         if order.command in (Command.PAUSE, Command.NO_PAUSE):
             self._stop.pausing = order.command is Command.PAUSE
-            what = "pause asked for" if self._stop.pausing else "no pause"
+            what = "pause requested" if self._stop.pausing else "no pause"
             self._note(f"{what}, by {who}")
             return None
         prompt = self._state["prompt"]
         if prompt is None or prompt["number"] != order.prompt or self._answer is not None:
-            return "the run does not wait for this answer any more"
+            return "the run no longer waits for this answer"
         self._answer = valid(order.text).strip()
         self._note(f"answered by {who}: {self._answer or '(nothing)'}")
         return None
@@ -241,7 +241,7 @@ class ControlSocket:
     def _send(self, message: Mapping[str, Any], peer: str) -> None:
         if not peer:
             return
-        # A receiver that is gone, or whose queue is full, does not hold up the run.
+        # A receiver that is gone, or whose queue is full, must not delay the run.
         with suppress(OSError):
             self._socket.sendto(encode(message), socket.MSG_DONTWAIT, peer)
 
@@ -250,7 +250,7 @@ def _bound(folder: Path) -> tuple[Path, socket.socket]:
     """Create a socket in a folder; sockets left by programs that have ended are removed.
 
     Raises:
-        OSError: It cannot be made.
+        OSError: The socket cannot be created.
     """
     require_own_folder(folder)
     remove_left(folder)

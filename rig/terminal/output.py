@@ -31,8 +31,8 @@ class Outlet(io.FileIO):
         descriptor: Open file descriptor; it stays open.
 
     Attributes:
-        failure: Reason why output cannot be stored, or None if it can, or if only the reader
-            closed.
+        failure: Reason why output cannot be stored, or None if output can be stored or only the
+            reader has closed the stream.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -68,8 +68,8 @@ def reader_gone(error: OSError, *, terminal: bool) -> bool:
 
     Args:
         error: Error of a write.
-        terminal: Whether it was to a terminal; a closed terminal gives "input/output error", like a
-            broken disk.
+        terminal: Whether the write was to a terminal; a closed terminal gives "input/output error",
+            like a broken disk.
     """
     return error.errno in _GONE or (terminal and error.errno == errno.EIO)
 
@@ -88,8 +88,8 @@ class Inlet(io.FileIO):
         """Read into a buffer; 0 is the end."""
         while True:
             try:
-                # None, which the stubs do not know, is a descriptor in non-blocking mode that has
-                # nothing yet.
+                # The result is None, which the type stubs omit, if a non-blocking descriptor has no
+                # data yet.
                 count: int | None = super().readinto(buffer)
             except OSError:
                 return 0
@@ -148,7 +148,7 @@ def _occupy_standard_descriptors() -> None:
         try:
             os.fstat(descriptor)
         except OSError:
-            # The lowest free number is this one: those below it are open.
+            # open() uses the lowest free number, which is this one, because lower numbers are open.
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
 
 

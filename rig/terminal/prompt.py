@@ -32,8 +32,8 @@ class Asker(Protocol):
         """Show a question and return the line that answers it, stripped.
 
         Raises:
-            InputEndedError: There is no input any more.
-            OperatorStopError: There was no answer in time.
+            InputEndedError: The input has ended.
+            OperatorStopError: The operator did not answer in time.
             KeyboardInterrupt: The operator asked to stop.
         """
         ...
@@ -42,8 +42,8 @@ class Asker(Protocol):
 def unanswered(patience_s: float) -> OperatorStopError:
     """Return the error for a prompt without an answer in time."""
     return OperatorStopError(
-        f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise "
-        f"prompt_timeout_s"
+        f"nobody answered the prompt within {patience_s:g} s; continue with `rig resume`; for a "
+        f"longer wait raise prompt_timeout_s"
     )
 
 
@@ -61,10 +61,10 @@ class Prompt:
     Args:
         screen: Shows the question.
         stream: Input stream, by default ``sys.stdin``, or None if the program has none.
-        patience_s: Time to wait for an answer, s, or None for ever.
-        clock: Clock for this time.
+        patience_s: Time to wait for an answer, s, or None to wait without limit.
+        clock: Clock for the time of the wait.
         control: Socket on which an answer may arrive as well, or None for none.
-        only_there: Whether the input has nobody at it, so that an answer can only arrive on
+        only_there: Whether nobody is at the input, so that an answer can arrive only on
             ``control``.
     """
 
@@ -128,7 +128,7 @@ class Prompt:
         """Return the first answer, from the input or from the control socket.
 
         Args:
-            descriptor: Of the input; None to take none from there.
+            descriptor: Descriptor of the input, or None to read no answer from the input.
         """
         began_ns = self._clock.now_ns()
         while b"\n" not in self._rest or descriptor is None:

@@ -19,13 +19,13 @@ from typing import Final, TextIO
 from drivers.clock import NS, Clock, RealClock
 
 QUEUE_BYTES: Final = 1 << 20
-"""Largest queue for a blocked reader, bytes; more is dropped."""
+"""Size of the largest queue for a blocked reader, bytes; further output is dropped."""
 DRAIN_S: Final = 5.0
-"""Time to wait for a stalled terminal once the drive is off."""
+"""Time, s, to wait for a stalled terminal after the drive is off."""
 STATUS_NS: Final = NS // 4
-"""Time between two status lines: 80 columns four times a second fit 9600 baud."""
+"""Time between two status lines, ns: 80 columns four times a second fit 9600 baud."""
 _CHUNK: Final = 512
-"""Bytes that a ready pipe accepts at once (POSIX: PIPE_BUF is at least this)."""
+"""Number of bytes that a ready pipe accepts in one write (POSIX: PIPE_BUF is at least 512)."""
 _LOOK_S: Final = 0.05
 _COLUMNS: Final = 80
 
@@ -40,8 +40,8 @@ class Outlet:
         stream: ``sys.stdout`` or ``sys.stderr``, or None if the program has none.
 
     Attributes:
-        trouble: Reason why it cannot be written any more, or None if it can.
-        terminal: Whether it is a terminal.
+        trouble: Reason why the stream cannot be written any more, or None if it can be written.
+        terminal: Whether the stream is a terminal.
     """
 
     def __init__(self, stream: TextIO | None) -> None:
@@ -73,7 +73,7 @@ class Outlet:
 
     @property
     def columns(self) -> int:
-        """Width of the terminal; 80 where that is unknown."""
+        """Number of columns of the terminal; 80 if unknown."""
         with suppress(OSError, ValueError):
             if self._descriptor is not None:
                 return os.get_terminal_size(self._descriptor).columns or _COLUMNS
@@ -120,11 +120,11 @@ class Outlet:
         """
         if not self.terminal or self._descriptor is None:
             return
-        # Imported here, as a system without terminals of this kind has no such module.
+        # Imported here, because systems without POSIX terminals do not have this module.
         import termios
 
         with suppress(OSError):
-            # Where it is this session's own, only the job in front may change it.
+            # If the terminal belongs to this session, only the foreground job may change it.
             if os.tcgetpgrp(self._descriptor) != os.getpgrp():
                 return
         with suppress(termios.error):
@@ -156,8 +156,8 @@ class Screen:
 
     Args:
         clock: Paces the status line and :meth:`drain`.
-        out: For results; ``sys.stdout`` unless given.
-        err: For messages, prompts and the status line; ``sys.stderr`` unless given.
+        out: Stream for results, by default ``sys.stdout``.
+        err: Stream for messages, prompts and the status line, by default ``sys.stderr``.
     """
 
     def __init__(
@@ -170,7 +170,7 @@ class Screen:
         self._err = Outlet(err if err is not None else sys.stderr)
         self._out = Outlet(out if out is not None else sys.stdout)
         if self._out.terminal and self._err.terminal:
-            # One queue, so that what was said first is shown first.
+            # Both streams have one queue, so that messages are shown in their order.
             self._out.close()
             self._out = self._err
         self._shown = 0
@@ -226,8 +226,8 @@ class Screen:
         self._line_open = False
 
     def status(self, text: str) -> None:
-        """Replace the status line; nothing is written if the terminal is blocked or the line was
-        just drawn.
+        """Replace the status line; nothing is written if the terminal is blocked, or if the last
+        status line was drawn less than :data:`STATUS_NS` ago.
         """
         self.pump()
         now = self._clock.now_ns()
@@ -265,9 +265,9 @@ class Screen:
         self._out.pump()
 
     def drain(self, patience_s: float = DRAIN_S) -> bool:
-        """Wait until everything is shown or the time is over.
+        """Wait until all output is shown or the time is over.
 
-        To be used only while the drive is off.
+        The method must be used only while the drive is off.
 
         Returns:
             Whether everything was shown.

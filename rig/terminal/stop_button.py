@@ -1,16 +1,16 @@
 """The stop and pause buttons of a run: the signals that a terminal, a shell or another program
 sends.
 
-| signal | sent by | what it does | |---|---|---| | SIGINT | Ctrl-C | ends the run: brake, power
-off, read back | | SIGTERM | `kill`, shutdown of the computer | the same | | SIGHUP | a terminal
-that is closed, an ssh that drops | the same; ignored under `nohup` | | SIGTSTP | Ctrl-Z | the same:
-a program that is suspended can't watch a drive | | SIGQUIT | Ctrl-backslash | the same, without
-waiting for the end of the ramp | | SIGTTOU | writing from the background | ignored, as it would
-suspend the program | | SIGUSR1 | `kill -USR1` | pauses at the end of the stage; a second one
-cancels the pause |
+- SIGINT (Ctrl-C), SIGTERM (``kill``, shutdown of the computer), SIGHUP (a closed terminal, a lost
+  ssh connection; ignored under ``nohup``) and SIGTSTP (Ctrl-Z; a suspended program cannot watch a
+  drive) end the run: brake, power off, read back.
+- SIGQUIT (Ctrl-backslash) ends the run without waiting for the end of the braking ramp.
+- SIGTTOU (output from the background) is ignored, because it would suspend the program.
+- SIGUSR1 (``kill -USR1``) requests a pause at the end of the stage; a second SIGUSR1 cancels the
+  pause.
 
-A second signal while the drive brakes takes the power off at once. Further ones change nothing. The
-stop button is a stop function in software, not an emergency stop.
+A second stop signal while the drive brakes takes the power off at once. Further stop signals change
+nothing. The stop button is a stop function in software, not an emergency stop.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ KEPT_IF_IGNORED = frozenset({"SIGHUP"})
 PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
 """Signal that requests or ends a pause; None on systems without it."""
 PAUSE_ASKED = (
-    "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back"
+    "pause requested: at the end of this stage, with the drive off; SIGUSR1 again cancels the pause"
 )
 PAUSE_ENDED = "no pause"
 
@@ -142,8 +142,8 @@ class StopButton:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a stop raise KeyboardInterrupt at once; used for long waits while the drive is
-        off.
+        """Context in which a stop raises KeyboardInterrupt at once, for long waits while the drive
+        is off.
         """
         self._raise_at_once = True
         try:
@@ -158,7 +158,7 @@ class StopButton:
         if name in HURRY_SIGNALS:
             self.presses += 1
         if self._raise_at_once:
-            # Only once: the clean-up after it must not be interrupted.
+            # The exception is raised only once, so that the clean-up after it is not interrupted.
             self._raise_at_once = False
             raise KeyboardInterrupt
 
@@ -170,8 +170,8 @@ class StopButton:
 def ignore_stops() -> None:
     """Ignore every stop signal from now on.
 
-    The function is used when a stopped program ends: a further signal (Ctrl-C pressed once too
-    often) would replace its exit status.
+    The function is used when a stopped program ends: a further signal, such as another Ctrl-C,
+    would replace the exit status of the program.
     """
     for name in STOP_SIGNALS:
         number = getattr(signal, name, None)

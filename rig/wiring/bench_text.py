@@ -27,7 +27,7 @@ class Watcher:
 
     Attributes:
         kind: ``drive``, ``guardian`` or ``nobody``.
-        after_s: How long the drive, or the guardian, waits for this program, s, or None for nobody.
+        after_s: Time, s, that drive or guardian waits for this program, or None for ``nobody``.
     """
 
     kind: str
@@ -49,7 +49,7 @@ class Watcher:
 
 
 def watcher_of(bench: Bench) -> Watcher:
-    """Return what will take the power off on a bench, according to the bench file."""
+    """Return the watchdog or guardian that the bench file implies."""
     if isinstance(bench.bus, SerialBus):
         return Watcher("nobody") if bench.simulated else Watcher("guardian", SILENCE_S)
     if isinstance(bench.servo, DbcServoSection):
@@ -59,7 +59,7 @@ def watcher_of(bench: Bench) -> Watcher:
 
 
 def watcher(devices: Devices) -> Watcher:
-    """Return what takes the power off on a connected bench."""
+    """Return the watchdog or guardian of a connected bench."""
     if devices.link.has_watchdog and devices.servo.watch_s is not None:
         return Watcher("drive", devices.servo.watch_s)
     return Watcher("nobody") if devices.guard is None else Watcher("guardian", SILENCE_S)

@@ -50,8 +50,8 @@ _ENCODER_NODES = (2, 3)
 identifier that the drive does not occupy.
 """
 NO_BUS = (
-    "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, "
-    "or add a bus"
+    "this bench has no bus, so that only `rig paper` can simulate it; use another bench, such as "
+    "`practical`, or add a bus"
 )
 Hang = Callable[[float], None]
 """Function that hangs a mass in kg on the lever of a simulated machine."""
@@ -70,9 +70,9 @@ def connect(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open the bus of a bench with its devices, and close it at the end. No device moves.
+    """Open the bus of a bench with its devices, and close the bus at the end. No device moves.
 
-    A real bench is locked from before its bus is opened until after it is closed.
+    A real bench is locked before its bus is opened, and released after its bus is closed.
 
     Args:
         document: The bench.
@@ -81,13 +81,13 @@ def connect(
         attach: Injects faults into a simulated bench.
         torque_offset: Map the torque offset of a CANopen drive (60B2h); see
             :func:`rig.planning.feedforward.require_torque_offset`.
-        purpose: The command that connects, as shown to whoever finds the bench in use.
+        purpose: The command that connects, for the message to other users of the bench.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
         InUseError: Another program uses the bench or a part of it.
         StorageError: The bench cannot be locked.
-        DeviceError: The bus cannot be opened, or the bench file contradicts itself on the wire.
+        DeviceError: The bus cannot be opened, or the devices in the bench file conflict on the bus.
     """
     bench = document.value
     if bench.bus is None:
@@ -126,7 +126,7 @@ class _Wired:
         link: The link.
         servo: The drive.
         encoder: The joint encoder.
-        pressure: The pressure transmitter, where there is one.
+        pressure: The pressure transmitter, or None if there is none.
         hang: Hangs a weight on a simulated lever.
         ignite: Lights a simulated gas generator.
         guard: Process that stops a real drive without a watchdog.
@@ -212,7 +212,7 @@ def _simulated_bench(
 ) -> tuple[SimulatedBench | None, Clock]:
     """Return the simulated bench, or None for a real bench, and the host's clock.
 
-    A simulated drive with an EDS file of its own shows only the objects of that file.
+    A simulated drive for which the bench names an EDS file has only the objects of this file.
     """
     bench = document.value
     if bench.mock is None or not bench.simulated:
@@ -272,7 +272,7 @@ def _simulated_dbc(
     """Return the simulated bench of a DBC drive, and the host's clock.
 
     Raises:
-        InputError: Faults are to be injected into a simulated drive that cannot show any.
+        InputError: Faults are to be injected into a simulated drive without support for faults.
     """
     encoder = document.value.encoder
     assert isinstance(encoder, EncoderSection)
@@ -290,8 +290,8 @@ def _simulated_dbc(
 def nominal_of(bench: Bench) -> Nominal:
     """Return the constants of a bench with which its motions are compared.
 
-    Rated values that the bench file leaves at their defaults are left out, because they are not
-    those of this motor.
+    Rated values with the defaults of the bench file are left out, because these are not the values
+    of this motor.
     """
     machine, servo = bench.machine, bench.servo
     stated = servo.model_fields_set
@@ -307,10 +307,10 @@ def nominal_of(bench: Bench) -> Nominal:
 
 
 def device_files(document: Document[Bench]) -> dict[str, Path]:
-    """Return the files that describe the devices' objects or signals (EDS, DBC): name to path.
+    """Return the paths of the EDS and DBC files of the devices, by name.
 
     Raises:
-        InputError: A real device has no such file.
+        InputError: A real device has no EDS or DBC file.
     """
     bench = document.value
     found = {}
@@ -326,8 +326,8 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
 
 
 def servo_data(document: Document[Bench]) -> DeviceData | None:
-    """Return the known properties of drives of the maker of the bench's drive, or None if there are
-    none.
+    """Return the known data of the maker of the bench's drive, or None if the program has no data
+    of this maker.
     """
     servo = document.value.servo
     return servo.device_data(document.path.parent) if isinstance(servo, ServoSection) else None
@@ -338,13 +338,13 @@ def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pr
     the file that the bench file names.
 
     Raises:
-        InputError: A real device has no such file.
+        InputError: A real device has no EDS file.
     """
     bench = document.value
     named: str | None = getattr(bench, section).eds
     if named is not None:
         return document.path.parent / named
     if not bench.simulated:
-        text = "missing; a real device needs its manufacturer's EDS file, relative to this file"
+        text = "missing; name the EDS file of the real device's maker, relative to this file"
         raise InputError(document.problem((section, "eds"), text))
     return _TWIN_EDS[section]

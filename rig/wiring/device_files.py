@@ -45,7 +45,8 @@ class _Described(Protocol):
 def device_file_findings(document: Document[Bench]) -> list[Finding]:
     """Return the faults in node identifiers, CAN identifiers and EDS files of a bench.
 
-    A bench with such a fault cannot be connected to. DBC files are checked with the bench file.
+    A fault of this kind prevents a connection to the bench. DBC files are checked with the bench
+    file.
     """
     return list(_conflicts(document)) or list(_declared(document))
 
@@ -68,16 +69,16 @@ def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
     for role, node in _nodes(bench):
         if node in owners:
             text = (
-                f"{node} is the node identifier of {owners[node]} as well; give each its own, "
-                f"1 to {MASTER_ID - 1}"
+                f"{node} is also the node identifier of {owners[node]}; give each device another "
+                f"node identifier from 1 to {MASTER_ID - 1}"
             )
             yield Finding(Cause.NODES, document.problem((role, "node"), text), connectable=False)
         owners.setdefault(node, f"the {_WORDS[role]}")
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device as :func:`rig.wiring.connect.connect` does; yield the error of each
-    refusal.
+    """Declare every device on the link as :func:`rig.wiring.connect.connect` does; yield each
+    error.
     """
     bench = document.value
     link: CanopenLink | EposSerialLink
@@ -121,7 +122,7 @@ def _maker(document: Document[Bench]) -> Iterator[str]:
     if isinstance(servo, ServoSection) and servo.eds is None and servo.device is None:
         return  # the simulated drive
     if data is not None:
-        yield f"known of {data.name}, where the bench file does not say otherwise: {data.words}"
+        yield f"known of {data.name}, unless the bench file states another value: {data.words}"
         yield from data.remarks
 
 

@@ -19,8 +19,8 @@ class Nominal:
     Attributes:
         torque_constant_N_m_A: Motor torque per ampere.
         gear_ratio: Motor turns per joint turn.
-        rated_current_A: Rated motor current, stated in the file or held by the drive; else None.
-        rated_torque_N_m: Rated motor torque, likewise.
+        rated_current_A: Rated motor current from the file or from the drive, or None if unknown.
+        rated_torque_N_m: Rated motor torque from the file or from the drive, or None if unknown.
         encoder_sign: Sign of the joint encoder.
         back_emf_constant_V_s_rad: Voltage per rad/s of the motor, or None if it is not stated.
     """
@@ -49,8 +49,9 @@ class Devices:
         ignite: Function that ignites a simulated gas generator, or None if a person does.
         guard: Process that stops a drive without a watchdog when this program dies, or None if
             there is none.
-        lock: Lock that keeps other programs off the bench, or None for a simulated bench.
-        nominal: Constants of the bench file that motions are held against, or None for none.
+        lock: Lock that prevents other programs from using the bench, or None for a simulated bench.
+        nominal: Constants of the bench file with which motions are compared, or None for no
+            comparison.
     """
 
     link: Link
@@ -69,7 +70,7 @@ class Devices:
         """Check every device against the bench file and map its process data; nothing is energised.
 
         Raises:
-            DeviceError: A device is not what the bench file says, or does not answer.
+            DeviceError: A device differs from the bench file, or does not answer.
         """
         self.servo.prepare(cycle_s)
         self.encoder.prepare(cycle_s)

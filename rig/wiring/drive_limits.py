@@ -11,10 +11,10 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import LimitSteps, Servo, ServoLimits
 
 ROUNDING = 1e-3
-"""Relative difference below which two limits are equal: bench files state three or four digits."""
+"""Relative difference up to which limits count as equal: bench files state three or four digits."""
 _WHOLE_STEP = 1.0 + 1e-6
-"""Difference in steps of the drive below which two limits are equal: one, with a margin for
-floating-point rounding.
+"""Difference, in steps of the drive, up to which two limits count as equal: one step, with a margin
+for floating-point rounding.
 """
 _STAYING = frozenset({5, 6, 7, 8})
 """Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
@@ -25,10 +25,10 @@ class Row:
     """Comparison of one limit, in SI units.
 
     Attributes:
-        name: Name for the operator.
-        objects: Objects in which the drive holds it.
+        name: Name of the limit for the operator.
+        objects: Objects in which the drive holds the limit.
         field: Field of :class:`~drivers.interfaces.ServoLimits`.
-        unit: Unit of both values.
+        unit: Unit of ``first`` and ``second``.
         first: The limit under test, or None for no limit.
         second: The limit that ``first`` must not exceed.
         looser: Whether ``first`` is looser than ``second``.
@@ -44,10 +44,10 @@ class Row:
 
 
 SPEED_UNIT: Final = (
-    "; a speed limit that differs from the one set with the maker's tool is in another unit: "
-    "compare servo.velocity_unit with the manual of the drive"
+    "; if the drive's speed limit differs from the value set with the maker's tool, the unit of "
+    "the speed is wrong: compare servo.velocity_unit with the manual of the drive"
 )
-"""What else a wrong limit of the speed may mean."""
+"""Second possible cause of a wrong speed limit, for messages."""
 _ROWS = (
     ("joint angle, lower end", "607Dh:01h", "angle_min_rad", "rad", "angle_rad"),
     ("joint angle, upper end", "607Dh:02h", "angle_max_rad", "rad", "angle_rad"),
@@ -76,16 +76,16 @@ def compare(
     steps: LimitSteps | None = None,
     places: Mapping[str, str] | None = None,
 ) -> list[Row]:
-    """Compare every limit of ``first`` with the same limit of ``second``.
+    """Compare every limit of ``first`` with the corresponding limit of ``second``.
 
-    Two limits are the same if they differ by no more than one step of the drive, or by
-    :data:`ROUNDING` of their size, whichever is more.
+    Two limits count as equal if they differ by at most one step of the drive or, if this is more,
+    by :data:`ROUNDING` of their size.
 
     Args:
         first: The limits under test.
-        second: The limit that ``first`` must not exceed.
-        steps: Resolution of the drive that holds one of them, or None if it is not known.
-        places: Where the drive holds each, or None for the objects of CiA 402.
+        second: The limits that ``first`` must not exceed.
+        steps: Resolution of the drive that holds ``first`` or ``second``, or None if unknown.
+        places: Objects in which the drive holds each limit, or None for the objects of CiA 402.
     """
     names = places or {}
     return [
@@ -141,14 +141,14 @@ def require_within_own(
     Args:
         wanted: The limits to be written.
         own: The limits that the drive held when the bus was opened. The quick stop option is
-            refused only if the drive takes the power off after the ramp and would be ordered to
-            keep it on; the quick stop deceleration is a setting, not a limit.
-        steps: As for :func:`compare`.
-        places: As there.
-        unheld: Limits that the drive has no object for, see :class:`drivers.lacks.Lacks`.
+            refused only if the drive takes the power off after the ramp but would be set to keep
+            the power on; the quick stop deceleration is a setting, not a limit.
+        steps: See :func:`compare`.
+        places: See :func:`compare`.
+        unheld: Limits for which the drive has no object, see :class:`drivers.lacks.Lacks`.
 
     Raises:
-        ConfigurationError: Lists every limit that would be looser.
+        ConfigurationError: Limits would become looser; the message lists all of them.
     """
     rows = loosened(wanted, own, steps, places, unheld)
     if rows:
@@ -156,8 +156,8 @@ def require_within_own(
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: "
             f"{_list(rows, 'bench file', 'drive')}; tighten the "
-            "bench file, or change the drive with its maker's tool; limits left by an "
-            "aborted run are cleared by switching the drive's supply off and on"
+            "bench file, or change the drive with its maker's tool; if an aborted run has left "
+            "its limits in the drive, switch the drive's supply off and on"
             + (SPEED_UNIT if speed else "")
         )
 
@@ -174,13 +174,13 @@ def require_held(
     Args:
         held: The limits read back from the drive.
         wanted: The limits that were written.
-        steps: As for :func:`compare`.
-        places: As there.
-        taken: Limits that the drive takes; the others are not written, see :func:`only_here`, or
-            the drive has no object for them. None for all.
+        steps: See :func:`compare`.
+        places: See :func:`compare`.
+        taken: Limits that the drive accepts, or None for all; other limits are not compared,
+            because the drive has no object for them or they are not written (:func:`only_here`).
 
     Raises:
-        ConfigurationError: Lists every limit that is looser.
+        ConfigurationError: Limits of the drive are looser; the message lists all of them.
     """
     rows = [
         row
@@ -191,7 +191,7 @@ def require_held(
         raise ConfigurationError(
             "the drive does not hold the limits written into it: "
             f"{_list(rows, 'drive', 'wanted')}; the drive is not enabled; check in the manual of "
-            "the drive the range of these objects, and whether they are locked"
+            "the drive the range of these objects, and whether the objects are write-protected"
         )
 
 
@@ -204,7 +204,7 @@ def require_written(servo: Servo, wanted: ServoLimits, cycle_s: float) -> None:
         cycle_s: Period of the cycle, s.
 
     Raises:
-        ConfigurationError: As :func:`require_held`.
+        ConfigurationError: See :func:`require_held`.
         DeviceError: The drive does not answer.
     """
     taken = servo.limits_taken - servo.lacks(cycle_s).limits
@@ -218,10 +218,10 @@ def only_here(servo: Servo, wanted: ServoLimits, held: ServoLimits) -> str | Non
     Args:
         servo: The drive.
         wanted: The limits that the program checks.
-        held: The limits of the drive, read from it or stated in the bench file.
+        held: The limits of the drive, read from the drive or stated in the bench file.
 
     Returns:
-        Words for the operator, or None if the drive holds, or is set to, every limit.
+        Text for the operator, or None if the drive holds, or will be set to, every limit.
     """
     rows = [
         row
@@ -247,8 +247,8 @@ def _list(rows: list[Row], first: str, second: str) -> str:
 
 
 def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
-    """Return whether the first limit is looser than the second; the test is written as "not
-    tighter", so that NaN counts as looser.
+    """Return whether the first limit is looser than the second; a limit that is NaN counts as
+    looser.
     """
     if second is None:
         return False
@@ -265,7 +265,7 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
 def show(field: str, value: float | None) -> str:
     """Return a limit as the bench file states it: angles in degrees, with the unit.
 
-    Four digits suffice to distinguish any two limits that differ.
+    Four digits are enough to distinguish limits that count as different.
     """
     if value is None:
         return "off"

@@ -1,5 +1,5 @@
-"""Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms and feeds it, and
-receives its report after a takeover.
+"""Starts the guardian (:mod:`rig.wiring.guardian`) with the port of a drive, arms the guardian,
+sends it signs of life, and receives its report after a takeover.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
 _TAKEOVER_S: Final = 3.0
-"""Time to wait for the guardian's report after a takeover, s; braking and reading back take less.
+"""Time to wait for the guardian's report after a takeover, s, longer than braking and reading back.
 """
 _CHUNK: Final = 4096
 
@@ -72,8 +72,8 @@ class Guard:
         """Open the port.
 
         Raises:
-            OSError: It cannot be opened.
-            ValueError: It does not support this rate.
+            OSError: The port cannot be opened.
+            ValueError: The port does not support this rate.
         """
         self._port = PySerialPort(self._path, self._baud)
         return self._port
@@ -93,7 +93,7 @@ class Guard:
         this time, s.
 
         Raises:
-            LinkError: There is no guardian; the drive must not be enabled.
+            LinkError: No guardian runs; the drive must not be enabled.
         """
         if self._process is None:
             self._process = self._start()
@@ -108,8 +108,8 @@ class Guard:
 
         Raises:
             LinkError: The guardian has taken over, or is gone. While the guardian has the drive,
-                every call raises; once it has released the drive, only one call does, so that the
-                drive can be read back.
+                every call raises this error; after the guardian has released the drive, only the
+                next call does, so that the drive can then be read back.
         """
         if self._taken:
             self._await_report(0.0)
@@ -152,14 +152,14 @@ class Guard:
         try:
             process.wait(_END_S)
         except subprocess.TimeoutExpired:
-            # It is still trying to reach the drive and must not be interrupted.
+            # The guardian is still trying to stop the drive and must not be interrupted.
             process.returncode = 0
 
     def _start(self) -> subprocess.Popen[bytes]:
         if self._port is None:
             raise LinkError(f"{self.name} is not open: call open() first")
         descriptor = self._port.fileno()
-        # In a session of its own, so that neither Ctrl-C nor a closed terminal reaches it.
+        # The guardian has its own session, so that neither Ctrl-C nor a closed terminal ends it.
         process = subprocess.Popen(
             [sys.executable, "-m", "rig.wiring.guardian", *map(str, (descriptor, *self._keep))],
             stdin=subprocess.PIPE,
@@ -182,14 +182,13 @@ class Guard:
         """Return the guardian's report once it has released the drive.
 
         Raises:
-            LinkError: It still has the drive.
+            LinkError: The guardian has not released the drive.
         """
         line = self._says(b"\n", patience_s)
         if line is None:
             raise LinkError(
                 f"the guardian of {self.name} has taken over and is still trying to take the "
-                f"power off: "
-                "switch the main supply off"
+                f"power off: switch the main supply off"
             )
         self._taken = self._armed = False
         return line.decode(errors="replace").strip()
@@ -221,7 +220,7 @@ class Guard:
     def _write(self, data: bytes) -> None:
         assert self._process is not None
         try:
-            # A pipe takes a line whole or not at all.
+            # A pipe accepts a short line completely or not at all.
             os.write(_pipe(self._process.stdin).fileno(), data)
         except BlockingIOError as error:
             raise LinkError(

@@ -6,14 +6,13 @@ input state how to reach the drive, where to write its report, and whether the d
 (``armed``). While armed, every line, even an empty one, is a sign of life of the control loop. The
 guardian acts in two cases:
 
-- the input ends while the drive is armed: the other program is gone;
-- no line comes for ``limit_s``: the other program hangs, or was suspended.
+- the input ends while the guardian is armed: the other program is gone;
+- no line arrives for ``limit_s``: the other program hangs, or was suspended.
 
 First the guardian writes ``took over`` to the standard output, so that the other program does not
-use the port if it continues. Later the guardian writes a line that reports what was done.
-
-After the message ``took over`` the guardian brakes the drive, takes the power off, reads 6041h
-back, and writes its report next to the recording. Its own output never blocks it.
+use the port if it continues. Then the guardian brakes the drive, takes the power off, reads 6041h
+back, writes its report next to the recording, and writes a line with the result to the standard
+output. A full output never blocks the guardian.
 """
 
 from __future__ import annotations
@@ -50,7 +49,7 @@ SILENCE_S: Final = 0.2
 _PATIENCE_S: Final = 60.0
 _PAUSE_NS: Final = NS // 5
 """Pause between two attempts to stop the drive, s. On a lost port an attempt fails immediately;
-without a pause the processor would be busy.
+without a pause, repeated attempts would occupy the processor.
 """
 _CYCLE_NS: Final = NS // 1000
 _CHUNK: Final = 4096
@@ -67,10 +66,10 @@ class Cause(Enum):
 
 @dataclass
 class Ward:
-    """State that the guardian has received.
+    """Data that the guardian has received from the other program.
 
     Attributes:
-        drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.
+        drive: Data to reach the drive: ``name``, ``node``, ``eds`` and ``scales``.
         folder: Folder for the report, or None for no report.
         armed: Whether the drive may be under power.
         limit_s: Longest silence of the other program while armed, s.
@@ -83,8 +82,8 @@ class Ward:
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:
-        """Process received bytes; an incomplete line, which a dying program may leave, and unknown
-        keys have no effect.
+        """Process received bytes. An incomplete line, which a dying program may leave, has no
+        effect; unknown keys have no effect either.
         """
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
@@ -152,8 +151,8 @@ def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]
     Args:
         descriptor: The pipe.
         ward: Receives the input.
-        wait: Waits for input on a descriptor for a number of seconds, None for ever; returns
-            whether there is any.
+        wait: Waits for input on a descriptor for a number of seconds, or without a time limit if
+            None; returns whether there is input.
     """
     while True:
         if not wait(descriptor, ward.limit_s if ward.armed else None):
@@ -169,7 +168,7 @@ def _wait(descriptor: int, seconds: float | None) -> bool:
 
 
 def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Return a sentence on what the guardian did."""
+    """Return a sentence on why the guardian acted, and on the final state of the drive."""
     why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
     return (
         f"guardian: the program that drove {ward.drive['name']} {why}; after "
@@ -231,14 +230,14 @@ def main() -> int:
     descriptors of the bench's lock.
     """
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
-        # Only the end of the input ends it.
+        # The guardian ignores stop signals; only the end of its input ends the process.
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     ward, screen = Ward(), Screen()
     listening, speaking = sys.stdin.fileno(), sys.stdout.fileno()
     while not ward.drive:
         data = os.read(listening, _CHUNK)
         if not data:
-            # The other program died before it could say anything; nothing was under power.
+            # The other program died before its first line, and the drive was not under power.
             return 0
         ward.hear(data)
     port, *lock = map(int, sys.argv[1:])
@@ -266,7 +265,7 @@ def main() -> int:
 
 def _speak(descriptor: int, words: bytes) -> None:
     """Write to the other program; the pipe is nearly empty, so that this call does not block."""
-    # If it is gone, the end of the input shows it.
+    # If the other program is gone, the end of the input shows this.
     with suppress(OSError):
         os.write(descriptor, words)
 

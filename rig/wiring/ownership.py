@@ -1,4 +1,4 @@
-"""Holds locks until a command ends, and reports locks that were taken over from a dead program."""
+"""Releases locks when a command ends, and reports locks taken over from a dead program."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Checks whether the constants of a bench file are physically plausible.
 
-Example: a moment arm of 95 m was entered in millimetres.
+An example is a moment arm of 95 mm that was entered as 95 m.
 """
 
 from __future__ import annotations
@@ -41,20 +41,20 @@ CONSTANTS = {
         (1e-3, 20.0),
         (1e-5, 1e3),
         "V s/rad",
-        "data sheets often give its inverse in rpm/V; convert it as 9.549 divided by that value",
+        "data sheets often give the inverse in rpm/V; convert it as 9.549 divided by that value",
     ),
     "resistance_ohm": Range((0.01, 500.0), (1e-4, 1e5), "ohm", "check value and unit"),
     "inductance_H": Range((1e-6, 0.5), (0.0, 10.0), "H", "data sheets often give mH"),
-    "gear_ratio": Range((1.0, 1e3), (0.01, 1e5), "", "it is motor turns per joint turn"),
+    "gear_ratio": Range((1.0, 1e3), (0.01, 1e5), "", "state motor turns per joint turn"),
     "moment_arm_m": Range((0.01, 1.0), (1e-3, 5.0), "m", "state it in metres, not in millimetres"),
-    "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "it is contact force over weight force"),
-    "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "it is that of the Earth's surface"),
+    "lever_ratio": Range((0.5, 50.0), (0.01, 1e3), "", "state contact force over weight force"),
+    "gravity_m_s2": Range((9.76, 9.84), (9.7, 9.9), "m/s^2", "state the local gravity"),
 }
 """Ranges of the keys of the section ``machine``."""
-_EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units an ideal motor has the same number for both")
-_TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of both")
+_EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units both constants of an ideal motor are equal")
+_TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of inductance and resistance")
 _RATED = Range(
-    (0.4, 2.5), (0.05, 20.0), "", "6076h is the torque of the motor before the gear, in mN m"
+    (0.4, 2.5), (0.05, 20.0), "", "6076h has the torque of the motor before the gear, in mN m"
 )
 _MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and gear_ratio")
 

@@ -56,10 +56,10 @@ def require_startable(
     Args:
         document: The bench.
         today: Date for the calibration check.
-        warn: Receives warnings, which are no reason to refuse.
+        warn: Receives warnings, which do not prevent a run.
 
     Raises:
-        InputError: Lists every reason, with its place in the bench file.
+        InputError: The bench has errors; the message lists each with its place in the file.
     """
     found = bench_findings(document, today)
     for text in warnings(found):
@@ -75,7 +75,7 @@ def device_findings(
     written.
 
     Args:
-        devices: On an opened link; not prepared.
+        devices: Devices on an opened link, before :meth:`Devices.prepare`.
         wanted: The limits that the run would write into the drive.
         cycle_s: Control cycle, s.
         reset_fault: Whether the run may clear a fault.
@@ -115,16 +115,16 @@ def require_ready(
     """Before the operator hangs a weight, refuse the devices that the run would refuse later.
 
     Args:
-        devices: As for :func:`device_findings`.
-        wanted: As there.
-        cycle_s: As there.
-        reset_fault: As there.
+        devices: See :func:`device_findings`.
+        wanted: See :func:`device_findings`.
+        cycle_s: See :func:`device_findings`.
+        reset_fault: See :func:`device_findings`.
 
     Returns:
         Warnings for the operator.
 
     Raises:
-        ConfigurationError: Lists every reason.
+        ConfigurationError: The run would refuse devices; the message lists every reason.
         DeviceError: A device does not answer.
     """
     found = list(device_findings(devices, wanted, cycle_s, reset_fault))

@@ -13,7 +13,7 @@ from rig.config.canopen import Bus
 from rig.config.serial_bus import Amt21Section, SerialBus
 
 _IN_PROCESS: Final = "virtual"
-"""Interface of python-can whose bus no other process can reach."""
+"""Interface of python-can with a bus inside this process, which no other process can reach."""
 _ON_SERIAL_PORTS: Final = frozenset({"slcan", "robotell", "seeedstudio", "serial"})
 """Interfaces of python-can whose channel is a serial port, as a path or as a URL of pyserial."""
 _WITH_RATE: Final = frozenset({"slcan", "robotell"})
@@ -23,8 +23,8 @@ _WITH_RATE: Final = frozenset({"slcan", "robotell"})
 def resources(bench: Bench) -> tuple[Resource, ...]:
     """Return the resources that a program must lock to use this bench; none for a simulated bench.
 
-    Links are followed, so that a device has the same key under each of its names. An interface with
-    a channel has the same key in every bench file.
+    Symbolic links are resolved, so that all names of a device give one key. The key of an interface
+    with a channel does not depend on the bench file.
     """
     bus = bench.bus
     if bus is None or bench.simulated:
@@ -54,6 +54,6 @@ def _port(path: str) -> Resource:
     try:
         real = os.path.realpath(path)
     except ValueError:
-        # Not a path: it contains a null character.
+        # A text with a null character is not a path.
         real = path
     return Resource(real, f"port {path}")

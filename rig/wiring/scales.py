@@ -29,7 +29,9 @@ _OBJECTS = {
     "rated_current_object": ("rated_current_object_unit_A", "rated_current_object_unit_A"),
     "rated_torque_object": ("rated_torque_object_unit_N_m", "rated_torque_object_unit_N_m"),
 }
-"""Key of an object to the key of its unit and to the field of the scales that contains the unit."""
+"""Key of the unit of each object, and field of the scales that contains the unit, by the object's
+key.
+"""
 
 
 def servo_scales(
@@ -38,9 +40,9 @@ def servo_scales(
     """Return the drive's scales in SI units.
 
     Args:
-        servo: The drive in the bench file, which comes first.
+        servo: The drive in the bench file, whose keys have priority over ``data``.
         machine: Constants of the machine.
-        data: What is known of drives of its maker.
+        data: The maker's data of the drive, or None.
     """
     found: dict[str, Any] = {}
     known = []
@@ -50,7 +52,8 @@ def servo_scales(
             known.append(told)
         if (address := named or told) is not None:
             found[field] = address
-        # The maker's unit is that of the maker's object, not of another that the bench names.
+        # The unit in the maker's data applies to the maker's object, not to another object that the
+        # bench file names.
         same = named in (None, told or getattr(ServoScales, field))
         told_unit = getattr(data, unit, None) if same else None
         if (value := getattr(servo, unit) or told_unit) is not None:
@@ -79,9 +82,9 @@ def servo_motion(
 
     Args:
         servo: The drive in the bench file.
-        scales: Its units.
-        data: What is known of drives of its maker.
-        torque_offset: Whether a torque is added (feed-forward); for positions in every cycle only.
+        scales: Units of the drive.
+        data: The maker's data of the drive, or None.
+        torque_offset: Whether a torque is added (feed-forward), which requires cyclic positions.
     """
     mode = servo.commanded(data)
     if mode == "csp":
@@ -98,8 +101,8 @@ def servo_motion(
 
 
 def _vendor(servo: ServoSection, data: DeviceData | None) -> int | None:
-    """Return the vendor identifier that the drive must have: the vendor of its EDS file, if the
-    maker's data were found by that file.
+    """Return the vendor identifier that the drive must have, that in its EDS file, or None if the
+    maker's data were not selected by the EDS file.
     """
     found = data is not None and servo.device is None and servo.eds is not None
     return data.vendor_id if data is not None and found else None

@@ -13,8 +13,8 @@ from rig.common.errors import StorageError
 
 BRAKING_TIMEOUT_S = 1.0
 STATE_INTERVAL_S = 0.005
-"""Time between two reads of the state while the drive brakes: the power stays on for up to this
-long after the shaft stands, whatever the control cycle is.
+"""Time, s, between two reads of the state while the drive brakes; after standstill the power stays
+on for at most this time, independent of the control cycle.
 """
 DISABLE_ATTEMPTS = 2
 
@@ -25,12 +25,12 @@ class SafeState:
 
     Attributes:
         verified: Whether 6041h was read and shows a de-energised state.
-        state: Name of that state, or ``unknown``.
+        state: Name of the state, or ``unknown``.
         problems: Errors during the teardown.
-        watched: Whether the drive de-energises itself once it is no longer commanded.
-        unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C:
-            defects of this program, to be raised again once the operator knows how the drive was
-            left.
+        watched: Whether the drive de-energises itself when it is no longer commanded.
+        unforeseen: Exceptions of the steps, except device errors, storage errors and Ctrl-C; they
+            are defects of this program, and are raised again after the operator was informed of the
+            state of the drive.
     """
 
     verified: bool
@@ -72,7 +72,7 @@ def words_of(error: BaseException) -> str:
     """Return an exception's class and message, even if its ``__str__`` fails."""
     try:
         return f"{type(error).__name__}: {error}"
-    except Exception:  # noqa: BLE001 whatever it raises, the class says enough
+    except Exception:  # noqa: BLE001 - the class alone is shown if the message fails
         return type(error).__name__
 
 
@@ -91,7 +91,7 @@ class _Steps:
             self.problems.append("interrupted again while stopping")
         except (DeviceError, StorageError) as error:
             self.problems.append(str(error))
-        except BaseException as error:  # noqa: BLE001 a defect must not keep the power on; the caller raises it
+        except BaseException as error:  # noqa: BLE001 - a defect must not keep the power on
             self.problems.append(f"unforeseen {words_of(error)}")
             self.unforeseen.append(error)
 
@@ -119,13 +119,13 @@ def make_safe(
 
     Args:
         servo: The drive.
-        watch: Runs one control cycle; called while the drive brakes, so that its heartbeat watch
-            does not cut the ramp short, and so that the recording shows the shaft stopping.
+        watch: Runs one control cycle; called while the drive brakes, so that the drive's watchdog
+            does not interrupt the ramp, and so that the recording contains the braking.
         cycle_ns: Control cycle, ns.
-        brake: Start with a quick stop: after anything but an orderly end.
-        hurry: Whether the operator has asked again: then the power goes off without waiting for the
-            end of the ramp.
-        watched: Whether the drive de-energises itself once it is no longer commanded.
+        brake: Whether to start with a quick stop, as after every end of a run but a regular end.
+        hurry: Whether the operator has pressed Ctrl-C again; the power then goes off without
+            waiting for the end of the ramp.
+        watched: Whether the drive de-energises itself when it is no longer commanded.
 
     Returns:
         The final state of the drive; unexpected exceptions are in ``unforeseen``.
@@ -161,8 +161,8 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 def _wait_for_standstill(
     servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
 ) -> None:
-    """Keep the bus alive until the drive has stopped, the time is over, or the operator asks for a
-    stop again.
+    """Run control cycles until the drive has stopped, the time is over, or the operator presses
+    Ctrl-C again.
     """
     between = max(1, round(STATE_INTERVAL_S * NS / cycle_ns))
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
@@ -177,8 +177,8 @@ def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseExce
     """Write the drive's own limits back, so that a run's tighter limits do not restrict the next
     run.
 
-    Only done if the drive is verified off. A drive that rejects its own limits keeps the tighter
-    limits, which is safe.
+    The limits are written only if the drive is verified off. A drive that rejects its own limits
+    keeps the tighter limits, which is safe.
 
     Returns:
         Unexpected exceptions, as in :attr:`SafeState.unforeseen`.
